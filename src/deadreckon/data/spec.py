@@ -1,0 +1,120 @@
+"""What a log looks like from outside: spaces, ranges and statistics, and nothing of its rows."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from deadreckon.errors import UserError
+
+
+@dataclass(frozen=True)
+class Box:
+    """Continuous actions between `low` and `high`, each a tuple with one number per dimension."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def __post_init__(self):
+        if len(self.low) != len(self.high) or not all(a < b for a, b in zip(self.low, self.high)):
+            raise UserError(f"action bounds must satisfy low < high in every dimension, got {self.low} and {self.high}")
+
+    @property
+    def size(self) -> int:
+        """Number of action dimensions."""
+        return len(self.low)
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """Actions 0 .. n-1."""
+
+    n: int
+
+    @property
+    def size(self) -> int:
+        """Number of actions, which is the width of a one-hot action or a row of logits."""
+        return self.n
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Per-dimension mean, standard deviation and range of a column, float64 arrays of the column's shape."""
+
+    mean: np.ndarray
+    std: np.ndarray
+    min: np.ndarray
+    max: np.ndarray
+
+    @classmethod
+    def of(cls, column: np.ndarray, block: int = 262_144) -> "Statistics":
+        """One pass over `column` (rows first) in blocks, so that a memory-mapped column is never loaded whole."""
+        rows = len(column)
+        shape = column.shape[1:]
+        total, square = np.zeros(shape), np.zeros(shape)
+        low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+        # Shifted by the first row, so that squares of large offsets do not swallow the variance.
+        shift = np.asarray(column[0], np.float64)
+        for start in range(0, rows, block):
+            part = np.asarray(column[start : start + block], np.float64)
+            low, high = np.minimum(low, part.min(0)), np.maximum(high, part.max(0))
+            part = part - shift
+            total, square = total + part.sum(0), square + np.square(part).sum(0)
+        mean = total / rows
+        return cls(mean + shift, np.sqrt(np.maximum(square / rows - np.square(mean), 0.0)), low, high)
+
+
+@dataclass(frozen=True, eq=False)
+class Spec:
+    """The shape of a log, all that a method may know before it sees rows.
+
+    Attributes:
+        observation_shape: shape of one observation.
+        observation_dtype: numpy name, "float32" or, for images, "uint8".
+        action: the action space as declared (environment) or, failing that, the range of the data.
+        observation: statistics of the observations.
+        actions: statistics of the logged actions; for `Discrete`, of their indices.
+        reward: statistics of the rewards (scalars).
+        rows: number of logged steps.
+        episodes: number of episodes.
+        longest: steps in the longest episode.
+        name: the log's name, such as `maze2d-umaze-v1@dr1`.
+    """
+
+    observation_shape: tuple[int, ...]
+    observation_dtype: str
+    action: Box | Discrete
+    observation: Statistics
+    actions: Statistics
+    reward: Statistics
+    rows: int
+    episodes: int
+    longest: int
+    name: str
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers in one observation."""
+        return int(np.prod(self.observation_shape))
+
+    @property
+    def action_size(self) -> int:
+        """Dimensions of a `Box` action, number of `Discrete` ones."""
+        return self.action.size
+
+    @property
+    def discrete(self) -> bool:
+        """Whether actions are indices."""
+        return isinstance(self.action, Discrete)
+
+
+def action_space_to_json(space: Box | Discrete) -> dict[str, Any]:
+    """An action space as plain JSON values; `action_space_from_json` reads it back."""
+    return {"kind": type(space).__name__, **{k: list(v) if isinstance(v, tuple) else v for k, v in asdict(space).items()}}
+
+
+def action_space_from_json(value: dict[str, Any]) -> Box | Discrete:
+    """The inverse of `action_space_to_json`."""
+    if value["kind"] == "Discrete":
+        return Discrete(int(value["n"]))
+    return Box(tuple(map(float, value["low"])), tuple(map(float, value["high"])))
