@@ -178,9 +178,13 @@ class Dataset:
         return f"Dataset({self.name}: {len(self):,} steps, {self.episodes:,} episodes, {self.action_space})"
 
     @cached_property
+    def _is_end(self) -> np.ndarray:
+        return np.asarray(self.terminals) | np.asarray(self.timeouts)
+
+    @cached_property
     def ends(self) -> np.ndarray:
         """(episodes,) index of each episode's last row."""
-        return np.flatnonzero(self.terminals | self.timeouts)
+        return np.flatnonzero(self._is_end)
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -251,7 +255,7 @@ class Dataset:
         """Observation after each of `rows`; it never crosses into another episode. Same shape rule as indexing."""
         if self.successors is not None:
             return self.successors[rows]
-        ends = (self.terminals | self.timeouts)[rows]
+        ends = self._is_end[rows]
         following = np.asarray(self.observations[np.minimum(rows + 1, len(self) - 1)])
         following[ends] = self.final_observations[self.episode_of[rows[ends]]]
         return following
@@ -384,7 +388,7 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
     if space is None:
         low, high = column.min(0).astype(float), column.max(0).astype(float)
         flat = low == high  # a dimension that never moves still needs a width
-        space = Box(tuple(low - flat), tuple(high + flat))
+        space = Box(tuple((low - flat).tolist()), tuple((high + flat).tolist()))
     if column.shape[1] != space.size:
         raise UserError(f"{log}: actions have {column.shape[1]} dimensions, the bounds have {space.size}")
     return column, space

@@ -1,0 +1,34 @@
+"""What every test shares: the compilation cache, a private home, and the real files where they are at hand."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("DEADRECKON_TEST_DATA") or ROOT.parent / "shared" / "data")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compilation_cache():
+    """Compiled programs outlive the session, so that only the first run of the tests pays for them."""
+    import jax
+
+    jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    """A home folder of the test's own, so that nothing reads or fills the user's."""
+    folder = tmp_path / "home"
+    monkeypatch.setenv("DEADRECKON_HOME", str(folder))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of small real files; a test that needs it skips where it is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"no real data at {DATA} (set DEADRECKON_TEST_DATA)")
+    return DATA
