@@ -76,6 +76,7 @@ class Dataset:
         timeouts: np.ndarray | None = None,
         next_observations: np.ndarray | None = None,
         final_observations: np.ndarray | None = None,
+        final_known: np.ndarray | None = None,
         action_space: Box | Discrete | None = None,
         name: str = "arrays",
         provenance: Provenance | None = None,
@@ -94,6 +95,7 @@ class Dataset:
             next_observations: (rows, *shape); kept as a column only if it differs from the following row inside an
                 episode, else reduced to the final observation of each episode.
             final_observations: (episodes, *shape), instead of `next_observations`.
+            final_known: (episodes,) truth values, false where the log does not say; all true if absent.
             action_space: bounds of the actions; the range of the data if absent.
             name: of the log.
             provenance: where the columns come from.
@@ -104,7 +106,7 @@ class Dataset:
             UserError: one line that names the column and the row.
         """
         actions = np.asanyarray(actions)
-        rows = len(actions)
+        rows = len(actions) if actions.ndim else 0
         if rows == 0:
             raise UserError(f"{name}: the log has no rows")
         columns: dict[str, Any] = {"observations": observations, "actions": actions, "rewards": rewards, **extras}
@@ -113,7 +115,8 @@ class Dataset:
         for key, value in columns.items():
             value = np.asanyarray(value)
             if value.ndim == 0 or len(value) != rows:
-                raise UserError(f"{name}: column {key} has {0 if value.ndim == 0 else len(value)} rows, actions have {rows}")
+                have = 0 if value.ndim == 0 else len(value)
+                raise UserError(f"{name}: column {key} has {have} rows, actions have {rows}")
             _check_numbers(name, key, value)
 
         observations = _observation_column(name, "observations", observations)
@@ -138,18 +141,24 @@ class Dataset:
         successors = None
         if next_observations is not None:
             final, known = np.ascontiguousarray(next_observations[last]), np.ones(len(last), bool)
-            inside = ~(terminals | timeouts)[:-1]
-            if (_breaks(observations, next_observations) & inside).any():
-                successors = next_observations
+            successors = _if_needed(next_observations, observations, terminals | timeouts)
         elif final_observations is not None:
             final, known = _observation_column(name, "final_observations", final_observations), np.ones(len(last), bool)
             if final.shape != (len(last), *observations.shape[1:]):
                 want = (len(last), *observations.shape[1:])
-                raise UserError(f"{name}: final_observations have shape {final.shape}, {want} is needed (one an episode)")
+                raise UserError(
+                    f"{name}: final_observations have shape {final.shape}, {want} is needed, one an episode"
+                )
             _check_numbers(name, "final_observations", final)
+            if final_known is not None:
+                known = _flag(name, "final_known", final_known)
+                if len(known) != len(last):
+                    raise UserError(f"{name}: final_known has {len(known)} values, {len(last)} episodes need one each")
         else:
-            # A placeholder; nobody bootstraps from it, because these rows are dropped or terminal.
             final, known = np.ascontiguousarray(observations[last]), np.zeros(len(last), bool)
+        if not known.all():
+            # A placeholder; nobody bootstraps from it, because these rows are dropped or terminal.
+            final = np.where(known.reshape(-1, *[1] * (final.ndim - 1)), final, observations[last])
 
         warnings = _bounds_warnings(name, actions, space, strict)
         log = cls(
@@ -158,7 +167,7 @@ class Dataset:
             space, name, provenance or Provenance(), tuple(warnings),
         )  # fmt: skip
         if dropped := log.dropped:
-            text = f"{dropped} of {rows} rows have no known successor (the log ends there without a terminal) and are left out"
+            text = f"{dropped} of {rows} rows have no known successor (the log ends there without a terminal), left out"
             log = replace(log, warnings=(*log.warnings, text))
         return log
 
@@ -272,7 +281,7 @@ class Dataset:
     def returns_to_go(self, discount: float = 1.0) -> np.ndarray:
         """(rows,) float64 return from each row to the end of its episode; nothing is added beyond a timeout."""
         to_go = np.asarray(self.rewards, np.float64).copy()
-        # All episodes are walked back together, longest first, so that the number of numpy calls is that of their steps.
+        # All episodes are walked back together, longest first, so that there are as many numpy calls as steps.
         order = np.argsort(-self.lengths, kind="stable")
         ends, lengths = self.ends[order], self.lengths[order]
         for back in range(1, int(lengths[0])):
@@ -290,12 +299,16 @@ class Dataset:
         lengths = self.lengths[episodes]
         offsets = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
         rows = np.repeat(self.starts[episodes], lengths) + offsets
+        observations, terminals, timeouts = self.observations[rows], self.terminals[rows], self.timeouts[rows]
+        successors = None
+        if self.successors is not None:
+            successors = _if_needed(self.successors[rows], observations, terminals | timeouts)
         return replace(
             self,
-            observations=self.observations[rows], actions=self.actions[rows], rewards=self.rewards[rows],
-            terminals=self.terminals[rows], timeouts=self.timeouts[rows],
+            observations=observations, actions=self.actions[rows], rewards=self.rewards[rows],
+            terminals=terminals, timeouts=timeouts,
             final_observations=self.final_observations[episodes], final_known=self.final_known[episodes],
-            successors=None if self.successors is None else self.successors[rows],
+            successors=successors,
             extras={key: value[rows] for key, value in self.extras.items()},
             name=name or self.name,
         )  # fmt: skip
@@ -326,7 +339,7 @@ class Dataset:
         return replace(self, action_space=space, warnings=(*self.warnings, *warnings))
 
 
-# ---- checks at the door -----------------------------------------------------------------------------------------------
+# ---- checks at the door ---------------------------------------------------------------------------------------------
 
 
 def _blocks(column: np.ndarray) -> range:
@@ -352,7 +365,7 @@ def _observation_column(log: str, key: str, column: np.ndarray) -> np.ndarray:
         column = column[:, None]
     if column.dtype == np.uint8 and column.ndim >= 3:
         return column
-    return column if column.dtype == np.float32 else column.astype(np.float32)
+    return _float32(log, key, column)
 
 
 def _flat(log: str, key: str, column: np.ndarray, dtype: Any) -> np.ndarray:
@@ -360,7 +373,20 @@ def _flat(log: str, key: str, column: np.ndarray, dtype: Any) -> np.ndarray:
     if column.size != len(column):
         raise UserError(f"{log}: column {key} has shape {column.shape}, one value a row is needed")
     column = column.reshape(len(column))
+    if dtype == np.float32:
+        return _float32(log, key, column)
     return column if column.dtype == dtype else column.astype(dtype)
+
+
+def _float32(log: str, key: str, column: np.ndarray) -> np.ndarray:
+    if column.dtype == np.float32:
+        return column
+    with np.errstate(over="ignore"):
+        small = column.astype(np.float32)
+    if column.dtype.itemsize > 4 and np.isinf(small).any():
+        row = int(np.argwhere(np.isinf(small))[0][0])
+        raise UserError(f"{log}: column {key} has a number in row {row} that float32 cannot hold; rescale it")
+    return small
 
 
 def _flag(log: str, key: str, column: np.ndarray) -> np.ndarray:
@@ -376,6 +402,10 @@ def _flag(log: str, key: str, column: np.ndarray) -> np.ndarray:
 def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -> tuple[np.ndarray, Box | Discrete]:
     integers = column.dtype.kind in "iub" and column.size == len(column)
     if isinstance(space, Discrete) or (space is None and integers):
+        broken = column != np.floor(column) if column.dtype.kind == "f" else np.zeros(1, bool)
+        if broken.any():
+            row = int(np.argwhere(broken)[0][0])
+            raise UserError(f"{log}: column actions has {column[row]} in row {row}, an integer is needed")
         column = _flat(log, "actions", column, np.int32)
         n = space.n if space else int(column.max()) + 1
         wrong = (column < 0) | (column >= n)
@@ -383,8 +413,7 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
             row = int(np.flatnonzero(wrong)[0])
             raise UserError(f"{log}: column actions has {column[row]} in row {row}, 0 .. {n - 1} is needed")
         return column, space or Discrete(max(n, 2))
-    column = column.reshape(len(column), -1)
-    column = column if column.dtype == np.float32 else column.astype(np.float32)
+    column = _float32(log, "actions", column.reshape(len(column), -1))
     if space is None:
         low, high = column.min(0).astype(float), column.max(0).astype(float)
         flat = low == high  # a dimension that never moves still needs a width
@@ -407,10 +436,16 @@ def _bounds_warnings(log: str, actions: np.ndarray, space: Box | Discrete, stric
         count += int(outside.sum())
     if not count:
         return []
-    text = f"{count} of {len(actions)} rows ({100 * count / len(actions):.0f} %) have actions out of bounds, first row {first}"
+    share = f"{count} of {len(actions)} rows ({100 * count / len(actions):.0f} %)"
+    text = f"{share} have actions out of bounds, first row {first}"
     if strict:
         raise UserError(f"{log}: {text}; without --strict they are clipped")
     return [f"{text}; methods see them clipped"]
+
+
+def _if_needed(following: np.ndarray, observations: np.ndarray, ends: np.ndarray) -> np.ndarray | None:
+    """`following`, or None where the next row says the same: one log has one form, and one fingerprint."""
+    return following if (_breaks(observations, following) & ~ends[:-1]).any() else None
 
 
 def _breaks(observations: np.ndarray, following: np.ndarray) -> np.ndarray:
@@ -421,5 +456,3 @@ def _breaks(observations: np.ndarray, following: np.ndarray) -> np.ndarray:
         differs = observations[start + 1 : stop + 1] != following[start:stop]
         out[start:stop] = differs.reshape(stop - start, -1).any(1)
     return out
-
-

@@ -16,6 +16,9 @@ class Box:
     high: tuple[float, ...]
 
     def __post_init__(self):
+        # Floats whatever was given, so that equal bounds are equal, print alike and give one fingerprint.
+        object.__setattr__(self, "low", tuple(map(float, self.low)))
+        object.__setattr__(self, "high", tuple(map(float, self.high)))
         if len(self.low) != len(self.high) or not all(a < b for a, b in zip(self.low, self.high)):
             raise UserError(f"action bounds must satisfy low < high in every dimension, got {self.low} and {self.high}")
 
@@ -110,7 +113,8 @@ class Spec:
 
 def action_space_to_json(space: Box | Discrete) -> dict[str, Any]:
     """An action space as plain JSON values; `action_space_from_json` reads it back."""
-    return {"kind": type(space).__name__, **{k: list(v) if isinstance(v, tuple) else v for k, v in asdict(space).items()}}
+    fields = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(space).items()}
+    return {"kind": type(space).__name__, **fields}
 
 
 def action_space_from_json(value: dict[str, Any]) -> Box | Discrete:

@@ -64,8 +64,14 @@ class Task:
     published: Reference | None = None
     split: str = "training"
     summary: str = ""
-    extra: dict[str, Any] = field(default_factory=dict)
+    # Left out of the hash, which a dict has none of, so that tasks can be keys.
+    extra: dict[str, Any] = field(default_factory=dict, hash=False)
 
-    def simulate(self, seeds: Sequence[int]) -> Simulator:
-        """One copy of the environment for each seed."""
+    def simulate(self, seeds: Sequence[int], threads: int | None = None) -> Simulator:
+        """One copy of the environment for each seed.
+
+        Args:
+            seeds: one a copy, 0 or more.
+            threads: to step with; all cores if None. Results do not depend on it.
+        """
         raise NotImplementedError

@@ -1,0 +1,51 @@
+"""Logged data into decisions: learn policies from a fixed log, judge them, show what they are worth.
+
+    import deadreckon as dr
+
+    data = dr.load("maze2d-umaze-v1")
+    run = dr.train(dr.agents.BEAR(), data, steps=100_000, seeds=4, task="maze2d-umaze", out="runs/bear")
+    print(dr.evaluate(run.policy, "maze2d-umaze", episodes=100))
+
+Names are looked up on first use, so that importing the package, and `deadreckon --help`, load no numerical library.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+from deadreckon._version import __version__
+from deadreckon.errors import UserError
+
+if TYPE_CHECKING:
+    from deadreckon import agents, collect, data, policies, report, runs, tasks
+    from deadreckon.collect.recipes import collect as collect_log
+    from deadreckon.data.catalogue import load
+    from deadreckon.data.dataset import Dataset
+    from deadreckon.data.io import read
+    from deadreckon.runs.evaluate import evaluate
+    from deadreckon.runs.train import Run, train
+    from deadreckon.runs.train import load as load_run
+
+_HOMES = {
+    "Dataset": ("data.dataset", "Dataset"),
+    "Run": ("runs.train", "Run"),
+    "collect_log": ("collect.recipes", "collect"),
+    "evaluate": ("runs.evaluate", "evaluate"),
+    "load": ("data.catalogue", "load"),
+    "load_run": ("runs.train", "load"),
+    "read": ("data.io", "read"),
+    "train": ("runs.train", "train"),
+}
+_PACKAGES = ("agents", "collect", "data", "policies", "report", "runs", "tasks")
+__all__ = [
+    "Dataset", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "evaluate", "load",
+    "load_run", "policies", "read", "report", "runs", "tasks", "train",
+]  # fmt: skip
+
+
+def __getattr__(name: str):
+    if name in _HOMES:
+        module, attribute = _HOMES[name]
+        return getattr(importlib.import_module(f"deadreckon.{module}"), attribute)
+    if name in _PACKAGES:
+        return importlib.import_module(f"deadreckon.{name}")
+    raise AttributeError(f"module 'deadreckon' has no attribute {name!r}")

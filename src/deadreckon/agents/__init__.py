@@ -1,0 +1,53 @@
+"""Agents: one algorithm, one file. `deadreckon.agents.BEAR()` or, by name, `deadreckon.agents.create("bear")`."""
+
+import importlib
+from typing import TYPE_CHECKING
+
+from deadreckon.errors import unknown
+
+if TYPE_CHECKING:
+    from deadreckon.agents.agent import Agent
+    from deadreckon.agents.bc import BC
+    from deadreckon.agents.bear import BEAR
+    from deadreckon.agents.bear_is import ISBEAR
+    from deadreckon.agents.sac import SAC
+    from deadreckon.agents.td3 import TD3
+    from deadreckon.agents.td3_bc import TD3BC
+
+# Name on the command line: (module, class, one line). Modules load on first use: they need JAX.
+AGENTS = {
+    "bc": ("bc", "BC", "behaviour cloning, tanh-Gaussian or VAE (thesis A.4)"),
+    "td3": ("td3", "TD3", "twin delayed DDPG on a fixed log, the naive baseline (thesis 4.4)"),
+    "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
+    "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
+    "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
+    "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
+}
+__all__ = ["AGENTS", "BC", "BEAR", "ISBEAR", "SAC", "TD3", "TD3BC", "Agent", "agent_class", "agent_name"]
+
+
+def agent_class(name: str) -> "type[Agent]":
+    """The class behind a name such as `td3_bc` (also `td3-bc`).
+
+    Raises:
+        UserError: no agent has this name.
+    """
+    key = name.lower().replace("-", "_").replace("+", "_")
+    if key not in AGENTS:
+        raise unknown("agent", name, AGENTS)
+    module, attribute, _ = AGENTS[key]
+    return getattr(importlib.import_module(f"deadreckon.agents.{module}"), attribute)
+
+
+def agent_name(agent: object) -> str:
+    """The name under which an agent is registered; for others their class's name."""
+    return next((k for k, (_, cls, _) in AGENTS.items() if cls == type(agent).__name__), type(agent).__name__)
+
+
+def __getattr__(name: str):
+    if name == "Agent":
+        return importlib.import_module("deadreckon.agents.agent").Agent
+    for module, attribute, _ in AGENTS.values():
+        if attribute == name:
+            return getattr(importlib.import_module(f"deadreckon.agents.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,85 @@
+"""What every agent is, and the steps that several share. One algorithm is one file beside this one."""
+
+import dataclasses
+from typing import Any, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP, ensemble, q_values
+from deadreckon.policies.policy import Inner
+from deadreckon.training.learner import Metrics, check_fields
+
+
+class Agent(eqx.Module):
+    """Hyperparameters in, pure functions out. Float fields are traced, all others are marked static.
+
+    The comment behind a field becomes its help on the command line.
+    """
+
+    def needs(self, spec: Spec) -> Needs:
+        """What every batch must hold."""
+        raise NotImplementedError
+
+    def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
+        """The first state, a pytree of arrays."""
+        raise NotImplementedError
+
+    def update(self, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> tuple[Any, Metrics]:
+        """One pure update."""
+        raise NotImplementedError
+
+    def policy(self, state: Any) -> Inner:
+        """What acts, in the coordinates of the batches; `runs` puts it between raw observations and actions."""
+        raise NotImplementedError
+
+    def q_value(self, state: Any, observation: Array, action: Array) -> Float[Array, "b"] | None:
+        """The agent's own estimate of the discounted return, for diagnostics; None if it has none."""
+        return None
+
+    def resolve(self, spec: Spec, steps: int) -> Self:
+        """Checks the fields against the log and fills in those that were left to it (None).
+
+        Args:
+            spec: of the log.
+            steps: updates of the whole run.
+
+        Raises:
+            UserError: names the field and what it takes.
+        """
+        check_fields(self)
+        if spec.discrete:
+            raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
+        if len(spec.observation_shape) != 1:
+            raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
+        return self
+
+    def replace(self, **changes: Any) -> Self:
+        """The same agent with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
+
+def create_critics(spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray) -> MLP:
+    """`count` Q-networks of (observation, action), stacked."""
+    inputs = spec.observation_size + spec.action_size
+    return ensemble(lambda k: MLP.create(inputs, hidden, 1, k), count, key)
+
+
+def bellman_loss(
+    critics: MLP, batch: Batch, target: Float[Array, "b"], weight: Float[Array, "b"] | None = None
+) -> tuple[Float[Array, ""], Metrics]:
+    """Mean squared error of every critic to the same target, summed over critics; `weight` a row, of mean one."""
+    q = q_values(critics, batch.observation, batch.action)
+    error = jnp.square(q - jax.lax.stop_gradient(target))
+    error = error if weight is None else error * weight
+    return error.mean(-1).sum(), {"critic_loss": error.mean(), "q": q.mean()}
+
+
+def backup(batch: Batch, discount: Any, future: Float[Array, "b"]) -> Float[Array, "b"]:
+    """r + discount (1 - terminal) future. A terminal has no future; a timeout does."""
+    return batch.reward + discount * (1.0 - batch.terminal) * future

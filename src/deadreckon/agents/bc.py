@@ -1,0 +1,50 @@
+"""Behaviour cloning: maximum likelihood of the logged actions. The row that every other agent has to beat."""
+
+from typing import NamedTuple
+
+import jax
+import optax
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data.batch import Needs
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import ADAM, descend
+from deadreckon.nets.vae import VAE
+from deadreckon.policies import behavior
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Model and its optimiser."""
+
+    model: MLP | VAE
+    opt: optax.OptState
+
+
+class BC(Agent):
+    """Behaviour cloning with a tanh-Gaussian network, or the VAE that the thesis used as its baseline (A.4)."""
+
+    lr: float = 3e-4  # learning rate
+    model: behavior.Kind = static("gaussian")  # "gaussian" (tanh-Gaussian) or "vae" (thesis A.4)
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec):
+        """Observations and actions."""
+        return Needs(("observation", "action"), self.batch_size)
+
+    def init(self, spec, key):
+        """A fresh model."""
+        model = behavior.create(self.model, spec, self.hidden, key)
+        return State(model, ADAM.init(model))
+
+    def update(self, state, batch, *, step, key):
+        """One step on the negative log-likelihood (or the VAE's bound)."""
+        grad = jax.grad(behavior.loss, has_aux=True)
+        grads, metrics = grad(state.model, batch.observation, batch.action, key)
+        model, opt = descend(state.model, grads, state.opt, self.lr)
+        return State(model, opt), metrics
+
+    def policy(self, state):
+        """The model itself."""
+        return behavior.policy(state.model)

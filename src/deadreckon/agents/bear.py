@@ -1,0 +1,231 @@
+"""BEAR: Q-learning held to the support of the log (thesis 4.3, Algorithm 1; A.3, A.4; Kumar et al. 2019).
+
+The actor maximises the critics' conservative value subject to E_s MMD(behaviour, policy) <= threshold (eq. 4.1), solved by
+dual gradient descent. Where the thesis misprints (missing terminal mask, the meaning of the Gaussian's sigma, the simplex
+over states), the right form is used; `docs/agents/bear.md` lists every difference.
+"""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.data.batch import Needs
+from deadreckon.errors import UserError
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mmd import Kernel, mmd
+from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.vae import VAE
+from deadreckon.policies import behavior as models
+from deadreckon.policies.policy import GreedyQ, TanhGaussian
+from deadreckon.training.learner import static
+
+WARM_STEPS, WARM_SHARE = 40_000, 0.2  # of the run, whichever is smaller (FACTS 1 has 40,000 of 500,000 and more)
+
+
+class State(NamedTuple):
+    """Networks, their targets, the two multipliers' logarithms and all optimisers."""
+
+    actor: MLP
+    critics: MLP  # stacked: leading axis K
+    behavior: MLP | VAE
+    log_multiplier: Array
+    log_temperature: Array  # used on the SAC base only
+    target_actor: MLP
+    target_critics: MLP
+    opts: dict[str, optax.OptState]
+
+
+class BEAR(Agent):
+    """Bootstrapping error accumulation reduction, with every option that the thesis describes."""
+
+    base: Literal["td3", "sac"] = static("td3")  # framework: "td3" no entropy (Algorithm 1), "sac" adds an entropy bonus
+    actor_lr: float = 1e-4  # learning rate of the actor (D4RL version)
+    critic_lr: float = 3e-4  # learning rate of the critics (D4RL version)
+    behavior_lr: float = 3e-4  # learning rate of the behaviour model (D4RL version)
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate tau of all target networks
+    critics: int = static(2)  # K, the number of critics
+    min_weight: float = 0.75  # lambda: target = lambda min + (1 - lambda) max over critics
+    target_samples: int = static(10)  # p, actions from the target actor whose best value is the target
+    actor_value: Literal["min", "mean"] = static("min")  # over critics; "mean" is better on Walker2d (A.4)
+    actor_samples: int = static(1)  # actions a state that estimate E_a [Q] in the actor's loss (official code: 1)
+    behavior: models.Kind = static("gaussian")  # model of the log: "gaussian" (tanh-Gaussian, A.4) or "vae" (official)
+    behavior_hidden: tuple[int, ...] | None = static(None)  # its hidden layers; None: as `hidden`, for a VAE 750,750
+    constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # KL forms need the gaussian behaviour model
+    threshold: float | None = None  # epsilon; None is 0.05 (thesis), for cross_entropy -2 (official code)
+    kernel: Kernel = static("laplacian")  # see nets/mmd.py; "laplacian" works in all cases, "gaussian" on expert data (A.4)
+    bandwidth: float = 20.0  # the Laplacian's scale, or the Gaussian's VARIANCE (20 in all settings, A.4)
+    mixture: tuple[float, ...] = static((1.0, 10.0, 50.0))  # scales of the mixture kernel (A.4)
+    policy_samples: int = static(4)  # m, actions of the policy in the MMD
+    behavior_samples: int = static(4)  # n, actions of the behaviour model in the MMD; 4 or 5 is best (4.4)
+    dual: bool = static(True)  # adapt the multiplier; False keeps it at its first value (tuned, Figure A.5)
+    multiplier: float = 1.0  # first value of the Lagrange multiplier alpha
+    multiplier_lr: float = 1e-3  # its learning rate, on the logarithm (A.4)
+    multiplier_min: float = -5.0  # clip of its logarithm (A.4)
+    multiplier_max: float = 10.0  # clip of its logarithm (A.4)
+    warm_start: int | None = static(None)  # updates with the constraint alone; None: min(40,000, 20 % of the run)
+    density_weighting: bool = static(False)  # weight Bellman errors by 1 / behaviour density (A.3, Figure A.6)
+    density_clip: float = 10.0  # largest such weight, in multiples of the batch's mean
+    temperature: float = 0.2  # first value of the entropy temperature, base "sac" only
+    temperature_lr: float = 3e-4  # its learning rate, base "sac" only
+    test_action: Literal["greedy_q", "actor"] = static("greedy_q")  # best of several by Q_1 (A.4), or the actor itself
+    test_samples: int = static(10)  # candidates of greedy_q: p (4.3); the D4RL version takes 100
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    # ---- the log ----------------------------------------------------------------------------------------------------
+
+    def resolve(self, spec, steps):
+        """Fills in threshold, warm start and the behaviour model's width."""
+        agent = super().resolve(spec, steps)
+        if self.constraint != "mmd" or self.density_weighting:
+            if self.behavior != "gaussian":
+                name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
+                raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
+        if min(self.critics, self.target_samples, self.actor_samples, self.policy_samples, self.behavior_samples) < 1:
+            raise UserError("BEAR's numbers of critics and samples must be >= 1")
+        if self.actor_samples > self.policy_samples:
+            raise UserError(f"BEAR.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
+        return agent.replace(
+            threshold=self.threshold if self.threshold is not None else (-2.0 if self.constraint == "cross_entropy" else 0.05),
+            warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),
+            behavior_hidden=self.behavior_hidden or ((750, 750) if self.behavior == "vae" else self.hidden),
+        )
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        ka, kc, kb = jax.random.split(key, 3)
+        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        critics = create_critics(spec, self.hidden, self.critics, kc)
+        model = models.create(self.behavior, spec, self.behavior_hidden or self.hidden, kb)
+        log_multiplier, log_temperature = jnp.log(jnp.asarray(self.multiplier)), jnp.log(jnp.asarray(self.temperature))
+        trained = {"actor": actor, "critics": critics, "behavior": model, "multiplier": log_multiplier,
+                   "temperature": log_temperature}  # fmt: skip
+        opts = {name: ADAM.init(part) for name, part in trained.items()}
+        return State(actor, critics, model, log_multiplier, log_temperature, copy(actor), copy(critics), opts)
+
+    # ---- losses -----------------------------------------------------------------------------------------------------
+
+    def mix(self, q: Float[Array, "k *n b"]) -> Float[Array, "*n b"]:
+        """lambda min_j Q_j + (1 - lambda) max_j Q_j (Algorithm 1, line 5)."""
+        return self.min_weight * q.min(0) + (1.0 - self.min_weight) * q.max(0)
+
+    def future(self, state, batch, key) -> Float[Array, "b"]:
+        """The best mixed value over p actions of the target actor (Algorithm 1, lines 4-5)."""
+        d = dist.gaussian_head(state.target_actor(batch.next_observation))
+        pre = dist.sample(d, key, (self.target_samples,))
+        value = self.mix(q_values(state.target_critics, batch.next_observation, jnp.tanh(pre)))
+        if self.base == "sac":
+            value = value - jnp.exp(state.log_temperature) * dist.log_prob(d, pre)
+        return value.max(0)
+
+    def bellman_weight(self, state, batch) -> Float[Array, "b"] | None:
+        """1 / beta(a|s) by the fitted model, clipped and of mean one over the batch (A.3)."""
+        if not self.density_weighting:
+            return None
+        log_density = dist.log_prob(dist.gaussian_head(state.behavior(batch.observation)), jnp.arctanh(batch.action))
+        weight = jax.nn.softmax(-log_density) * len(log_density)
+        weight = jnp.minimum(weight, self.density_clip)
+        return jax.lax.stop_gradient(weight / weight.mean())
+
+    def divergence(self, d: dist.Gaussian, pre, state, observation, key) -> Float[Array, "b"]:
+        """How far the policy `d`, with draws `pre` before the tanh, is from the behaviour model, for every state."""
+        if self.constraint == "kl":
+            return dist.kl(d, dist.gaussian_head(state.behavior(observation)))
+        if self.constraint == "cross_entropy":
+            return -dist.log_prob(dist.gaussian_head(state.behavior(observation)), pre).mean(0)
+        # Before the tanh: after it, gradients all but vanish where actions saturate (A.4).
+        model = models.policy(state.behavior)
+        logged = model.pre_actions(observation, key, greedy=False, count=(self.behavior_samples,))
+        return mmd(pre, jax.lax.stop_gradient(logged), self.kernel, self.bandwidth, self.mixture)
+
+    def actor_loss(self, actor, state, batch, step, key):
+        """The Lagrangian of eq. 4.1 for fixed multiplier: -E[Q] + alpha E_s[MMD]; at first the constraint alone.
+
+        Returns:
+            The loss, and (mean divergence, mean log-probability, mean value).
+        """
+        k_policy, k_behavior = jax.random.split(key)
+        d = dist.gaussian_head(actor(batch.observation))
+        pre = dist.sample(d, k_policy, (self.policy_samples,))
+        divergence = self.divergence(d, pre, state, batch.observation, k_behavior).mean()
+        drawn = pre[0] if self.actor_samples == 1 else pre[: self.actor_samples]
+        q = q_values(state.critics, batch.observation, jnp.tanh(drawn))
+        value = (q.min(0) if self.actor_value == "min" else q.mean(0)).mean()
+        log_prob = dist.log_prob(d, drawn).mean() if self.base == "sac" else jnp.zeros(())
+        objective = value - jnp.exp(state.log_temperature) * log_prob if self.base == "sac" else value
+        alpha = jnp.exp(state.log_multiplier)
+        warm = step < self.warm_start
+        loss = jnp.where(warm, 0.0, -objective) + jnp.where(warm, 1.0, alpha) * divergence
+        return loss, (divergence, log_prob, value)
+
+    def dual_step(self, state, divergence, step):
+        """Gradient ascent of alpha (E[MMD] - threshold) in log alpha, clipped (A.4); rests during the warm start."""
+        if not self.dual:
+            return state.log_multiplier, state.opts["multiplier"]
+        slope = -jnp.exp(state.log_multiplier) * (divergence - self.threshold)
+        value, opt = descend(state.log_multiplier, slope, state.opts["multiplier"], self.multiplier_lr)
+        value = jnp.clip(value, self.multiplier_min, self.multiplier_max)
+        rest = step < self.warm_start
+        keep = lambda new, old: jax.tree.map(lambda n, o: jnp.where(rest, o, n), new, old)  # noqa: E731
+        return keep(value, state.log_multiplier), keep(opt, state.opts["multiplier"])
+
+    # ---- one update -------------------------------------------------------------------------------------------------
+
+    def update(self, state, batch, *, step, key):
+        """Behaviour model, critics, actor, multipliers, targets (Algorithm 1)."""
+        k_model, k_future, k_actor = jax.random.split(key, 3)
+        opts = dict(state.opts)
+
+        grads, model_metrics = jax.grad(models.loss, has_aux=True)(
+            state.behavior, batch.observation, batch.action, k_model
+        )
+        model, opts["behavior"] = descend(state.behavior, grads, opts["behavior"], self.behavior_lr)
+
+        target = backup(batch, self.discount, self.future(state, batch, k_future))
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(
+            state.critics, batch, target, self.bellman_weight(state, batch)
+        )
+        critics, opts["critics"] = descend(state.critics, grads, opts["critics"], self.critic_lr)
+        state = state._replace(critics=critics, behavior=model)
+
+        grad = jax.value_and_grad(self.actor_loss, has_aux=True)
+        (loss, (divergence, log_prob, value)), grads = grad(state.actor, state, batch, step, k_actor)
+        actor, opts["actor"] = descend(state.actor, grads, opts["actor"], self.actor_lr)
+        log_multiplier, opts["multiplier"] = self.dual_step(state, divergence, step)
+        log_temperature = state.log_temperature
+        if self.base == "sac":  # entropy held at minus the number of action dimensions, as in SAC
+            slope = -(log_prob - batch.action.shape[-1])
+            log_temperature, opts["temperature"] = descend(
+                log_temperature, slope, opts["temperature"], self.temperature_lr
+            )
+
+        target_actor, target_critics = track(
+            (state.target_actor, state.target_critics), (actor, critics), self.target_rate
+        )
+        metrics |= model_metrics | {
+            "actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_multiplier),
+        }  # fmt: skip
+        return State(actor, critics, model, log_multiplier, log_temperature, target_actor, target_critics, opts), metrics
+
+    # ---- acting -----------------------------------------------------------------------------------------------------
+
+    def policy(self, state):
+        """The best of `test_samples` draws by Q_1, or the actor itself."""
+        actor = TanhGaussian(state.actor)
+        if self.test_action == "actor":
+            return actor
+        return GreedyQ(actor, jax.tree.map(lambda w: w[0], state.critics), self.test_samples)
+
+    def q_value(self, state, observation, action):
+        """The mixed value that the targets use."""
+        return self.mix(q_values(state.critics, observation, action))

@@ -1,0 +1,112 @@
+"""Importance-sampled BEAR (thesis A.3, Algorithm 5): a set policy bounds the actions, the actor is weighted within it."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array
+
+from deadreckon.agents import bear
+from deadreckon.agents.agent import backup, bellman_loss
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.vae import VAE
+from deadreckon.policies import behavior as models
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """As BEAR's, with the set-determining policy."""
+
+    actor: MLP
+    set_policy: MLP
+    critics: MLP
+    behavior: MLP | VAE
+    log_multiplier: Array
+    target_actor: MLP
+    target_critics: MLP
+    opts: dict[str, optax.OptState]
+
+
+class ISBEAR(bear.BEAR):
+    """BEAR with two policies: `set_policy` stays in support where critics agree, `actor` is the best within its reach.
+
+    Line 8 of the algorithm prints no Q term and leaves delta undeclared: delta is a field, the set policy minimises the
+    critics' disagreement, sqrt((1 - delta) / delta var_k E_a Q_k), under the MMD constraint. Targets are a MEAN over
+    samples (line 5). Base "td3" only; the constraint is always on the set policy.
+    """
+
+    delta: float = 0.5  # confidence of the bound on the critics' disagreement; the thesis leaves it undeclared
+    ratio_min: float = 0.5  # beta_1, lower clip of the importance ratio; undeclared in the thesis
+    ratio_max: float = 2.0  # beta_2, its upper clip; undeclared in the thesis
+    policy_samples: int = static(10)  # m, actions of the set policy (n << m, line 7)
+
+    def init(self, spec, key):
+        """Fresh networks; the set policy starts as the actor."""
+        first = super().init(spec, key)
+        opts = {name: opt for name, opt in first.opts.items() if name != "temperature"}
+        set_policy = copy(first.actor)
+        return State(
+            first.actor, set_policy, first.critics, first.behavior, first.log_multiplier, first.target_actor,
+            first.target_critics, opts | {"set_policy": ADAM.init(set_policy)},
+        )  # fmt: skip
+
+    def future(self, state, batch, key):
+        """The mean mixed value over p actions of the target actor (line 5)."""
+        d = dist.gaussian_head(state.target_actor(batch.next_observation))
+        action = jnp.tanh(dist.sample(d, key, (self.target_samples,)))
+        return self.mix(q_values(state.target_critics, batch.next_observation, action)).mean(0)
+
+    def set_loss(self, set_policy, state, batch, step, key):
+        """sqrt((1 - delta) / delta var_k E_a Q_k(s, a)) + alpha MMD (line 8); at first the MMD alone."""
+        k_policy, k_behavior = jax.random.split(key)
+        d = dist.gaussian_head(set_policy(batch.observation))
+        pre = dist.sample(d, k_policy, (self.policy_samples,))
+        divergence = self.divergence(d, pre, state, batch.observation, k_behavior).mean()
+        q = q_values(state.critics, batch.observation, jnp.tanh(pre)).mean(1)
+        spread = jnp.sqrt((1.0 - self.delta) / self.delta * q.var(0) + 1e-6).mean()
+        warm = step < self.warm_start
+        alpha = jnp.exp(state.log_multiplier)
+        loss = jnp.where(warm, 0.0, spread) + jnp.where(warm, 1.0, alpha) * divergence
+        return loss, (divergence, spread)
+
+    def weighted_loss(self, actor, state, batch, step, key):
+        """-E_{a ~ set}[clip(pi(a|s) / pi_set(a|s)) min_j Q_j(s, a)] (line 9); at first it imitates the set policy."""
+        proposal = dist.gaussian_head(state.set_policy(batch.observation))
+        pre = jax.lax.stop_gradient(dist.sample(proposal, key, (self.policy_samples,)))
+        log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), pre)
+        ratio = jnp.exp(log_prob - jax.lax.stop_gradient(dist.log_prob(proposal, pre)))
+        q = q_values(state.critics, batch.observation, jnp.tanh(pre)).min(0)
+        # The state's mean is taken off: it moves no optimum, and without it a positive Q would only push ratios up.
+        gain = (jnp.clip(ratio, self.ratio_min, self.ratio_max) * (q - q.mean(0))).mean()
+        return jnp.where(step < self.warm_start, -log_prob.mean(), -gain)
+
+    def update(self, state, batch, *, step, key):
+        """Behaviour model, critics, set policy and multiplier, actor, targets (Algorithm 5)."""
+        k_model, k_future, k_set, k_actor = jax.random.split(key, 4)
+        opts = dict(state.opts)
+        grads, model_metrics = jax.grad(models.loss, has_aux=True)(
+            state.behavior, batch.observation, batch.action, k_model
+        )
+        model, opts["behavior"] = descend(state.behavior, grads, opts["behavior"], self.behavior_lr)
+        target = backup(batch, self.discount, self.future(state, batch, k_future))
+        weight = self.bellman_weight(state, batch)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target, weight)
+        critics, opts["critics"] = descend(state.critics, grads, opts["critics"], self.critic_lr)
+        state = state._replace(critics=critics, behavior=model)
+
+        grads, (divergence, spread) = jax.grad(self.set_loss, has_aux=True)(state.set_policy, state, batch, step, k_set)
+        set_policy, opts["set_policy"] = descend(state.set_policy, grads, opts["set_policy"], self.actor_lr)
+        log_multiplier, opts["multiplier"] = self.dual_step(state, divergence, step)
+        state = state._replace(set_policy=set_policy)
+        loss, grads = jax.value_and_grad(self.weighted_loss)(state.actor, state, batch, step, k_actor)
+        actor, opts["actor"] = descend(state.actor, grads, opts["actor"], self.actor_lr)
+
+        targets = track((state.target_actor, state.target_critics), (actor, critics), self.target_rate)
+        metrics |= model_metrics | {
+            "actor_loss": loss, "critic_spread": spread, self.constraint: divergence,
+            "multiplier": jnp.exp(log_multiplier),
+        }  # fmt: skip
+        return State(actor, set_policy, critics, model, log_multiplier, *targets, opts), metrics

@@ -1,0 +1,104 @@
+"""Soft actor-critic (Haarnoja et al. 2018) with automatic temperature; on a fixed log it is the thesis's SAC-off."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.data.batch import Needs
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.policies.policy import TanhGaussian
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks, target critics, log-temperature and optimisers."""
+
+    actor: MLP
+    critics: MLP  # stacked: leading axis 2
+    target_critics: MLP
+    log_temperature: Array
+    actor_opt: optax.OptState
+    critics_opt: optax.OptState
+    temperature_opt: optax.OptState
+
+
+class SAC(Agent):
+    """Twin critics, tanh-Gaussian actor, entropy held at a target."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    critic_lr: float = 3e-4  # learning rate of the critics
+    temperature_lr: float = 3e-4  # learning rate of the log-temperature
+    temperature: float = 1.0  # its first value
+    target_entropy: float | None = None  # nats; None is minus the number of action dimensions
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate of the target critics
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    def resolve(self, spec, steps):
+        """Fills in the target entropy."""
+        agent = super().resolve(spec, steps)
+        return agent if self.target_entropy is not None else agent.replace(target_entropy=-float(spec.action_size))
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        ka, kc = jax.random.split(key)
+        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        critics = create_critics(spec, self.hidden, 2, kc)
+        log_temperature = jnp.log(jnp.asarray(self.temperature))
+        opts = ADAM.init(actor), ADAM.init(critics), ADAM.init(log_temperature)
+        return State(actor, critics, copy(critics), log_temperature, *opts)
+
+    def target(self, state, batch, key):
+        """r + discount (min_j Q'_j(s', a') - temperature log pi(a'|s')), a' from the present actor."""
+        d = dist.gaussian_head(state.actor(batch.next_observation))
+        pre = dist.sample(d, key)
+        q = q_values(state.target_critics, batch.next_observation, jnp.tanh(pre)).min(0)
+        return backup(batch, self.discount, q - jnp.exp(state.log_temperature) * dist.log_prob(d, pre))
+
+    def actor_loss(self, actor, state, batch, key):
+        """temperature log pi(a|s) - min_j Q_j(s, a), a reparameterised; also gives the mean log-probability."""
+        d = dist.gaussian_head(actor(batch.observation))
+        pre = dist.sample(d, key)
+        log_prob = dist.log_prob(d, pre)
+        q = q_values(state.critics, batch.observation, jnp.tanh(pre)).min(0)
+        return (jnp.exp(state.log_temperature) * log_prob - q).mean(), log_prob.mean()
+
+    def update(self, state, batch, *, step, key):
+        """Critics, actor, temperature, targets."""
+        k_target, k_actor = jax.random.split(key)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, self.target(state, batch, k_target))
+        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        state = state._replace(critics=critics, critics_opt=critics_opt)
+
+        (loss, log_prob), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
+        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+
+        # Falls where the policy is more random than asked for: d/dlog T of -log T (log pi + target entropy).
+        slope = -(log_prob + self.target_entropy)
+        log_temperature, temperature_opt = descend(
+            state.log_temperature, slope, state.temperature_opt, self.temperature_lr
+        )
+        state = State(
+            actor, critics, track(state.target_critics, critics, self.target_rate), log_temperature,
+            actor_opt, critics_opt, temperature_opt,
+        )  # fmt: skip
+        return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}
+
+    def policy(self, state):
+        """The actor; greedy is its mean."""
+        return TanhGaussian(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The smaller of the two critics; it holds the entropy bonus too."""
+        return q_values(state.critics, observation, action).min(0)

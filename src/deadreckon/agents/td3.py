@@ -1,0 +1,89 @@
+"""TD3 on a fixed log: the naive baseline of chapter 4 (Fujimoto et al. 2018)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.data.batch import Needs
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.policies.policy import Deterministic
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks, their targets and optimisers."""
+
+    actor: MLP
+    critics: MLP  # stacked: leading axis 2
+    target_actor: MLP
+    target_critics: MLP
+    actor_opt: optax.OptState
+    critics_opt: optax.OptState
+
+
+class TD3(Agent):
+    """Twin critics, smoothed targets, delayed deterministic actor; nothing holds it to the log."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    critic_lr: float = 3e-4  # learning rate of the critics
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate of the target networks
+    noise: float = 0.2  # standard deviation of the target policy's smoothing
+    noise_clip: float = 0.5  # its largest value
+    actor_every: int = static(2)  # critic updates for one of the actor
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+    standardise: bool = static(False)  # observations with mean 0 and standard deviation 1
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size, standardise=self.standardise)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        ka, kc = jax.random.split(key)
+        actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
+        critics = create_critics(spec, self.hidden, 2, kc)
+        return State(actor, critics, copy(actor), copy(critics), ADAM.init(actor), ADAM.init(critics))
+
+    def target(self, state, batch, key):
+        """r + discount min_j Q'_j(s', a'), a' the target actor's action plus clipped noise (TD3 eq. 14-15)."""
+        noise = jnp.clip(self.noise * jax.random.normal(key, batch.action.shape), -self.noise_clip, self.noise_clip)
+        action = jnp.clip(jnp.tanh(state.target_actor(batch.next_observation)) + noise, -1.0, 1.0)
+        return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action).min(0))
+
+    def actor_loss(self, actor, state, batch):
+        """-Q_1(s, pi(s))."""
+        first = jax.tree.map(lambda w: w[:1], state.critics)
+        q = q_values(first, batch.observation, jnp.tanh(actor(batch.observation)))[0]
+        return -q.mean()
+
+    def update(self, state, batch, *, step, key):
+        """Critics always; every `actor_every` updates the actor and all targets."""
+        target = self.target(state, batch, key)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
+        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        state = state._replace(critics=critics, critics_opt=critics_opt)
+
+        def improve(state):
+            loss, grads = jax.value_and_grad(self.actor_loss)(state.actor, state, batch)
+            actor, opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+            targets = track((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+            state = state._replace(actor=actor, actor_opt=opt, target_actor=targets[0], target_critics=targets[1])
+            return state, loss * self.actor_every  # so that the mean over a chunk is the mean over actor updates
+
+        # `step` is shared by all lanes: a batched predicate would compute both branches always.
+        state, loss = jax.lax.cond(step % self.actor_every == 0, improve, lambda s: (s, jnp.zeros(())), state)
+        return state, metrics | {"actor_loss": loss}
+
+    def policy(self, state):
+        """The actor."""
+        return Deterministic(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The smaller of the two critics."""
+        return q_values(state.critics, observation, action).min(0)

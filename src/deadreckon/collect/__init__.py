@@ -1,0 +1,5 @@
+"""Making logs again by oneself: recipes that need no server."""
+
+from deadreckon.collect.recipes import Recipe, collect, generate, recipe, recipe_names, register
+
+__all__ = ["Recipe", "collect", "generate", "recipe", "recipe_names", "register"]

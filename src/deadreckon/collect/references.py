@@ -1,0 +1,54 @@
+"""Measures the returns that mean 0 and 100 on the normalised scale (thesis 7.3).
+
+`python -m deadreckon.collect.references` prints the table that `tasks/maze2d.py` holds.
+"""
+
+import numpy as np
+
+from deadreckon.collect.maze2d import Pursuit
+from deadreckon.tasks.maze2d import TASKS, Maze2D
+from deadreckon.tasks.task import Reference
+
+
+def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, seed: int = 0) -> Reference:
+    """Mean returns of uniform random actions, and of the logs' controller going to the task's goal and staying there.
+
+    Args:
+        task: a Maze2D task.
+        episodes: of uniform random actions; the thesis takes 100.
+        expert_episodes: of the controller.
+        seed: of the starts, the actions and the waypoints' jitter.
+    """
+    # Sparse and dense variants see the same episodes.
+    starts, actions, jitter = np.random.SeedSequence(seed).spawn(3)
+    seeds = [int(s) for s in starts.generate_state(max(episodes, expert_episodes), np.uint64)]
+
+    simulator = task.simulate(seeds[:episodes])
+    simulator.reset()
+    generator = np.random.default_rng(actions)
+    random = 0.0
+    for _ in range(task.horizon):
+        random += simulator.step(generator.uniform(-1.0, 1.0, (episodes, 2)))[1].mean(dtype=np.float64)
+
+    simulator = task.simulate(seeds[:expert_episodes])
+    controller = Pursuit(task, expert_episodes, np.random.default_rng(jitter), patience=task.horizon, fixed=True)
+    seen = simulator.reset()
+    controller.start(seen)
+    expert = 0.0
+    for _ in range(task.horizon):
+        seen, rewards, _, _ = simulator.step(controller.act(seen))
+        controller.observe(seen)
+        expert += rewards.mean(dtype=np.float64)
+    source = f"measured on this simulator: {episodes} episodes of uniform actions, {expert_episodes} of the waypoint planner"
+    return Reference(random, expert, source)
+
+
+def main() -> None:
+    """Prints the measured table."""
+    for task in TASKS:
+        found = measure(task)
+        print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""From columns to minibatches: what a method asks for (`Needs`), what it gets (`Batch`), and where rows come from (`Rows`)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.view import View
+from deadreckon.errors import UserError, unknown
+
+
+class Batch(NamedTuple):
+    """A minibatch; fields that were not asked for are None. `b` rows, or `b, window` where windows were asked for.
+
+    Actions are in [-1, 1] (or int32 indices); `terminal` is 1.0 where there is no future. With n-step rows, `reward` is
+    the discounted sum of the steps taken, `next_observation` what follows the last of them, and `discount` what multiplies
+    the value there, zero at terminals; it is the plain discount times `1 - terminal` for one step.
+    """
+
+    observation: Any = None
+    action: Any = None
+    reward: Any = None
+    next_observation: Any = None
+    terminal: Any = None
+    discount: Any = None
+    next_action: Any = None  # action of the following row; zero after an episode's last
+    return_to_go: Any = None  # discounted, to the end of the recorded episode
+    time: Any = None  # steps since the episode's start
+    behavior_log_prob: Any = None  # of the logged action, where the log has it
+    initial_observation: Any = None  # `initial` rows, drawn from the episodes' starts
+    mask: Any = None  # windows: 1.0 inside the episode, 0.0 beyond its end
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a method wants in every batch.
+
+    Attributes:
+        columns: names of `Batch` fields.
+        batch_size: rows (or windows) a batch.
+        n_step: rewards summed before bootstrapping.
+        window: 0 for single rows, else the length of consecutive rows.
+        initial: number of initial observations a batch.
+        standardise: whether observations come with mean 0 and standard deviation 1.
+        gamma: discount of `return_to_go`, of n-step sums and of `discount`.
+    """
+
+    columns: tuple[str, ...] = ("observation", "action", "reward", "next_observation", "terminal")
+    batch_size: int = 256
+    n_step: int = 1
+    window: int = 0
+    initial: int = 0
+    standardise: bool = False
+    gamma: float = 0.99
+
+
+class Rows:
+    """A log as a method wants it: single rows or windows that `take` fetches by index, on the host.
+
+    Training either keeps `take(everything)` on the device or fetches each batch with it; both see the same numbers.
+
+    Attributes:
+        view: the coordinates that the columns are in.
+        count: rows to draw from (those whose successor is known).
+        fields: per column its shape and dtype, as `take` gives it.
+        initial: (episodes, *shape) initial observations, or None.
+    """
+
+    def __init__(self, log: Dataset, needs: Needs):
+        self.log, self.needs = log, needs
+        self.view = View.of(log.spec, needs.standardise)
+        for name in needs.columns:
+            if name not in _COLUMNS:
+                raise unknown("column", name, _COLUMNS)
+        if needs.batch_size < 1 or needs.n_step < 1 or needs.window < 0:
+            raise UserError(
+                f"batch_size and n_step must be >= 1 and window >= 0, got {needs.batch_size}, {needs.n_step}, {needs.window}"
+            )
+        # Windows are runs of rows of the log itself, so all rows stay; single rows without successor go.
+        self._index = None if needs.window or log.usable.all() else np.flatnonzero(log.usable)
+        self.count = len(log) if self._index is None else len(self._index)
+        if self.count == 0:
+            raise UserError(f"{log.name}: no row has a known successor")
+        self.initial = self.view.observe(np.asarray(log.observations[log.starts])) if needs.initial else None
+        probe = self.take(np.zeros(1, np.int64))
+        self.fields = {name: (column.shape[1:], column.dtype) for name, column in probe.items()}
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that all columns take on a device."""
+        return self.count * sum(int(np.prod(shape)) * dtype.itemsize for shape, dtype in self.fields.values())
+
+    def take(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns at these indices (any shape, each in 0 .. count - 1), the index's axes first."""
+        flat = index.reshape(-1)
+        rows = flat if self._index is None else self._index[flat]
+        columns = {name: _COLUMNS[name](self, rows) for name in self.needs.columns}
+        if self.needs.window:
+            columns["_left"] = self._left[rows].astype(np.float32)
+        return {name: column.reshape(*index.shape, *column.shape[1:]) for name, column in columns.items()}
+
+    @cached_property
+    def _left(self) -> np.ndarray:
+        """(rows,) steps that follow in the same episode."""
+        return self.log.ends[self.log.episode_of] - np.arange(len(self.log))
+
+    @cached_property
+    def _returns_to_go(self) -> np.ndarray:
+        return self.log.returns_to_go(self.needs.gamma).astype(np.float32)
+
+    def span(self, rows: np.ndarray) -> np.ndarray:
+        """Steps that an n-step backup from each row takes: n, or fewer at an episode's end."""
+        return np.minimum(self.needs.n_step, self._left[rows] + 1)
+
+    def reward(self, rows: np.ndarray) -> np.ndarray:
+        """Discounted sum of the rewards over the n-step span."""
+        total = np.asarray(self.log.rewards[rows], np.float32)
+        for k in range(1, self.needs.n_step):
+            inside = k < self.span(rows)
+            later = self.log.rewards[np.minimum(rows + k, len(self.log) - 1)]
+            total = total + np.where(inside, np.float32(self.needs.gamma**k) * later, np.float32(0.0))
+        return total
+
+    def last(self, rows: np.ndarray) -> np.ndarray:
+        """Last row of each n-step span."""
+        return rows if self.needs.n_step == 1 else rows + self.span(rows) - 1
+
+
+def _discount(r: Rows, rows: np.ndarray) -> np.ndarray:
+    steps = r.span(rows) if r.needs.n_step > 1 else np.ones(len(rows))
+    return ((r.needs.gamma**steps) * ~np.asarray(r.log.terminals[r.last(rows)])).astype(np.float32)
+
+
+def _next_action(r: Rows, rows: np.ndarray) -> np.ndarray:
+    action = _action(r, np.minimum(rows + 1, len(r.log) - 1))
+    inside = ~r.log._is_end[rows]
+    return action * inside.reshape(-1, *[1] * (action.ndim - 1)).astype(action.dtype)
+
+
+def _action(r: Rows, rows: np.ndarray) -> np.ndarray:
+    return r.view.to_unit(np.asarray(r.log.actions[rows]))
+
+
+def _behavior_log_prob(r: Rows, rows: np.ndarray) -> np.ndarray:
+    if "behavior_log_probs" not in r.log.extras:
+        raise UserError(f"{r.log.name}: no column behavior_log_probs; give the logged propensities or learn them")
+    return np.asarray(r.log.extras["behavior_log_probs"][rows], np.float32) + np.float32(r.view.log_scale)
+
+
+_COLUMNS: dict[str, Callable[[Rows, np.ndarray], np.ndarray]] = {
+    "observation": lambda r, i: r.view.observe(np.asarray(r.log.observations[i])),
+    "action": _action,
+    "reward": lambda r, i: r.reward(i),
+    "next_observation": lambda r, i: r.view.observe(r.log.next_observations_at(r.last(i))),
+    "terminal": lambda r, i: np.asarray(r.log.terminals[r.last(i)], np.float32),
+    "discount": _discount,
+    "next_action": _next_action,
+    "return_to_go": lambda r, i: r._returns_to_go[i],
+    "time": lambda r, i: (i - r.log.starts[r.log.episode_of[i]]).astype(np.float32),
+    "behavior_log_prob": _behavior_log_prob,
+}

@@ -1,0 +1,179 @@
+"""Columns of a table as numbers: levels for texts, means and indicators for what is missing."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+
+from deadreckon.errors import UserError
+
+_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
+_MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
+_SPARSE = 4  # integers that leave more than 3 of 4 values unused are identifiers, and numbered anew
+
+
+class Encoder:
+    """Encodes columns of `table`, and keeps what should be told about it.
+
+    Attributes:
+        name: of the log, used in errors.
+        table: the table.
+        warnings: one line each.
+        extra: for the provenance: names of the observation's dimensions, levels of categories.
+    """
+
+    def __init__(self, name: str, table: pa.Table):
+        self.name = name
+        self.table = table
+        self.warnings: list[str] = []
+        self.extra: dict[str, Any] = {}
+
+    def without_index(self, names: list[str]) -> list[str]:
+        """`names` less a leading row number that a table library wrote into the file."""
+        index = [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
+        if index:
+            self.warnings.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
+        return [column for column in names if column not in index]
+
+    def observations(self, names: list[str]) -> np.ndarray:
+        """(rows, size) float32 of the columns `names`; what each dimension is goes to `extra`.
+
+        Raises:
+            UserError: a column cannot be encoded.
+        """
+        columns: dict[str, np.ndarray] = {}
+        levels: dict[str, list[Any]] = {}
+        missing: dict[str, int] = {}
+        for column in names:
+            values = _flat(self.table, column)
+            if is_category(values.type):
+                codes, found = category_codes(self.name, column, values)
+                levels[column] = found
+                columns |= {f"{column}={level}": codes == code for code, level in enumerate(found)}
+                absent = codes < 0
+            else:
+                number, absent = _numbers(self.name, column, values)
+                if absent.all():
+                    raise UserError(f"{self.name}: column {column} is empty; leave it out of the observations")
+                # In float64, so that the mean of large numbers is not lost.
+                columns[column] = np.where(absent, number[~absent].mean(), number) if absent.any() else number
+            if absent.any():
+                columns[f"{column}_missing"] = absent
+                missing[column] = int(absent.sum())
+        if missing:
+            counts = ", ".join(f"{column} {count}" for column, count in missing.items())
+            rows = self.table.num_rows
+            text = f"missing values in {rows} rows are replaced by the mean or by no level, and marked: {counts}"
+            self.warnings.append(text)
+        out = np.empty((self.table.num_rows, len(columns)), np.float32)
+        with np.errstate(over="ignore"):
+            for index, (key, column) in enumerate(columns.items()):
+                out[:, index] = column
+                if not np.isfinite(out[:, index]).all():
+                    row = int(np.argmin(np.isfinite(out[:, index])))
+                    raise UserError(f"{self.name}: column {key} has {column[row]} in row {row}, float32 cannot hold it")
+        self.extra["observation_names"] = list(columns)
+        if levels:
+            self.extra["observation_levels"] = levels
+        return out
+
+    def complete(self, column: str) -> Any:
+        """The column as one pyarrow array, refused if a value is missing."""
+        values = _flat(self.table, column)
+        absent = values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False)
+        if absent.any():
+            raise UserError(f"{self.name}: column {column} is empty in row {int(np.argmax(absent))}")
+        if pa.types.is_nested(values.type):
+            raise UserError(f"{self.name}: column {column} holds {values.type}, one plain value a row is needed")
+        return values
+
+
+def encode_action(encoder: Encoder, names: list[str]) -> np.ndarray:
+    """(rows,) integers for one column of integers or categories, (rows, size) floats otherwise."""
+    if not names:
+        raise UserError(f"{encoder.name}: no action column is named")
+    if len(names) > 1:
+        return np.stack([numbers(encoder.name, encoder.table, column) for column in names], 1)
+    (column,) = names
+    values = encoder.complete(column)
+    if is_category(values.type):
+        codes, levels = category_codes(encoder.name, column, values)
+        encoder.extra["action_levels"] = levels
+        return codes
+    if not pa.types.is_integer(values.type):
+        return numbers(encoder.name, encoder.table, column)[:, None]
+    codes = values.to_numpy(zero_copy_only=False)
+    levels, index = np.unique(codes, return_inverse=True)
+    if levels[0] >= 0 and levels[-1] < _SPARSE * len(levels):
+        return codes
+    encoder.extra["action_levels"] = levels.tolist()
+    text = f"actions are {len(levels)} integers from {levels[0]} to {levels[-1]}"
+    encoder.warnings.append(f"{text}; they are numbered 0 .. {len(levels) - 1}")
+    return index
+
+
+def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) float64 of a column that must be complete, finite numbers or truth values.
+
+    Raises:
+        UserError: it is not, with the row.
+    """
+    values, absent = _numbers(name, column, _flat(table, column))
+    wrong = absent | ~np.isfinite(values)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} {'is empty' if absent[row] else f'has {values[row]}'} in row {row}")
+    return values
+
+
+def is_category(kind: pa.DataType) -> bool:
+    """Whether a column's values are levels: texts, categories, truth values."""
+    texts = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
+    return pa.types.is_dictionary(kind) or pa.types.is_boolean(kind) or any(test(kind) for test in texts)
+
+
+def category_codes(name: str, column: str, values: Any) -> tuple[np.ndarray, list[Any]]:
+    """(rows,) int64 index of each value's level, -1 where it is missing, and the levels that occur, sorted."""
+    if isinstance(values, pa.DictionaryArray):
+        values = values.dictionary_decode()
+    if pa.types.is_boolean(values.type):
+        values = values.cast(pa.string())
+    encoded = values.dictionary_encode()
+    if len(encoded.dictionary) > _MOST_LEVELS:
+        text = f"column {column} has {len(encoded.dictionary)} distinct values, at most {_MOST_LEVELS} are encoded"
+        raise UserError(f"{name}: {text}; leave it out")
+    codes = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64)
+    order = sorted_indices(encoded.dictionary)
+    ranks = np.append(np.empty(len(order), np.int64), -1)
+    ranks[order] = np.arange(len(order))
+    return ranks[codes], [encoded.dictionary[int(index)].as_py() for index in order]
+
+
+def sorted_indices(values: Any) -> np.ndarray:
+    """The positions of a pyarrow array's values in ascending order."""
+    return _compute.sort_indices(values).to_numpy()
+
+
+def _flat(table: pa.Table, column: str) -> Any:
+    values = table.column(column)
+    if pa.types.is_dictionary(values.type):
+        values = values.unify_dictionaries()
+    return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
+
+
+def _numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(rows,) float64 and (rows,) bool where a value is missing."""
+    kind = values.type
+    if pa.types.is_boolean(kind):
+        values = values.cast(pa.int8())
+    elif pa.types.is_decimal(kind):
+        values = values.cast(pa.float64())
+    elif pa.types.is_null(kind):
+        return np.full(len(values), np.nan), np.ones(len(values), bool)
+    elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else ""
+        raise UserError(f"{name}: column {column} holds {kind}, numbers are needed{hint}")
+    out = values.to_numpy(zero_copy_only=False).astype(np.float64)
+    return out, np.isnan(out)

@@ -1,0 +1,228 @@
+"""Tables of one's own: columns are named, encoded, sorted into episodes, and become a `Dataset`."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.encode import Encoder, encode_action, numbers, sorted_indices
+from deadreckon.data.layout import naming
+from deadreckon.errors import UserError, unknown
+
+
+def from_frame(
+    frame: Any,
+    *,
+    action: str | Sequence[str],
+    reward: str,
+    episode: str | None = None,
+    time: str | None = None,
+    observations: str | Sequence[str] | None = None,
+    terminal: str | None = None,
+    timeout: str | None = None,
+    propensity: str | None = None,
+    name: str = "frame",
+    strict: bool = False,
+    source: str = "frame",
+) -> Dataset:
+    """Makes a log of a table.
+
+    Texts, categories and truth values among the observations become one 0/1 column a level (levels in
+    `provenance.extra`); missing numbers become the column's mean, and a 0/1 column `<name>_missing` tells where.
+
+    Args:
+        frame: a pandas, polars or pyarrow table, or a mapping of column names to sequences of `rows` values.
+        action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
+            `action` that stands for action_0, action_1, ...
+        reward: column of numbers.
+        episode: column that is equal within an episode. Absent: see `time`.
+        time: column of numbers or timestamps that orders the rows of an episode, and the episodes by their first; rows
+            are taken to be in order if absent. With neither `episode`, `time`, `terminal` nor `timeout`, each row is
+            an episode of one terminal step (a bandit); otherwise, without `episode`, all rows are one stream that
+            `terminal` and `timeout` cut.
+        observations: columns, or a prefix; all that have no other part to play if absent.
+        terminal: column of truth values: the task ended here.
+        timeout: column of truth values: only the recording ended here. The last row of an episode that is not a
+            terminal is always one.
+        propensity: column of the logging policy's probability of the logged action (of its density, for floats), in
+            (0, 1]; its logarithm is kept as the extra `behavior_log_probs`.
+        name: of the log, used in errors.
+        strict: refuse actions out of bounds.
+        source: kind of table, for the provenance.
+
+    Raises:
+        UserError: one line with the column and the row (counted from 0, as in the table given).
+    """
+    table = to_arrow(frame, name)
+    rows = table.num_rows
+    if rows == 0:
+        raise UserError(f"{name}: the table has no rows")
+    encoder = Encoder(name, table)
+    action_names = columns_like(table, action, name) if isinstance(action, str) else list(action)
+    single = {"reward": reward, "episode": episode, "time": time, "terminal": terminal, "timeout": timeout,
+              "propensity": propensity}  # fmt: skip
+    for column in (*action_names, *single.values()):
+        if column is not None:
+            check_column(table, column, name)
+    if observations is None:
+        taken = {*action_names, *single.values()}
+        observation_names = [column for column in table.column_names if column not in taken]
+        observation_names = encoder.without_index(observation_names)
+    elif isinstance(observations, str):
+        observation_names = columns_like(table, observations, name)
+    else:
+        observation_names = list(observations)
+    for column in observation_names:
+        check_column(table, column, name)
+    if not observation_names:
+        raise UserError(f"{name}: no column is left to be an observation; name them with observations")
+
+    columns: dict[str, Any] = {
+        "observations": encoder.observations(observation_names),
+        "rewards": numbers(name, table, reward),
+        "actions": encode_action(encoder, action_names),
+    }
+    for key, column in (("terminals", terminal), ("timeouts", timeout)):
+        columns[key] = np.zeros(rows, bool) if column is None else _flags(name, table, column)
+    if propensity is not None:
+        columns["behavior_log_probs"] = _log_probabilities(name, table, propensity)
+    if episode is None and time is None and terminal is None and timeout is None:
+        columns["terminals"][:] = True
+    order, ends = _order(encoder, episode, time)
+    if order is not None:
+        columns = {key: column[order] for key, column in columns.items()}
+    early = int((columns["terminals"] & ~ends).sum()) if episode is not None else 0
+    if early:
+        encoder.warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
+    columns["timeouts"] |= ends & ~columns["terminals"]
+    with naming(name, name):
+        log = Dataset.from_arrays(
+            **columns, name=name, provenance=Provenance(source=source, extra=encoder.extra), strict=strict
+        )
+    return replace(log, warnings=(*encoder.warnings, *log.warnings))
+
+
+def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
+    """A pandas, polars or pyarrow table, or a mapping of columns, as a pyarrow table.
+
+    Raises:
+        UserError: it is none of these, or its columns do not fit together.
+    """
+    try:
+        if isinstance(frame, pa.Table):
+            table = frame
+        elif isinstance(frame, Mapping):
+            table = pa.table({str(key): _sequence(value) for key, value in frame.items()})
+        elif hasattr(frame, "__arrow_c_stream__"):
+            table = pa.table(frame)
+        elif hasattr(frame, "__dataframe__"):
+            from pyarrow.interchange import from_dataframe
+
+            table = from_dataframe(frame)
+        else:
+            raise UserError(f"{name}: a pandas, polars or pyarrow table is needed, not {type(frame).__name__}")
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{name}: not a table of plain columns ({' '.join(str(error).split())})") from error
+    names = table.column_names
+    twice = sorted({column for column in names if names.count(column) > 1}) if len(set(names)) < len(names) else []
+    if twice:
+        raise UserError(f"{name}: column {twice[0]} occurs more than once")
+    # pandas' own index, unless it has a name, is no column of the user's.
+    return table.drop_columns([column for column in names if re.fullmatch(r"__index_level_\d+__", column)])
+
+
+def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:
+    """The column `prefix`, or those called prefix_0, prefix_1, ... in the order of their numbers.
+
+    Raises:
+        UserError: neither exists, with the nearest names.
+    """
+    if prefix in table.column_names:
+        return [prefix]
+    found = numbered(table.column_names, prefix)
+    if not found:
+        check_column(table, prefix, name)
+    return found
+
+
+def numbered(names: Sequence[str], prefix: str) -> list[str]:
+    """Those of `names` called prefix_0, prefix_1, ... in the order of their numbers."""
+    found = [column for column in names if re.fullmatch(re.escape(prefix) + r"_\d+", column)]
+    return sorted(found, key=lambda column: int(column.rpartition("_")[2]))
+
+
+def check_column(table: pa.Table, column: str, name: str) -> None:
+    """Refuses a column that is not there, with the nearest names."""
+    if column not in table.column_names:
+        raise UserError(f"{name}: {unknown('column', column, table.column_names)}")
+
+
+def _sequence(value: Any) -> Any:
+    return pa.chunked_array(value) if hasattr(value, "__arrow_c_stream__") else pa.array(value)
+
+
+def _flags(name: str, table: pa.Table, column: str) -> np.ndarray:
+    values = numbers(name, table, column)
+    wrong = (values != 0) & (values != 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, 0 or 1 is needed")
+    return values != 0
+
+
+def _log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
+    values = numbers(name, table, column)
+    wrong = (values <= 0) | (values > 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, a probability in (0, 1] is needed")
+    return np.log(values).astype(np.float32)
+
+
+def _order(encoder: Encoder, episode: str | None, time: str | None) -> tuple[np.ndarray | None, np.ndarray]:
+    """The order of rows (None: as they are) and (rows,) whether each, in that order, is its episode's last."""
+    rows = encoder.table.num_rows
+    last = np.zeros(rows, bool)
+    last[-1] = True
+    if episode is None and time is None:
+        return None, last
+    moments = np.zeros(rows) if time is None else _moments(encoder, time)
+    codes = np.zeros(rows, np.int64) if episode is None else _episodes(encoder, episode, ordered=time is not None)
+    # Episodes follow one another by their first moment, so that a split by time is one; equal ones by their names.
+    first = np.full(codes.max() + 1, np.inf)
+    np.minimum.at(first, codes, moments)
+    order = np.lexsort((moments, codes, first[codes]))
+    codes, moments = codes[order], moments[order]
+    same = codes[1:] == codes[:-1]
+    last[:-1] = ~same
+    if time is not None and (ties := int((same & (moments[1:] == moments[:-1])).sum())):
+        encoder.warnings.append(f"{ties} rows have the {time} of the row before them; they stay in the table's order")
+    return order, last
+
+
+def _episodes(encoder: Encoder, column: str, ordered: bool) -> np.ndarray:
+    values = encoder.complete(column)
+    if isinstance(values, pa.DictionaryArray):
+        values = values.dictionary_decode()
+    encoded = values.dictionary_encode()  # codes in the order of first appearance
+    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+    if not ordered:
+        return codes
+    ranks = np.empty(len(encoded.dictionary), np.int64)
+    ranks[sorted_indices(encoded.dictionary)] = np.arange(len(ranks))
+    return ranks[codes]
+
+
+def _moments(encoder: Encoder, column: str) -> np.ndarray:
+    values = encoder.complete(column)
+    if pa.types.is_temporal(values.type):
+        # Only the order matters; int64 counts of the type's own unit keep it exactly.
+        width = pa.int32() if values.type.bit_width == 32 else pa.int64()
+        return np.asarray(values.view(width).to_numpy(zero_copy_only=False), np.int64)
+    return numbers(encoder.name, encoder.table, column)

@@ -1,0 +1,216 @@
+"""D4RL's hdf5 layout: one dataset a column. Ours are contiguous, so that a column can be memory-mapped."""
+
+import contextlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.layout import (
+    COLUMNS,
+    NEEDED,
+    build,
+    columns_of,
+    extra_name,
+    header,
+    header_of,
+    reading,
+    refuse_mmap,
+)
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
+from deadreckon.files import replacing
+
+_BLOCK = 262_144  # rows copied at a time
+_HEADER = "deadreckon"  # attribute that holds the header as JSON
+# D4RL's name for the behaviour policy's log-probability of the logged action, and ours.
+_RENAMED = {"infos/action_log_probs": "behavior_log_probs"}
+
+
+def read_hdf5(path: Path | str, *, mmap: bool = False, strict: bool = False, name: str | None = None) -> Dataset:
+    """Reads a D4RL-layout hdf5 file, ours or anybody's.
+
+    `infos/*` and further columns with as many rows become extras (`infos/goal` is `goal`); `metadata/*` that is text
+    or a single number goes to the provenance, arrays there (such as policy weights) are left.
+
+    Args:
+        path: of the file.
+        mmap: memory-map the columns; needs contiguous uncompressed float32, which is what `write_hdf5` writes.
+        strict: refuse actions out of bounds.
+        name: of the log; what the file says, else the file's name, if absent.
+
+    Raises:
+        UserError: one line: not an hdf5 file, cut short, columns missing or wrong, or not to be memory-mapped.
+    """
+    with reading(path, "hdf5", RuntimeError, KeyError, ValueError), h5py.File(path, "r") as file:
+        about = _header(path, file)
+        if about is None and "episode_0" in file:
+            raise UserError(f"{path}: the inside of a Minari data set; give its folder, which holds metadata.json")
+        rows = _rows(path, file)
+        columns: dict[str, Any] = {}
+        metadata: dict[str, Any] = {}
+        for key, dataset in _leaves(file):
+            if key in COLUMNS:
+                columns[key] = _load(path, key, dataset, mmap)
+        for key, dataset in _leaves(file):
+            if key.startswith("metadata/"):
+                metadata |= _scalar(key.removeprefix("metadata/"), dataset)
+            elif key not in COLUMNS and dataset.shape[:1] == (rows,):
+                extra = _RENAMED.get(key) if about is None else None
+                columns[extra or extra_name(key, columns)] = _load(path, key, dataset, mmap)
+    extra = {"metadata": metadata} if metadata else {}
+    return build(path, columns, about, source="d4rl-hdf5", name=name, extra=extra, strict=strict)
+
+
+def write_hdf5(log: Dataset, path: Path | str) -> None:
+    """Writes `log` so that `read_hdf5` gives it back exactly, also memory-mapped. Atomic.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    columns = columns_of(log)
+    finals = columns.pop("final_observations"), columns.pop("final_known")
+    about = header_of(log)
+    shapes = {key: (column.shape[1:], column.dtype) for key, column in columns.items()}
+    with create(path, rows=len(log), columns=shapes, about=about) as writer:
+        for key, column in columns.items():
+            copy_rows(column, writer[key])
+        writer.write_finals(*finals)
+
+
+class Writer:
+    """An hdf5 log that is being written; `writer["observations"][a:b] = ...` fills rows.
+
+    Attributes:
+        provenance: stored when the file is closed; may be replaced until then.
+    """
+
+    def __init__(self, file: h5py.File, about: dict[str, Any]):
+        self.file = file
+        self._about = about
+        self.provenance = Provenance(**about["provenance"])
+
+    def __getitem__(self, column: str) -> h5py.Dataset:
+        """The column's writable h5py dataset, by `Dataset.from_arrays` name."""
+        found = self.file.get(_place(column))
+        if not isinstance(found, h5py.Dataset):
+            raise KeyError(column)
+        return found
+
+    def add(self, column: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
+        """Makes a contiguous column of (*shape) and gives it; shape includes the rows."""
+        # Space is taken at once and never filled with zeros first: the caller writes every row.
+        return self.file.create_dataset(_place(column), shape, dtype, fill_time="never")
+
+    def write_finals(self, observations: np.ndarray, known: np.ndarray | None = None) -> None:
+        """Stores what was seen after each episode's last action, (episodes, *shape); call it after the last row."""
+        known = np.ones(len(observations), bool) if known is None else np.asarray(known, bool)
+        ends = np.zeros(len(self["actions"]), bool)
+        for key in ("terminals", "timeouts"):
+            if key in self.file:
+                ends |= np.asarray(self[key][()], bool)
+        episodes = int(ends.sum()) + (not ends[-1])
+        if not len(observations) == len(known) == episodes:
+            raise UserError(f"{len(observations)} final observations for {episodes} episodes; one each is needed")
+        for key, column in {"final_observations": np.asarray(observations), "final_known": known}.items():
+            self.add(key, column.shape, column.dtype)[()] = column
+
+    def close(self) -> None:
+        """Stores the header; `create` calls it."""
+        about = header("", None, self.provenance)
+        self.file.attrs[_HEADER] = json.dumps({**self._about, "provenance": about["provenance"]})
+
+
+@contextlib.contextmanager
+def create(
+    path: Path | str,
+    *,
+    rows: int,
+    columns: Mapping[str, tuple[tuple[int, ...], Any]],
+    name: str = "log",
+    action_space: Box | Discrete | None = None,
+    provenance: Provenance | None = None,
+    about: dict[str, Any] | None = None,
+) -> Iterator[Writer]:
+    """An hdf5 log of known length to be filled in any order; it appears at `path` only if the block ends well.
+
+    Args:
+        path: of the file.
+        rows: of every column.
+        columns: {name: (shape of one row, dtype)} by `from_arrays` names; others become extras.
+        name: of the log.
+        action_space: bounds of the environment.
+        provenance: where the log comes from; `writer.provenance` may replace it before the end.
+        about: the header as a whole, instead of the last three.
+
+    Raises:
+        UserError: the file cannot be written, or the number of final observations is wrong.
+    """
+    about = about or header(name, action_space, provenance or Provenance())
+    # Aligned columns, so that a memory map of one is as fast as an array.
+    with replacing(path) as temporary, h5py.File(temporary, "w", alignment_threshold=1, alignment_interval=64) as file:
+        writer = Writer(file, about)
+        for key, (shape, dtype) in columns.items():
+            writer.add(key, (rows, *shape), dtype)
+        yield writer
+        writer.close()
+
+
+def copy_rows(source: Any, target: Any) -> None:
+    """Copies rows block by block, so that neither side is ever in memory as a whole."""
+    for start in range(0, len(source), _BLOCK):
+        target[start : start + _BLOCK] = source[start : start + _BLOCK]
+
+
+def _place(column: str) -> str:
+    return column if column in COLUMNS else f"infos/{column}"
+
+
+def _leaves(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
+    for key, value in group.items():
+        if isinstance(value, h5py.Group):
+            yield from _leaves(value, f"{prefix}{key}/")
+        elif isinstance(value, h5py.Dataset):
+            yield prefix + key, value
+
+
+def _rows(path: Path | str, file: h5py.File) -> int:
+    actions = file.get("actions")
+    if not isinstance(actions, h5py.Dataset) or actions.ndim == 0:
+        found = ", ".join(key for key, _ in _leaves(file)) or "nothing"
+        raise UserError(f"{path}: no column actions; a D4RL file has {', '.join(NEEDED)}, this one has {found[:200]}")
+    return len(actions)
+
+
+def _load(path: Path | str, key: str, dataset: h5py.Dataset, mmap: bool) -> np.ndarray:
+    if not mmap:
+        return dataset[()]
+    if dataset.chunks is not None or dataset.compression is not None:
+        raise refuse_mmap(path, f"column {key} is stored in chunks or compressed")
+    # Anything that would have to be converted would be loaded whole, which is not what was asked for.
+    if key in COLUMNS and dataset.dtype not in (np.float32, np.uint8, np.int32, np.bool_):
+        raise refuse_mmap(path, f"column {key} holds {dataset.dtype}")
+    offset = dataset.id.get_offset()
+    if offset is None:  # never written: h5py gives no place for columns without bytes
+        return dataset[()]
+    return np.memmap(path, dataset.dtype, "r", offset, dataset.shape)
+
+
+def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:
+    if dataset.shape not in ((), (1,)):
+        return {}
+    value = np.asarray(dataset[()]).reshape(()).item()
+    return {key: value.decode("utf-8", "replace") if isinstance(value, bytes) else value}
+
+
+def _header(path: Path | str, file: h5py.File) -> dict[str, Any] | None:
+    if _HEADER not in file.attrs:
+        return None
+    try:
+        return json.loads(str(file.attrs[_HEADER]))
+    except json.JSONDecodeError as error:
+        raise UserError(f"{path}: its header is damaged ({error})") from error

@@ -1,0 +1,263 @@
+"""What a log is made of, in numbers, and what a practitioner should know before learning from it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Box
+
+_SAMPLE = 200_000  # rows looked at where looking at all would be slow
+_QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True)
+class Info:
+    """Numbers that describe a log; shares are between 0 and 1, quantiles are 0, 25, 50, 75 and 100 %.
+
+    Attributes:
+        name: of the log.
+        source: kind of source, of the provenance.
+        rows: steps.
+        episodes: number of them.
+        dropped: rows without a known successor.
+        observation_shape: of one observation.
+        observation_dtype: numpy name.
+        action: the action space in words.
+        extras: names of further columns.
+        lengths: quantiles of episode lengths.
+        terminal_share: share of episodes that end in a terminal.
+        timeout_share: share of episodes that end in a timeout.
+        returns: quantiles of undiscounted returns.
+        mean_return: their mean.
+        rewards: quantiles of rewards.
+        reward_mean: mean reward.
+        reward_std: standard deviation of rewards.
+        reward_zero_share: share of rows whose reward is 0.
+        reward_values: number of distinct rewards, in a sample if the log is long.
+        saturated_share: share of action entries at a bound or beyond; 0 for discrete actions.
+        out_of_bounds: rows with an action beyond its bounds.
+        unused_actions: discrete actions that never occur.
+        constant_observations: dimensions (of the flattened observation) that never change.
+        observation_scales: smallest and largest standard deviation among those that do.
+        duplicate_rows: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
+        sampled: rows that were looked at for duplicates and distinct rewards.
+        own_successors: rows inside an episode whose next observation is not the following row's.
+        fingerprint: of the log.
+    """
+
+    name: str
+    source: str
+    rows: int
+    episodes: int
+    dropped: int
+    observation_shape: tuple[int, ...]
+    observation_dtype: str
+    action: str
+    extras: tuple[str, ...]
+    lengths: tuple[float, ...]
+    terminal_share: float
+    timeout_share: float
+    returns: tuple[float, ...]
+    mean_return: float
+    rewards: tuple[float, ...]
+    reward_mean: float
+    reward_std: float
+    reward_zero_share: float
+    reward_values: int
+    saturated_share: float
+    out_of_bounds: int
+    unused_actions: int
+    constant_observations: tuple[int, ...]
+    observation_scales: tuple[float, float]
+    duplicate_rows: int
+    sampled: int
+    own_successors: int
+    fingerprint: str
+
+
+def describe(log: Dataset) -> Info:
+    """The numbers of `log`; about a second for a million rows."""
+    spec, terminal = log.spec, np.asarray(log.terminals)[log.ends]
+    returns, rewards = log.returns(), np.asarray(log.rewards)
+    saturated, outside, unused = _actions(log)
+    std = spec.observation.std.ravel()
+    constant = (spec.observation.min == spec.observation.max).ravel()
+    moving = std[~constant] if not constant.all() else np.zeros(1)
+    sample = slice(0, min(len(log), _SAMPLE))
+    return Info(
+        name=log.name,
+        source=log.provenance.source,
+        rows=len(log),
+        episodes=log.episodes,
+        dropped=log.dropped,
+        observation_shape=spec.observation_shape,
+        observation_dtype=spec.observation_dtype,
+        action=_action_words(log),
+        extras=tuple(sorted(log.extras)),
+        lengths=_quantiles(log.lengths),
+        terminal_share=float(terminal.mean()),
+        timeout_share=float((~terminal).mean()),
+        returns=_quantiles(returns),
+        mean_return=float(returns.mean()),
+        rewards=_quantiles(rewards),
+        reward_mean=float(spec.reward.mean),
+        reward_std=float(spec.reward.std),
+        reward_zero_share=float((rewards == 0).mean()),
+        reward_values=len(np.unique(rewards[sample])),
+        saturated_share=saturated,
+        out_of_bounds=outside,
+        unused_actions=unused,
+        constant_observations=tuple(np.flatnonzero(constant).tolist()),
+        observation_scales=(float(moving.min()), float(moving.max())),
+        duplicate_rows=_duplicates(log, sample),
+        sampled=sample.stop,
+        own_successors=_own_successors(log),
+        fingerprint=log.fingerprint,
+    )
+
+
+def warnings_for(log: Dataset, info: Info | None = None) -> tuple[str, ...]:
+    """What should be known before learning from `log`, one line of advice each, those of the door first.
+
+    Args:
+        log: to be looked at.
+        info: what `describe` gave, if it was called already.
+    """
+    info = info or describe(log)
+    return (*log.warnings, *_ends(log, info), *_rewards(info), *_columns(info))
+
+
+def render(info: Info, warnings: tuple[str, ...] = ()) -> str:
+    """`info` as plain text, one line a fact, and then the warnings."""
+    scale = f"{info.observation_scales[0]:.3g} .. {info.observation_scales[1]:.3g}"
+    facts = {
+        "log": f"{info.name} ({info.source}, fingerprint {info.fingerprint})",
+        "rows": f"{info.rows:,} in {info.episodes:,} episodes, {info.dropped:,} without a known successor",
+        "lengths": f"{_line(info.lengths)} (least, quartiles, most)",
+        "ends": f"{info.terminal_share:.1%} terminal, {info.timeout_share:.1%} timeout",
+        "returns": f"{_line(info.returns)}, mean {info.mean_return:.4g}",
+        "rewards": f"{_line(info.rewards)}, mean {info.reward_mean:.4g}, {info.reward_zero_share:.1%} zero",
+        "observations": f"{info.observation_shape} {info.observation_dtype}, standard deviations {scale}",
+        "actions": f"{info.action}, {info.saturated_share:.1%} at the bounds, {info.out_of_bounds:,} rows beyond",
+        "extras": ", ".join(info.extras) or "none",
+    }
+    width = max(map(len, facts))
+    lines = [f"{key:<{width}}  {value}" for key, value in facts.items()]
+    return "\n".join([*lines, *(f"! {line}" for line in warnings)])
+
+
+def _ends(log: Dataset, info: Info) -> list[str]:
+    """Advice on episodes."""
+    out = []
+    shortest, longest = info.lengths[0], info.lengths[-1]
+    if info.episodes == 1 and info.rows > 1:
+        out.append("the log is one single episode: if it was several, say where they end (timeouts or an episode column)")
+    terminal = np.asarray(log.terminals)[log.ends]
+    lengths = log.lengths[terminal]
+    if len(lengths) >= 3 and lengths[0] > 1 and (lengths == lengths[0]).all():
+        text = f"all {len(lengths)} terminal episodes have {lengths[0]} steps: if that is a time limit, mark timeouts"
+        out.append(f"{text}, or values will be too low")
+    elif len(lengths) >= 10 and longest > 1 and (share := float((lengths == longest).mean())) >= 0.2:
+        text = f"{share:.0%} of the terminal episodes have the longest length, {longest:.0f}"
+        out.append(f"{text}: if that is a time limit, mark them as timeouts")
+    if info.own_successors:
+        text = f"{info.own_successors:,} rows have a next observation that the following row does not continue"
+        out.append(f"{text}: rows were shuffled, left out, or episode ends are not marked")
+    if info.dropped > 0.05 * info.rows:
+        text = f"{info.dropped / info.rows:.0%} of the rows have no known successor"
+        out.append(f"{text}: log final observations, or mark terminals, to keep them")
+    if shortest == 1 and longest > 1:
+        count = int((log.lengths == 1).sum())
+        out.append(f"{count:,} episodes have one step only: are their ends marked rightly?")
+    return out
+
+
+def _rewards(info: Info) -> list[str]:
+    """Advice on rewards."""
+    out = []
+    largest = max(abs(info.rewards[0]), abs(info.rewards[-1]))
+    if info.rewards[0] == info.rewards[-1]:
+        out.append(f"all rewards are {info.rewards[0]:g}: nothing can be learned from them")
+    elif info.reward_zero_share > 0.98:
+        share = 1 - info.reward_zero_share
+        out.append(f"rewards are sparse: {share:.2%} of the rows have one; prefer methods that stay close to the data")
+    elif info.reward_zero_share > 0.5:
+        out.append(f"rewards are mostly zero ({info.reward_zero_share:.0%} of the rows)")
+    if largest > 1_000:
+        out.append(f"rewards reach {largest:.3g} in size: scale them to about 1, or raise the critics' tolerance")
+    elif 0 < largest < 1e-3:
+        out.append(f"rewards are at most {largest:.3g} in size: scale them to about 1")
+    return out
+
+
+def _columns(info: Info) -> list[str]:
+    """Advice on observations, actions and rows."""
+    out = []
+    if info.constant_observations:
+        shown = ", ".join(map(str, info.constant_observations[:8]))
+        more = len(info.constant_observations) - 8
+        shown += f" and {more} more" if more > 0 else ""
+        out.append(f"observation dimensions that never change: {shown}; they carry nothing and may be left out")
+    low, high = info.observation_scales
+    if low > 0 and high / low > 1_000:
+        text = f"observation scales differ by a factor of {high / low:.0f} (standard deviations {low:.2g} .. {high:.2g})"
+        out.append(f"{text}: normalise observations")
+    if info.saturated_share > 0.3:
+        text = f"{info.saturated_share:.0%} of the action entries are at the bounds"
+        out.append(f"{text}: log-probabilities of tanh policies are uncertain there; check that the bounds are right")
+    if info.unused_actions:
+        out.append(f"{info.unused_actions} of the actions never occur in the log: nothing is known about them")
+    if info.duplicate_rows > 0.01 * info.sampled:
+        text = f"{info.duplicate_rows:,} of {info.sampled:,} rows repeat an earlier one"
+        out.append(f"{text}: a split by rows would leak; split by episodes")
+    return out
+
+
+def _actions(log: Dataset) -> tuple[float, int, int]:
+    """Share of entries at a bound or beyond, rows beyond a bound, and discrete actions never taken."""
+    space = log.action_space
+    if not isinstance(space, Box):
+        return 0.0, 0, space.n - len(np.unique(log.actions))
+    low, high = np.asarray(space.low, np.float32), np.asarray(space.high, np.float32)
+    entries = outside = 0
+    for start in range(0, len(log), _SAMPLE):
+        part = log.actions[start : start + _SAMPLE]
+        entries += int(((part <= low) | (part >= high)).sum())
+        outside += int(((part < low) | (part > high)).any(1).sum())
+    return entries / log.actions.size, outside, 0
+
+
+def _duplicates(log: Dataset, rows: slice) -> int:
+    parts = [np.ascontiguousarray(column[rows]).reshape(rows.stop, -1).view(np.uint8).reshape(rows.stop, -1)
+             for column in (log.observations, log.actions, log.rewards)]  # fmt: skip
+    packed = np.ascontiguousarray(np.concatenate(parts, 1))
+    return rows.stop - len(np.unique(packed.view(np.dtype((np.void, packed.shape[1]))).ravel()))
+
+
+def _own_successors(log: Dataset) -> int:
+    if log.successors is None:
+        return 0
+    inside = np.setdiff1d(np.arange(len(log) - 1), log.ends)
+    count = 0
+    for start in range(0, len(inside), _SAMPLE):
+        rows = inside[start : start + _SAMPLE]
+        differs = log.successors[rows] != log.observations[rows + 1]
+        count += int(differs.reshape(len(rows), -1).any(1).sum())
+    return count
+
+
+def _quantiles(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(np.quantile(np.asarray(values, np.float64), _QUANTILES).tolist())
+
+
+def _action_words(log: Dataset) -> str:
+    space = log.action_space
+    if not isinstance(space, Box):
+        return f"{space.n} discrete"
+    low, high = min(space.low), max(space.high)
+    return f"{space.size} continuous within {low:g} .. {high:g}"
+
+
+def _line(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.4g}" for value in values)

@@ -1,0 +1,177 @@
+"""Reading and converting logs of any format; what a file is, its content says."""
+
+import gzip
+import pickle
+import shutil
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data import folder as folders
+from deadreckon.data import minari as minaris
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.layout import refuse_mmap
+from deadreckon.errors import UserError
+
+FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of deadreckon's"
+_ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")
+
+
+def read(
+    path: Path | str, *, mmap: bool = False, strict: bool = False, name: str | None = None, **mapping: Any
+) -> Dataset:
+    """Reads a log; the format is told by content, not by name.
+
+    Args:
+        path: a file (D4RL hdf5, Parquet, CSV, npz, pickled demonstrations; CSV and pickles may be gzipped), a folder
+            (Minari's or ours), or `minari:` and an id.
+        mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
+        strict: refuse actions out of bounds instead of warning.
+        name: of the log.
+        **mapping: for tables, which column is what: see `Dataset.from_frame`.
+
+    Raises:
+        UserError: one line with the file, and column and row where they apply.
+    """
+    kind = sniff(path)
+    given = sorted(key for key, value in mapping.items() if value is not None)
+    if given and kind not in ("parquet", "csv"):
+        raise UserError(f"{path}: {given[0]} names a column of a table, but this is {kind}, which has its own")
+    if mmap and kind not in ("hdf5", "folder"):
+        raise refuse_mmap(path, f"{kind} is not stored column by column")
+    options: dict[str, Any] = {"strict": strict, "name": name}
+    if kind == "folder":
+        return folders.read_folder(path, mmap=mmap, **options)
+    if kind == "minari":
+        return minaris.read_minari(path, **options)
+    if kind == "hdf5":
+        from deadreckon.data.hdf5 import read_hdf5
+
+        return read_hdf5(path, mmap=mmap, **options)
+    if kind == "pickle":
+        from deadreckon.data.pickles import read_pickle
+
+        return read_pickle(path, **options)
+    from deadreckon.data import tables
+
+    if kind == "npz":
+        return tables.read_npz(path, **options)
+    return (tables.read_parquet if kind == "parquet" else tables.read_csv)(path, **options, **mapping)
+
+
+def sniff(path: Path | str) -> str:
+    """The format of a log: hdf5, parquet, npz, pickle, csv, minari or folder.
+
+    Raises:
+        UserError: there is nothing, it is empty, or no format that we read.
+    """
+    if str(path).startswith(minaris.PREFIX):
+        return "minari"
+    path = Path(path)
+    if path.is_dir():
+        if (path / folders.HEADER).is_file():
+            return "folder"
+        if (path / "metadata.json").is_file() or (path / "data" / "metadata.json").is_file():
+            return "minari"
+        raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
+    try:
+        with open(path, "rb") as file:
+            head = file.read(4096)
+            if head[:2] == b"\x1f\x8b":
+                file.seek(0)
+                head = gzip.GzipFile(fileobj=file).read(4096)
+    except FileNotFoundError as error:
+        raise UserError(f"no file {path}") from error
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise UserError(f"{path}: cannot be unpacked, it is damaged or cut short ({error})") from error
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+    if not head:
+        raise UserError(f"{path}: the file is empty")
+    for magic, kind in ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz")):
+        if head.startswith(magic):
+            return kind
+    if _is_pickle(head):
+        return "pickle"
+    if b"\0" not in head and b"," in head.partition(b"\n")[0]:
+        return "csv"
+    raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
+
+
+def convert(
+    source: Path | str, target: Path | str, *, force: bool = False, strict: bool = False, **mapping: Any
+) -> Dataset:
+    """Reads `source` and writes it as `target`; gives the log.
+
+    Args:
+        source: as for `read`.
+        target: .hdf5, .parquet, .csv or .npz by its ending; `minari:ns/name-v0`; a folder if it has no ending or ends
+            in a slash.
+        force: replace `target` if it exists.
+        strict: refuse actions out of bounds.
+        **mapping: as for `read`.
+
+    Raises:
+        UserError: `target` exists or has an unknown ending, or reading or writing fails.
+    """
+    write = _writer(target)
+    place = Path(target)
+    exists = not str(target).startswith(minaris.PREFIX) and place.exists()
+    if exists and not force:
+        raise UserError(f"{target} exists already; --force replaces it")
+    if exists and place.is_dir() and not (place / folders.HEADER).is_file():
+        raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
+    if exists and Path(source).exists() and place.samefile(source):
+        raise UserError(f"{target} is the source itself; choose another name")
+    kind = sniff(source)
+    log = read(source, mmap=kind == "folder", strict=strict, **mapping)
+    write(log, target, force)
+    return log
+
+
+def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
+    """What writes `target`, called with the log, the target and whether it may be replaced."""
+    if str(target).startswith(minaris.PREFIX):
+        return lambda log, path, force: minaris.write_minari(log, str(path), force=force)
+    ending = Path(target).suffix.lower()
+    if str(target).endswith("/") or not ending:
+        return _write_folder
+    if ending in (".hdf5", ".h5"):
+        from deadreckon.data.hdf5 import write_hdf5
+
+        return lambda log, path, force: write_hdf5(log, path)
+    if ending in _ENDINGS:
+        from deadreckon.data import tables
+
+        writers = {".parquet": tables.write_parquet, ".csv": tables.write_csv, ".npz": tables.write_npz}
+        return lambda log, path, force: writers[ending](log, path)
+    known = ", ".join(_ENDINGS)
+    raise UserError(f"{target}: unknown ending {ending}; known: {known}, none (a folder), minari:ns/name-v0")
+
+
+def _write_folder(log: Dataset, path: Path | str, force: bool) -> None:
+    path = Path(path)
+    if not (force and path.exists()):
+        folders.write_folder(log, path)
+        return
+    # The old log goes only when the new one is complete; pages of it that are memory-mapped stay readable.
+    aside = path.with_name(f".{path.name}.old")
+    shutil.rmtree(aside, ignore_errors=True)
+    fresh = path.with_name(f".{path.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    folders.write_folder(log, fresh)
+    try:
+        path.rename(aside)
+        fresh.rename(path)
+        shutil.rmtree(aside)
+    except OSError as error:
+        raise UserError(f"cannot replace {path}: {error.strerror or error}") from error
+
+
+def _is_pickle(head: bytes) -> bool:
+    """Protocols 2 and up begin with their number; older ones with the text of a list or a dict."""
+    if head[:1] == pickle.PROTO and len(head) > 1:
+        return head[1] <= pickle.HIGHEST_PROTOCOL
+    starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n")
+    return head[:2] in (b"(l", b"(d", b"(i") or head.startswith(starts)

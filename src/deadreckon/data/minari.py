@@ -1,0 +1,257 @@
+"""Minari data sets: read from a folder or by id, and written, under `MINARI_DATASETS_PATH`."""
+
+import contextlib
+import os
+import shutil
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.layout import build, extra_name, header_of, naming, reading
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import read_json
+
+PREFIX = "minari:"
+_METADATA = "metadata.json"
+_ROOT = "MINARI_DATASETS_PATH"
+_KEPT = ("dataset_id", "algorithm_name", "code_permalink", "ref_min_score", "ref_max_score", "minari_version")
+
+
+def read_minari(source: Path | str, *, strict: bool = False, name: str | None = None) -> Dataset:
+    """Reads a Minari data set.
+
+    Of observations that are dicts, `observation` is the observation, and the rest (such as `desired_goal`) and the
+    infos become extras. Terminations are terminals, truncations timeouts.
+
+    Args:
+        source: its folder, or its id such as `D4RL/pointmaze/umaze-v2` (`minari:` before it is allowed).
+        strict: refuse actions out of bounds.
+        name: of the log; the id without `-vN`'s namespace, if absent.
+
+    Raises:
+        UserError: one line with the folder, the episode and what is wrong.
+    """
+    folder = find(source)
+    metadata = read_json(folder / _METADATA)
+    if not isinstance(metadata, dict) or "data_format" not in metadata:
+        raise UserError(f"{folder / _METADATA}: no data_format; is this a Minari data set?")
+    from minari.dataset.minari_storage import MinariStorage
+
+    broken = (ValueError, KeyError, TypeError, RuntimeError, AssertionError, NotImplementedError)
+    with reading(folder, "a Minari data set", *broken), naming(folder, ""):
+        storage = MinariStorage.read(folder)
+        space, start = _action_space(storage.action_space)
+        parts: dict[str, list[np.ndarray]] = {}
+        for episode in storage.get_episodes(range(storage.total_episodes)):
+            for key, column in _episode(episode).items():
+                parts.setdefault(key, []).append(column)
+        if not parts:
+            raise UserError("the data set has no episodes")
+        columns = _joined(parts)
+    columns["actions"] = columns["actions"] - start if isinstance(space, Discrete) else columns["actions"]
+    about = metadata.get("deadreckon")
+    extra = {key: metadata[key] for key in _KEPT if key in metadata}
+    name = name or (about or {}).get("name") or str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
+    return build(folder, columns, about, source="minari", name=name, action_space=space, extra=extra, strict=strict)
+
+
+def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
+    """Writes `log` as a local Minari data set and gives its folder. Extras become infos.
+
+    Minari has no way to say that an episode's final observation is unknown: the last row of such an episode is left
+    out, and its observation becomes the final one.
+
+    Args:
+        log: whose next observations are the following rows'.
+        dataset_id: such as `mine/pointmaze-v0`; a namespace needs two letters or more.
+        force: replace a data set of this id.
+
+    Raises:
+        UserError: the id is not one, or exists; or the log has next observations of its own.
+    """
+    from minari import create_dataset_from_buffers
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    dataset_id = dataset_id.removeprefix(PREFIX)
+    try:
+        parse_dataset_id(dataset_id)
+    except ValueError as error:
+        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0") from error
+    if ".." in dataset_id.split("/") or dataset_id.startswith("/"):
+        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
+    if log.successors is not None:
+        raise UserError(
+            f"{log.name}: its next observations are not the following rows; Minari cannot store it, write .hdf5"
+        )
+    target = _root() / dataset_id
+    if target.exists() and not force:
+        raise UserError(f"{target} exists already; --force replaces it")
+    observation_space, action_space = _spaces(log)
+    try:
+        _root().mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".deadreckon.", dir=_root()) as scratch:
+            with _root_is(scratch), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that there is no author, code link, ...
+                made = create_dataset_from_buffers(
+                    dataset_id,
+                    buffer=list(_buffers(log)),
+                    observation_space=observation_space,
+                    action_space=action_space,
+                    algorithm_name=log.provenance.recipe or log.provenance.source,
+                    jpeg_encoding=False,
+                )
+                made.storage.update_metadata({"deadreckon": header_of(log)})
+            if target.exists():
+                shutil.rmtree(target)
+            # Namespaces on the way have a description each, which Minari wants to see.
+            for parent in Path(dataset_id).parents:
+                note = Path(scratch, parent, "namespace_metadata.json")
+                (_root() / parent).mkdir(parents=True, exist_ok=True)
+                if note.exists() and not (_root() / parent / note.name).exists():
+                    shutil.copy(note, _root() / parent / note.name)
+            Path(scratch, dataset_id).rename(target)
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot write {target}: {' '.join(str(error).split())}") from error
+    return target
+
+
+def find(source: Path | str) -> Path:
+    """The folder with `metadata.json` of a data set given by folder or id.
+
+    Raises:
+        UserError: there is none, with the nearest ids that are there.
+    """
+    text = str(source)
+    for folder in (Path(text), _root() / text.removeprefix(PREFIX)):
+        for inner in (folder / "data", folder):
+            if (inner / _METADATA).is_file():
+                return inner
+    if Path(text).is_dir():
+        raise UserError(f"{text}: no {_METADATA}; a Minari data set has one in its data folder")
+    there = [str(file.parent.parent.relative_to(_root())) for file in _root().glob(f"**/data/{_METADATA}")]
+    if not there:
+        raise UserError(f"no Minari data set {text.removeprefix(PREFIX)!r}: {_root()} ({_ROOT}) holds none")
+    raise unknown("Minari data set", text.removeprefix(PREFIX), there)
+
+
+def _root() -> Path:
+    return Path(os.environ.get(_ROOT) or Path.home() / ".minari" / "datasets")
+
+
+@contextlib.contextmanager
+def _root_is(folder: str) -> Iterator[None]:
+    """Minari writes below `folder` meanwhile, so that a data set appears in its real root only when complete."""
+    before = os.environ.get(_ROOT)
+    os.environ[_ROOT] = folder
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_ROOT]
+        else:
+            os.environ[_ROOT] = before
+
+
+def _action_space(space: Any) -> tuple[Box | Discrete | None, int]:
+    """Our action space, None where the bounds are not finite, and the index of the first action."""
+    from gymnasium import spaces
+
+    if isinstance(space, spaces.Discrete):
+        return Discrete(int(space.n)), int(space.start)
+    if not isinstance(space, spaces.Box):
+        raise UserError(f"actions are {type(space).__name__}; Box or Discrete is needed")
+    if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
+        return None, 0
+    low, high = (bound.astype(np.float64).ravel().tolist() for bound in (space.low, space.high))
+    return Box(tuple(low), tuple(high)), 0
+
+
+def _spaces(log: Dataset) -> tuple[Any, Any]:
+    from gymnasium import spaces
+
+    space, shape = log.action_space, log.observations.shape[1:]
+    if log.observations.dtype == np.uint8:
+        observations = spaces.Box(0, 255, shape, np.uint8)
+    else:
+        observations = spaces.Box(-np.inf, np.inf, shape, np.float32)
+    if isinstance(space, Discrete):
+        return observations, spaces.Discrete(space.n)
+    return observations, spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
+
+
+def _buffers(log: Dataset) -> Iterator[Any]:
+    from minari.data_collector import EpisodeBuffer
+
+    known = log.final_known | log.terminals[log.ends]
+    starts, ends = log.starts, log.ends
+    for index in range(log.episodes):
+        rows = slice(starts[index], ends[index] + (1 if known[index] else 0))
+        if rows.start == rows.stop:
+            continue
+        observations = log.observations[starts[index] : ends[index] + 1]
+        if known[index]:
+            observations = np.concatenate([observations, log.final_observations[index : index + 1]])
+        truncations = np.array(log.timeouts[rows])
+        truncations[-1] |= not log.terminals[rows.stop - 1]
+        yield EpisodeBuffer(
+            observations=observations,  # pyright: ignore[reportArgumentType]  # an array is stored as it is, and fast
+            actions=np.asarray(log.actions[rows]),  # pyright: ignore[reportArgumentType]
+            rewards=np.asarray(log.rewards[rows]),  # pyright: ignore[reportArgumentType]
+            terminations=np.asarray(log.terminals[rows]),  # pyright: ignore[reportArgumentType]
+            truncations=truncations,  # pyright: ignore[reportArgumentType]
+            infos={key: np.asarray(value[rows]) for key, value in log.extras.items()},
+        )
+
+
+def _episode(episode: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Columns of one episode, T rows each; extras under their Minari paths."""
+    number, steps = episode["id"], len(episode["rewards"])
+    if not steps:
+        raise UserError(f"episode {number} has no steps")
+    observed = dict(_leaves(episode["observations"], ""))
+    main = observed.pop("", None) if "" in observed else observed.pop("observation", None)
+    if main is None:
+        raise UserError(f"observations have no array called observation, but {', '.join(observed) or 'nothing'}")
+    if isinstance(episode["actions"], (dict, tuple)):
+        raise UserError("actions are a dict or a tuple; one array is needed")
+    if len(main) != steps + 1:
+        raise UserError(f"episode {number} has {len(main)} observations for {steps} steps, {steps + 1} are needed")
+    columns = {"observations": main[:-1], "next_observations": main[1:], "actions": np.asarray(episode["actions"]),
+               "rewards": episode["rewards"], "terminals": episode["terminations"]}  # fmt: skip
+    timeouts = np.array(episode["truncations"], bool)
+    timeouts[-1] |= not columns["terminals"][-1]
+    columns["timeouts"] = timeouts
+    for key, value in (*observed.items(), *_leaves(episode["infos"] or {}, "infos/")):
+        # Infos and goals come with every observation, the first of reset included: those at action time are kept.
+        if value.dtype.kind in "fiub" and value.ndim and len(value) in (steps, steps + 1):
+            columns[key if key.startswith("infos/") else f"observation/{key}"] = value[:steps]
+    return columns
+
+
+def _leaves(value: Any, prefix: str) -> Iterator[tuple[str, np.ndarray]]:
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{prefix}{key}" if not isinstance(inner, Mapping) else f"{prefix}{key}/")
+    elif isinstance(value, (tuple, list)):
+        raise UserError("observations are a tuple or texts; an array, or a dict with one called observation, is needed")
+    else:
+        yield prefix, np.asarray(value)
+
+
+def _joined(parts: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+    episodes = len(parts["actions"])
+    columns: dict[str, np.ndarray] = {}
+    for key, values in parts.items():
+        if len(values) == episodes and len({value.shape[1:] for value in values}) == 1:
+            own = "/" not in key
+            place = key if own else extra_name(key.removeprefix("observation/"), columns)
+            columns[place] = np.concatenate(values)
+        elif "/" not in key:
+            raise UserError(f"{key} have different shapes in different episodes")
+    return columns

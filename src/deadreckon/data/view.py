@@ -1,0 +1,71 @@
+"""How methods see a log: actions in [-1, 1] and, where they ask for it, standardised observations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.spec import Discrete, Spec
+
+# The logarithm of a tanh density needs |a| < 1: clipped here, once, before any arctanh.
+EDGE = 1.0 - 1e-6
+# Added to the standard deviation of observations, so that a constant dimension stays finite (TD3+BC's value).
+STD_FLOOR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The two changes of coordinates between a log and a method; every method and policy uses this one object.
+
+    Works on numpy and JAX arrays alike. For discrete actions the action maps are the identity.
+
+    Attributes:
+        mean, std: of the observations, arrays of the observation's shape; None where they are passed as they are.
+        low, high: (size,) action bounds; None for discrete actions.
+    """
+
+    mean: np.ndarray | None
+    std: np.ndarray | None
+    low: np.ndarray | None
+    high: np.ndarray | None
+
+    @classmethod
+    def of(cls, spec: Spec, standardise: bool = False) -> "View":
+        """The view of a log with this spec."""
+        mean = std = low = high = None
+        if standardise and spec.observation_dtype != "uint8":
+            mean = np.asarray(spec.observation.mean, np.float32)
+            std = np.asarray(spec.observation.std + STD_FLOOR, np.float32)
+        if not isinstance(spec.action, Discrete):
+            low, high = np.asarray(spec.action.low, np.float32), np.asarray(spec.action.high, np.float32)
+        return cls(mean, std, low, high)
+
+    def observe(self, observations: Any) -> Any:
+        """Raw observations as methods see them."""
+        return observations if self.mean is None else (observations - self.mean) / self.std
+
+    def to_unit(self, actions: Any) -> Any:
+        """Logged actions scaled to [-1, 1] and clipped to +-(1 - 1e-6)."""
+        if self.low is None:
+            return actions
+        return (2.0 * (actions - self.low) / (self.high - self.low) - 1.0).clip(-EDGE, EDGE)
+
+    def from_unit(self, actions: Any) -> Any:
+        """Actions in [-1, 1] as the environment takes them."""
+        if self.low is None:
+            return actions
+        return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
+
+    @property
+    def log_scale(self) -> float:
+        """What to subtract from a log-density over [-1, 1] to have it over the environment's actions."""
+        return 0.0 if self.low is None else float(np.log(0.5 * (self.high - self.low)).sum())
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values; `View.from_json` reads them back."""
+        return {k: None if v is None else np.asarray(v).tolist() for k, v in vars(self).items()}
+
+    @classmethod
+    def from_json(cls, value: dict[str, Any]) -> "View":
+        """The inverse of `to_json`."""
+        return cls(**{k: None if v is None else np.asarray(v, np.float32) for k, v in value.items()})

@@ -1,0 +1,57 @@
+"""Maximum mean discrepancy between two sets of action samples, per state (thesis 4.3, A.3, A.4)."""
+
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Kernel = Literal["laplacian", "laplacian_l1", "gaussian", "mixture"]
+FLOOR = 1e-6  # inside the root: the gradient stays finite where both sets agree (official code)
+
+
+def _distance(squared: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The root, with gradient zero instead of NaN at zero (a sample's distance to itself)."""
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+
+
+def kernel_values(
+    x: Float[Array, "n b a"], y: Float[Array, "m b a"], kernel: Kernel, bandwidth: Any, mixture: tuple[float, ...]
+) -> Float[Array, "n m b"]:
+    """k(x_i, y_j) for every state.
+
+    Args:
+        x, y: samples along the first axis.
+        kernel: "laplacian" exp(-|d|_2 / bandwidth), the thesis's; "laplacian_l1" exp(-|d|_1 / (2 bandwidth)), that of the
+            official code; "gaussian" exp(-|d|_2^2 / (2 bandwidth)), the bandwidth being the VARIANCE; "mixture" the mean
+            of Laplacians at the scales of `mixture`.
+        bandwidth: of the kernel, in the units of the samples (variance: squared).
+        mixture: scales of "mixture".
+    """
+    difference = x[:, None] - y[None]
+    if kernel == "laplacian_l1":
+        return jnp.exp(-jnp.abs(difference).sum(-1) / (2.0 * bandwidth))
+    squared = jnp.square(difference).sum(-1)
+    if kernel == "gaussian":
+        return jnp.exp(-squared / (2.0 * bandwidth))
+    distance = _distance(squared)
+    if kernel == "mixture":
+        return sum(jnp.exp(-distance / scale) for scale in mixture) / len(mixture)  # pyright: ignore[reportReturnType]
+    return jnp.exp(-distance / bandwidth)
+
+
+def mmd(
+    x: Float[Array, "n b a"],
+    y: Float[Array, "m b a"],
+    kernel: Kernel = "laplacian",
+    bandwidth: Any = 20.0,
+    mixture: tuple[float, ...] = (1.0, 10.0, 50.0),
+) -> Float[Array, "b"]:
+    """The root of the biased MMD^2 estimate for every state: sqrt(max(MMD^2, 0) + 1e-6).
+
+    MMD^2 = mean k(x, x') - 2 mean k(x, y) + mean k(y, y'), diagonals included (thesis 4.3).
+    """
+    xx = kernel_values(x, x, kernel, bandwidth, mixture).mean((0, 1))
+    xy = kernel_values(x, y, kernel, bandwidth, mixture).mean((0, 1))
+    yy = kernel_values(y, y, kernel, bandwidth, mixture).mean((0, 1))
+    return jnp.sqrt(jnp.maximum(xx - 2.0 * xy + yy, 0.0) + FLOOR)

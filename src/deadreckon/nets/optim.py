@@ -1,0 +1,25 @@
+"""Optimiser steps whose learning rate may be traced, and target networks."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+ADAM = optax.scale_by_adam()
+
+
+def descend(params: Any, grads: Any, opt: optax.OptState, lr: Any) -> tuple[Any, optax.OptState]:
+    """One Adam step (beta 0.9 and 0.999, epsilon 1e-8). `lr` may differ along a vmapped axis."""
+    updates, opt = ADAM.update(grads, opt)
+    return jax.tree.map(lambda p, u: p - lr * u, params, updates), opt
+
+
+def track(target: Any, online: Any, rate: Any) -> Any:
+    """Polyak averaging: target <- (1 - rate) target + rate online."""
+    return jax.tree.map(lambda t, o: t + rate * (o - t), target, online)
+
+
+def copy(tree: Any) -> Any:
+    """Arrays of their own, so that a target network is never an alias of the online one."""
+    return jax.tree.map(jnp.copy, tree)

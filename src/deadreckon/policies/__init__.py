@@ -1,0 +1,22 @@
+"""What acts: protocol, kinds of policy, files that numpy alone can run, behaviour models, black boxes.
+
+Names are looked up on first use, so that `deadreckon.policies.portable` can be imported where there is no JAX.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deadreckon.policies.policy import BlackBoxPolicy, Deployed, Policy, Step
+    from deadreckon.policies.store import load, save
+
+_HOMES = {"BlackBoxPolicy": "policy", "Deployed": "policy", "Policy": "policy", "Step": "policy", "load": "store",
+          "save": "store"}  # fmt: skip
+__all__ = ["BlackBoxPolicy", "Deployed", "Policy", "Step", "load", "save"]
+
+
+def __getattr__(name: str):
+    import importlib
+
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"deadreckon.policies.{_HOMES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

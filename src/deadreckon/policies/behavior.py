@@ -1,0 +1,37 @@
+"""Models of the policy that made a log, by maximum likelihood: BC learns them, BEAR and its kin constrain to them."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.data.spec import Spec
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.vae import VAE
+from deadreckon.policies.policy import Inner, TanhGaussian, VAEDecoder
+
+Kind = Literal["gaussian", "vae"]
+
+
+def create(kind: Kind, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | VAE:
+    """A tanh-Gaussian network (thesis A.4) or a conditional VAE (BCQ, the official BEAR)."""
+    if kind == "vae":
+        return VAE.create(spec.observation_size, spec.action_size, hidden, key)
+    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
+
+
+def loss(
+    model: MLP | VAE, observation: Float[Array, "b o"], action: Float[Array, "b a"], key: PRNGKeyArray
+) -> tuple[Float[Array, ""], dict[str, Array]]:
+    """What fitting minimises: the negative log-likelihood, or the VAE's bound (squared error + 0.5 KL)."""
+    if isinstance(model, VAE):
+        return model.loss(observation, action, key)
+    d = dist.gaussian_head(model(observation))
+    nll = -dist.log_prob(d, jnp.arctanh(action)).mean()
+    return nll, {"behavior_nll": nll, "behavior_error": jnp.square(jnp.tanh(d.mean) - action).mean()}
+
+
+def policy(model: MLP | VAE) -> Inner:
+    """The model as something that acts."""
+    return VAEDecoder(model) if isinstance(model, VAE) else TanhGaussian(model)

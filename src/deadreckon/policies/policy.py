@@ -1,0 +1,204 @@
+"""What acts: the protocol, the kinds of policy that agents produce, and any Python function as a policy."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.data.view import EDGE, View
+from deadreckon.errors import UserError
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.vae import VAE
+
+
+class Step(NamedTuple):
+    """What a policy sees of `n` environments: observations (n, *shape), last rewards (n,), whether an episode begins (n,)."""
+
+    observation: Any
+    reward: Any
+    first: Any
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Acts in `n` environments at once. Memoryless policies carry ()."""
+
+    has_log_prob: bool
+
+    def start(self, n: int) -> Any:
+        """The carry before the first step."""
+        ...
+
+    def act(self, step: Step, carry: Any, key: Any, *, greedy: bool) -> tuple[Any, Any]:
+        """Actions (n, size) and the next carry. `greedy` asks for the policy's best guess instead of a draw."""
+        ...
+
+
+class Inner(eqx.Module):
+    """A memoryless policy in a method's coordinates: observations as trained on, actions BEFORE the tanh."""
+
+    has_log_prob = False
+
+    def pre_actions(
+        self, observation: Float[Array, "n o"], key: PRNGKeyArray, *, greedy: bool, count: tuple[int, ...] = ()
+    ) -> Float[Array, "*c n a"]:
+        """Draws before the tanh; `count` of them along new leading axes."""
+        raise NotImplementedError
+
+
+class Deterministic(Inner):
+    """a = tanh(net(s))."""
+
+    net: MLP
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`; every draw is the same."""
+        out = self.net(observation)
+        return jnp.broadcast_to(out, (*count, *out.shape))
+
+
+class TanhGaussian(Inner):
+    """a = tanh(mean + std * noise); greedy is tanh(mean)."""
+
+    net: MLP
+    has_log_prob = True
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        d = dist.gaussian_head(self.net(observation))
+        if greedy:
+            return jnp.broadcast_to(d.mean, (*count, *d.mean.shape))
+        return dist.sample(d, key, count)
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+        """Log-density over [-1, 1] of actions, clipped to the open interval."""
+        return dist.log_prob(dist.gaussian_head(self.net(observation)), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
+
+
+class VAEDecoder(Inner):
+    """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
+
+    vae: VAE
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        if greedy:
+            size = self.vae.decoder.weights[0].shape[0] - observation.shape[-1]
+            return self.vae.decode(observation, jnp.zeros((*count, *observation.shape[:-1], size)))
+        return self.vae.sample(observation, key, count)
+
+
+class GreedyQ(Inner):
+    """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
+
+    actor: Inner
+    critic: MLP
+    samples: int = eqx.field(static=True, default=10)
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`. The candidates are drawn also when `greedy`: choosing among them is what makes it so."""
+        pre = self.actor.pre_actions(observation, key, greedy=False, count=(self.samples, *count))
+        critics = jax.tree.map(lambda w: w[None], self.critic)
+        q = q_values(critics, observation, jnp.tanh(pre))[0]
+        best = jnp.argmax(q, 0)
+        return jnp.take_along_axis(pre, best[None, ..., None], 0)[0]
+
+
+class Deployed(eqx.Module):
+    """An inner policy between raw observations and the environment's actions: what is saved, evaluated and shipped.
+
+    Attributes:
+        inner: in the method's coordinates.
+        mean, std: of the observations, or None.
+        low, high: (size,) bounds of the actions.
+    """
+
+    inner: Inner
+    mean: Array | None
+    std: Array | None
+    low: Array | None
+    high: Array | None
+
+    @classmethod
+    def of(cls, inner: Inner, view: View) -> "Deployed":
+        """`inner` seen through `view`."""
+        arrays = (None if v is None else jnp.asarray(v) for v in (view.mean, view.std, view.low, view.high))
+        return cls(inner, *arrays)
+
+    @property
+    def view(self) -> View:
+        """The change of coordinates."""
+        return View(self.mean, self.std, self.low, self.high)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def has_log_prob(self) -> bool:
+        """Whether `log_prob` is defined."""
+        return self.inner.has_log_prob
+
+    def start(self, n: int) -> tuple[()]:
+        """Nothing is carried."""
+        return ()
+
+    def act(self, step: Step, carry: Any, key: PRNGKeyArray, *, greedy: bool) -> tuple[Array, Any]:
+        """Actions in the environment's bounds."""
+        pre = self.inner.pre_actions(self.view.observe(step.observation), key, greedy=greedy)
+        return self.view.from_unit(jnp.tanh(pre)), carry
+
+    def log_prob(self, observation: Any, action: Any) -> Array:
+        """Log-density of environment actions (n, size) at raw observations (n, *shape)."""
+        if not isinstance(self.inner, TanhGaussian):
+            raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
+        unit = self.view.to_unit(jnp.asarray(action))
+        spread = jnp.log(0.5 * (self.high - self.low)).sum()  # pyright: ignore[reportOptionalOperand]
+        return self.inner.log_prob(self.view.observe(jnp.asarray(observation)), unit) - spread
+
+    def __call__(self, observations: Any) -> np.ndarray:
+        """Greedy actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
+        x = np.asarray(observations, np.float32)
+        single = x.ndim == 1
+        actions = _greedy(self, jnp.asarray(x[None] if single else x))
+        return np.asarray(actions[0] if single else actions)
+
+
+@eqx.filter_jit
+def _greedy(policy: Deployed, observations: Array) -> Array:
+    step = Step(observations, jnp.zeros(len(observations)), jnp.zeros(len(observations), bool))
+    return policy.act(step, (), jax.random.key(0), greedy=True)[0]
+
+
+class BlackBoxPolicy:
+    """Any Python function `fn(observations, rng) -> actions` on numpy arrays as a policy.
+
+    Args:
+        fn: gets observations (n, *shape) and a `numpy.random.Generator`, gives actions (n, size).
+    """
+
+    has_log_prob = False
+
+    def __init__(self, fn: Callable[[np.ndarray, np.random.Generator], np.ndarray]):
+        self.fn = fn
+
+    def start(self, n: int) -> tuple[()]:
+        """Nothing is carried; what the function remembers is its own affair."""
+        return ()
+
+    def act(self, step: Step, carry: Any, key: Any, *, greedy: bool = False) -> tuple[np.ndarray, Any]:
+        """Calls the function. `key` may be a numpy generator or a JAX key."""
+        if not isinstance(key, np.random.Generator):
+            key = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+        actions = np.asarray(self.fn(np.asarray(step.observation), key))
+        if len(actions) != len(step.observation):
+            raise UserError(f"the policy function gave {len(actions)} actions for {len(step.observation)} observations")
+        return actions, carry
+
+    def __call__(self, observations: Any) -> np.ndarray:
+        """The function's actions with a generator seeded with 0."""
+        x = np.asarray(observations)
+        single = x.ndim == 1
+        actions = self.act(Step(x[None] if single else x, None, None), (), np.random.default_rng(0))[0]
+        return actions[0] if single else actions

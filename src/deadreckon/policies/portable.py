@@ -1,0 +1,99 @@
+"""Policy files that need numpy alone: this module imports nothing else, so it can be copied to wherever actions are needed.
+
+A file is an npz archive of float32 arrays and one JSON text, `policy.json`. Nothing is pickled. The JSON is a tree:
+`{"kind": "Deployed", "inner": {...}, "mean": array, ...}`, where an array is the string `"@name"` of an archive member.
+`deadreckon.policies.save` writes it, `deadreckon.policies.load` reads it back into the package.
+
+    play = load("policy.npz")
+    action = play(observation)
+"""
+
+import json
+import zipfile
+
+import numpy as np
+
+FORMAT = 1
+_ACTIVATIONS = {
+    "relu": lambda x: np.maximum(x, 0.0),
+    "tanh": np.tanh,
+    "swish": lambda x: x / (1.0 + np.exp(-x)),
+    "softplus": lambda x: np.logaddexp(x, 0.0),
+}
+_LOG_STD = (-5.0, 2.0)
+_LATENT_CLIP = 0.5
+
+
+def read(path):
+    """The JSON tree and the arrays of a policy file; ValueError in one line if it is none."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        tree = json.loads(arrays.pop("policy.json").tobytes())
+        if tree["format"] != FORMAT:
+            raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
+        return tree, arrays
+    except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not a whole policy file: {error}") from error
+
+
+def load(path):
+    """A `NumpyPolicy` from a file."""
+    tree, arrays = read(path)
+    return NumpyPolicy(tree, arrays)
+
+
+class NumpyPolicy:
+    """Acts by numpy alone. `policy(observations)` gives greedy actions for one observation or a batch."""
+
+    def __init__(self, tree, arrays):
+        self.tree, self.arrays = tree["policy"], arrays
+
+    def __call__(self, observations, rng=None, greedy=True):
+        """Actions in the environment's bounds; `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed."""
+        x = np.asarray(observations, np.float32)
+        rng = rng or np.random.default_rng(0)
+        batch = x if x.ndim > 1 else x[None]
+        get = self._array
+        if self.tree["mean"] is not None:
+            batch = (batch - get(self.tree["mean"])) / get(self.tree["std"])
+        unit = np.tanh(self._pre(self.tree["inner"], batch, rng, greedy, ()))
+        low, high = get(self.tree["low"]), get(self.tree["high"])
+        action = (low + 0.5 * (unit + 1.0) * (high - low)).astype(np.float32)
+        return action if x.ndim > 1 else action[0]
+
+    def _array(self, reference):
+        return self.arrays[reference[1:]]
+
+    def _net(self, net, x):
+        last = len(net["weights"]) - 1
+        for i, (w, b) in enumerate(zip(net["weights"], net["biases"])):
+            x = x @ self._array(w) + self._array(b)
+            if i < last:
+                x = _ACTIVATIONS[net["activation"]](x)
+        return x
+
+    def _pre(self, node, x, rng, greedy, count):
+        """Actions before the tanh, (*count, n, size)."""
+        kind = node["kind"]
+        if kind == "Deterministic":
+            out = self._net(node["net"], x)
+            return np.broadcast_to(out, (*count, *out.shape))
+        if kind == "TanhGaussian":
+            mean, log_std = np.split(self._net(node["net"], x), 2, -1)
+            if greedy:
+                return np.broadcast_to(mean, (*count, *mean.shape))
+            noise = rng.standard_normal((*count, *mean.shape), np.float32)
+            return mean + np.exp(np.clip(log_std, *_LOG_STD)) * noise
+        if kind == "VAEDecoder":
+            decoder = node["vae"]["decoder"]
+            shape = (*count, len(x), self._array(decoder["weights"][0]).shape[0] - x.shape[-1])
+            z = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
+            z = np.clip(z, -_LATENT_CLIP, _LATENT_CLIP)
+            return self._net(decoder, np.concatenate([np.broadcast_to(x, (*shape[:-1], x.shape[-1])), z], -1))
+        if kind == "GreedyQ":
+            pre = self._pre(node["actor"], x, rng, False, (node["samples"], *count))
+            state = np.broadcast_to(x, (*pre.shape[:-1], x.shape[-1]))
+            q = self._net(node["critic"], np.concatenate([state, np.tanh(pre)], -1))[..., 0]
+            return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
+        raise ValueError(f"unknown kind of policy {kind!r}")

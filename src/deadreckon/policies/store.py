@@ -1,0 +1,84 @@
+"""Policies to files and back; the format is that of `policies.portable`."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.files import replacing
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.vae import VAE
+from deadreckon.policies import portable
+from deadreckon.policies.policy import Deployed, Deterministic, GreedyQ, TanhGaussian, VAEDecoder
+
+# The only classes that a file can name: reading one runs no code of the file's choosing.
+_KINDS = {kind.__name__: kind for kind in (Deployed, Deterministic, TanhGaussian, VAEDecoder, GreedyQ, MLP, VAE)}
+
+
+def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None) -> None:
+    """Writes a policy as arrays and JSON, atomically.
+
+    Args:
+        path: ends in `.npz`.
+        policy: as an agent gives it.
+        meta: JSON values to keep beside it (agent, data, scores, ...).
+    """
+    arrays: dict[str, np.ndarray] = {}
+
+    def encode(value: Any, name: str) -> Any:
+        if dataclasses.is_dataclass(value):
+            fields = {f.name: encode(getattr(value, f.name), f"{name}.{f.name}") for f in dataclasses.fields(value)}
+            return {"kind": type(value).__name__, **fields}
+        if isinstance(value, tuple):
+            return [encode(v, f"{name}.{i}") for i, v in enumerate(value)]
+        if hasattr(value, "shape"):
+            arrays[name] = np.asarray(value)
+            return f"@{name}"
+        return value
+
+    tree = {"format": portable.FORMAT, "meta": meta or {}, "policy": encode(policy, "policy")}
+    text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **{"policy.json": text}, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def load(path: Path | str) -> Deployed:
+    """Reads a policy file.
+
+    Raises:
+        UserError: the file is missing, broken or no policy file.
+    """
+    if not Path(path).exists():
+        raise UserError(f"no file {path}")
+    try:
+        tree, arrays = portable.read(path)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+    def decode(value: Any) -> Any:
+        if isinstance(value, dict):
+            if value.get("kind") not in _KINDS:
+                raise UserError(f"{path} names an unknown kind of policy {value.get('kind')!r}")
+            return _KINDS[value["kind"]](**{k: decode(v) for k, v in value.items() if k != "kind"})
+        if isinstance(value, list):
+            return tuple(decode(v) for v in value)
+        if isinstance(value, str) and value.startswith("@"):
+            return jnp.asarray(arrays[value[1:]])
+        return value
+
+    try:
+        policy = decode(tree["policy"])
+    except (KeyError, TypeError) as error:
+        raise UserError(f"{path} is not a whole policy file: {error}") from error
+    if not isinstance(policy, Deployed):
+        raise UserError(f"{path} does not hold a policy")
+    return policy
+
+
+def meta(path: Path | str) -> dict[str, Any]:
+    """The JSON values kept beside a saved policy."""
+    return portable.read(path)[0]["meta"]

@@ -1,0 +1,90 @@
+"""What the log and the critics say of a policy, without a simulator."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data.batch import Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.policies.policy import Deployed, Step
+
+SAMPLE = 1024  # logged rows that policies are compared on
+
+
+def two_sample_mmd(x: Float[Array, "n d"], y: Float[Array, "m d"], variance: Any) -> Float[Array, ""]:
+    """Root of the unbiased Gaussian-kernel MMD^2 between two samples, zero where the estimate is negative (Gretton 2012)."""
+
+    def mean(a: Array, b: Array, same: bool) -> Array:
+        squared = jnp.square(a).sum(-1)[:, None] + jnp.square(b).sum(-1)[None] - 2.0 * a @ b.T
+        k = jnp.exp(-jnp.maximum(squared, 0.0) / (2.0 * variance))
+        if not same:
+            return k.mean()
+        n = len(a)
+        return (k.sum() - jnp.trace(k)) / (n * (n - 1))
+
+    return jnp.sqrt(jnp.maximum(mean(x, x, True) + mean(y, y, True) - 2.0 * mean(x, y, False), 0.0))
+
+
+class LogProbe:
+    """A fixed sample of the log on which policies are compared with what was logged.
+
+    `mmd_to_data`: two-sample MMD between (state, logged action) and (state, policy's action), states standardised, actions
+    in [-1, 1], the kernel's variance the median squared distance; two disjoint halves of the sample, so that a perfect
+    copy gives about zero. `outside_range`: share of the policy's actions beyond the range of the log in some dimension.
+    """
+
+    def __init__(self, log: Dataset, seed: int = 0):
+        rng = np.random.default_rng(seed)
+        rows = np.sort(rng.choice(len(log), min(SAMPLE, len(log)), replace=False))
+        rng.shuffle(rows)
+        self.observations = np.asarray(log.observations[rows], np.float32)
+        statistics = log.spec.observation
+        states = (self.observations - statistics.mean) / (statistics.std + 1e-6)
+        self.states = states.reshape(len(rows), -1).astype(np.float32)
+        self.range = log.spec.actions.min - 1e-5, log.spec.actions.max + 1e-5
+        span = np.maximum(log.spec.actions.max - log.spec.actions.min, 1e-6)
+        self.scale = lambda a: ((a - log.spec.actions.min) / span * 2.0 - 1.0).astype(np.float32)
+        half = len(rows) // 2
+        self.logged = np.concatenate([self.states, self.scale(np.asarray(log.actions[rows]))], -1)[:half]
+        pairs = np.square(self.logged[: half // 2] - self.logged[half // 2 : 2 * (half // 2)]).sum(-1)
+        self.variance = float(np.median(pairs)) if len(pairs) else 1.0
+        self.half = half
+
+    def __call__(self, policy: Deployed, seed: int = 0) -> dict[str, float]:
+        """The two measures of one policy, its actions drawn, not greedy."""
+        actions = np.asarray(_draw(policy, jnp.asarray(self.observations), jnp.uint32(seed)))
+        outside = ((actions < self.range[0]) | (actions > self.range[1])).any(1).mean()
+        drawn = np.concatenate([self.states, self.scale(actions)], -1)[self.half :]
+        return {"mmd_to_data": float(two_sample_mmd(self.logged, drawn, max(self.variance, 1e-6))),
+                "outside_range": float(outside)}  # fmt: skip
+
+
+@eqx.filter_jit
+def _draw(policy: Deployed, observations: Array, seed: Array) -> Array:
+    step = Step(observations, jnp.zeros(len(observations)), jnp.zeros(len(observations), bool))
+    return policy.act(step, (), jax.random.key(seed), greedy=False)[0]
+
+
+@eqx.filter_jit
+def _q(agent: Agent, states: Any, observations: Array, actions: Array) -> Array | None:
+    return eqx.filter_vmap(lambda state, o, a: agent.q_value(state, o, a), in_axes=(0, 0, 0))(states, observations, actions)
+
+
+def estimated_values(agent: Agent, states: Any, rows: Rows, policies: list[Deployed], starts: np.ndarray) -> np.ndarray | None:
+    """(lanes, episodes) the agent's Q at initial observations and its policies' own actions; None if it has no critic."""
+    raw = jnp.asarray(starts)
+    actions = jnp.stack([_draw_greedy(policy, raw) for policy in policies])
+    seen = jnp.broadcast_to(rows.view.observe(raw), (len(policies), *raw.shape))
+    q = _q(agent, states, seen, rows.view.to_unit(actions))
+    return None if q is None else np.asarray(q)
+
+
+@eqx.filter_jit
+def _draw_greedy(policy: Deployed, observations: Array) -> Array:
+    step = Step(observations, jnp.zeros(len(observations)), jnp.ones(len(observations), bool))
+    return policy.act(step, (), jax.random.fold_in(jax.random.key(0), 0), greedy=True)[0]

@@ -1,0 +1,202 @@
+"""Policies in a simulator: returns per episode, scores, intervals, and what the thesis asks of a critic."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.policies.policy import Deployed, Policy, Step
+from deadreckon.policies.store import load
+from deadreckon.tasks.registry import task as find_task
+from deadreckon.tasks.task import Simulator, Task
+
+RESAMPLES = 2000  # of the bootstrap
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean with its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:.1f} [{self.low:.1f}, {self.high:.1f}]"
+
+
+def bootstrap(values: np.ndarray, seed: int = 0) -> Interval:
+    """Mean and 95 % percentile bootstrap over the last axis; with two axes (policies, episodes) policies are redrawn too.
+
+    Redrawing policies first and their episodes second keeps the spread between seeds in the interval.
+    """
+    values = np.atleast_2d(np.asarray(values, np.float64))
+    rng = np.random.default_rng(seed)
+    policies, episodes = values.shape
+    who = rng.integers(0, policies, (RESAMPLES, policies, 1))
+    which = rng.integers(0, episodes, (RESAMPLES, policies, episodes))
+    means = values[who, which].mean((1, 2))
+    low, high = np.percentile(means, [2.5, 97.5])
+    return Interval(float(values.mean()), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What some policies did in a task.
+
+    Attributes:
+        task: where.
+        returns: (policies, episodes) undiscounted.
+        discounted: (policies, episodes) with `discount`.
+        lengths: (policies, episodes) steps.
+        discount: of `discounted`.
+        names: one a policy.
+        trajectories: (policies, recorded, horizon + 1, *shape) observations of the first episodes; NaN after an end.
+    """
+
+    task: Task
+    returns: np.ndarray
+    discounted: np.ndarray
+    lengths: np.ndarray
+    discount: float
+    names: tuple[str, ...]
+    trajectories: np.ndarray | None = field(default=None, repr=False)
+
+    @property
+    def scores(self) -> np.ndarray:
+        """(policies, episodes) on the scale where random is 0 and the expert 100."""
+        return self.task.reference.normalise(self.returns)
+
+    def score(self, policy: int | None = None) -> Interval:
+        """Normalised score of one policy, or of all of them together, with its interval."""
+        return bootstrap(self.scores if policy is None else self.scores[policy])
+
+    def __str__(self) -> str:
+        lines = [f"{self.task.name}: {self.returns.shape[1]} episodes a policy, 95 % bootstrap intervals"]
+        width = max(map(len, self.names))
+        for i, name in enumerate(self.names):
+            lines.append(f"  {name:<{width}}  return {bootstrap(self.returns[i])}   score {self.score(i)}")
+        if len(self.names) > 1:
+            lines.append(f"  {'all':<{width}}  return {bootstrap(self.returns)}   score {self.score()}")
+        return "\n".join(lines)
+
+
+def episode_seeds(seed: int, episodes: int) -> list[int]:
+    """Seeds of the episodes; episode `i` starts the same way for every policy, however many there are."""
+    return [int(np.random.SeedSequence([seed, i]).generate_state(1)[0]) for i in range(episodes)]
+
+
+@eqx.filter_jit
+def _act(stacked: Deployed, step: Step, seed: jax.Array, t: jax.Array, greedy: bool) -> jax.Array:
+    # Every policy gets the same key: what one policy draws does not depend on how many are judged beside it.
+    key = jax.random.fold_in(jax.random.key(seed), t)
+    return jax.vmap(lambda p, s: p.act(s, (), key, greedy=greedy)[0])(stacked, step)
+
+
+class _Actors:
+    """Several policies as one function of (policies, n, *shape) observations; alike networks act as one program."""
+
+    def __init__(self, policies: Sequence[Any], n: int, seed: int, greedy: bool):
+        self.policies, self.seed, self.greedy = policies, seed, greedy
+        self.groups: list[tuple[list[int], Any]] = []
+        self.others: dict[int, Any] = {}
+        alike: dict[Any, list[int]] = {}
+        for i, policy in enumerate(policies):
+            if isinstance(policy, Deployed):
+                shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(policy))
+                alike.setdefault((jax.tree.structure(policy), shapes), []).append(i)
+            else:
+                self.others[i] = policy.start(n)
+        for members in alike.values():
+            stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policies[i] for i in members))
+            self.groups.append((members, stacked))
+
+    def __call__(self, step: Step, t: int) -> np.ndarray:
+        actions: dict[int, np.ndarray] = {}
+        for members, stacked in self.groups:
+            part = Step(*(np.asarray(x)[members] for x in step))
+            out = np.asarray(_act(stacked, part, jnp.uint32(self.seed), jnp.int32(t), self.greedy))
+            actions |= dict(zip(members, out))
+        for i, carry in self.others.items():
+            own = Step(*(np.asarray(x)[i] for x in step))
+            key = np.random.default_rng([self.seed, t])
+            out, self.others[i] = self.policies[i].act(own, carry, key, greedy=self.greedy)
+            actions[i] = np.asarray(out)
+        return np.stack([actions[i] for i in range(len(self.policies))])
+
+
+def evaluate(
+    policies: Any,
+    task: Task | str,
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    greedy: bool = True,
+    discount: float = 0.99,
+    names: Sequence[str] | None = None,
+    record: int = 0,
+) -> Evaluation:
+    """Runs policies in a task's simulator, all of them and all episodes side by side.
+
+    Args:
+        policies: a `Policy`, a policy file, a Run, or a sequence of these.
+        task: or its name.
+        episodes: for each policy; all policies get the same starts.
+        seed: of starts and draws.
+        greedy: each policy's best guess instead of draws.
+        discount: for the discounted returns.
+        names: shown for the policies.
+        record: episodes of which observations are kept, for pictures.
+
+    Raises:
+        UserError: an unknown task, no episodes, or actions and observations that do not fit.
+    """
+    task = find_task(task) if isinstance(task, str) else task
+    if episodes < 1:
+        raise UserError(f"episodes must be >= 1, got {episodes}")
+    found = list(_policies(policies))
+    if not found:
+        raise UserError("no policy to evaluate")
+    count, copies = len(found), len(found) * episodes
+    simulator: Simulator = task.simulate(episode_seeds(seed, episodes) * count)
+    actors = _Actors(found, episodes, seed, greedy)
+    observations = simulator.reset()
+    shape = (count, episodes)
+    rewards, first = np.zeros(shape), np.ones(shape, bool)
+    returns, discounted, lengths, alive = np.zeros(shape), np.zeros(shape), np.zeros(shape, int), np.ones(shape, bool)
+    recorded = [] if record else None
+    for t in range(task.horizon):
+        seen = observations.reshape(*shape, *observations.shape[1:])
+        if recorded is not None:
+            recorded.append(np.where(alive[:, :record, *[None] * (seen.ndim - 2)], seen[:, :record], np.nan))
+        actions = actors(Step(seen, rewards, first), t)
+        if t == 0 and actions.shape != (*shape, task.action_space.size):
+            raise UserError(f"{task.name} takes actions of size {task.action_space.size}, the policy gave {actions.shape[2:]}")
+        observations, reward, terminal, timeout = simulator.step(actions.reshape(copies, -1))
+        rewards, first = reward.reshape(shape), np.zeros(shape, bool)
+        returns += alive * rewards
+        discounted += alive * rewards * discount**t
+        lengths += alive
+        alive &= ~(terminal | timeout).reshape(shape)
+        if not alive.any():
+            break
+    trajectories = None if recorded is None else np.stack(recorded, 2).astype(np.float32)
+    labels = tuple(names) if names else tuple(f"policy {i}" for i in range(count))
+    return Evaluation(task, returns, discounted, lengths, discount, labels, trajectories)
+
+
+def _policies(given: Any) -> Sequence[Any]:
+    if hasattr(given, "policies"):
+        return given.policies
+    if isinstance(given, (str, bytes)) or hasattr(given, "__fspath__"):
+        return [load(given)]  # pyright: ignore[reportArgumentType]
+    if isinstance(given, Policy):
+        return [given]
+    if isinstance(given, Sequence):
+        return [policy for one in given for policy in _policies(one)]
+    raise UserError(f"policies must be policies, policy files or runs, got {type(given).__name__}")

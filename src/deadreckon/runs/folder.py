@@ -1,0 +1,130 @@
+"""The run folder: one place that knows what lies where, and writes every file whole or not at all.
+
+    run.json            what was asked for (agent, data, task, seeds, steps) and with which versions
+    status.json         updates done, failures, whether it is finished
+    metrics/N.parquet   one immutable part a chunk, N updates done: step, seed, one column a metric
+    checkpoints/N.npz   the newest states, see `training.checkpoint`
+    policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
+    evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
+"""
+
+import contextlib
+import os
+import platform
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from deadreckon.errors import UserError
+from deadreckon.files import read_json, replacing, write_json
+
+
+def versions() -> dict[str, Any]:
+    """What the bits of a run depend on beside its settings."""
+    named = {name: metadata.version(name) for name in ("deadreckon", "jax", "jaxlib", "equinox", "optax", "numpy", "mujoco")}
+    device = jax.devices()[0]
+    return named | {
+        "python": platform.python_version(),
+        "platform": f"{sys.platform} {platform.machine()}",
+        "device": f"{device.platform} {device.device_kind}",
+        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+    }
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Paths and files of one run."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        """What was asked for."""
+        return self.path / "run.json"
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of the states."""
+        return self.path / "checkpoints"
+
+    def policy(self, seed: int, step: int | None = None) -> Path:
+        """The policy of a seed, after `step` updates or at the end."""
+        return self.path / "policies" / (f"seed{seed}.npz" if step is None else f"{step:010d}-seed{seed}.npz")
+
+    def policy_steps(self) -> list[int]:
+        """Updates after which policies were kept, ascending."""
+        names = (re.match(r"(\d+)-seed", p.name) for p in (self.path / "policies").glob("*-seed*.npz"))
+        return sorted({int(m[1]) for m in names if m})
+
+    @property
+    def trajectories(self) -> Path:
+        """Observations of the last policies' first episodes."""
+        return self.path / "evaluations" / "trajectories.npz"
+
+    def part(self, kind: str, step: int) -> Path:
+        """The table of `kind` ("metrics" or "evaluations") written after `step` updates."""
+        return self.path / kind / f"{step:010d}.parquet"
+
+    def write_part(self, kind: str, step: int, columns: dict[str, Any]) -> None:
+        """Writes one immutable part; writing it again after a kill gives the same."""
+        with replacing(self.part(kind, step)) as temporary:
+            pq.write_table(pa.table(columns), temporary)
+
+    def table(self, kind: str) -> pa.Table:
+        """All parts of a kind as one table, in order of steps; empty if there are none."""
+        parts = sorted((self.path / kind).glob("*.parquet"))
+        return pa.concat_tables([pq.read_table(p) for p in parts], promote_options="default") if parts else pa.table({})
+
+    def drop_after(self, step: int) -> None:
+        """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
+        for kind in ("metrics",):
+            for path in (self.path / kind).glob("*.parquet"):
+                if int(path.stem) > step:
+                    path.unlink()
+        for path in self.path.rglob(".*.tmp"):
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+
+    def begin(self, config: dict[str, Any], *, resume: bool) -> list[str]:
+        """Writes run.json, or checks it against what is asked for now.
+
+        Returns:
+            What differs without forbidding a resume: versions and threads, one line each.
+
+        Raises:
+            UserError: the folder holds a run already, another run, or something else.
+        """
+        if not self.config.exists():
+            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+                raise UserError(f"{self.path} exists and is not a run; choose another --out")
+            write_json(self.config, config)
+            return []
+        if not resume:
+            raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
+        before = read_json(self.config)
+        if different := _differences(before, config, ("agent", "data", "task", "seeds", "steps", "evaluation")):
+            raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
+        return [
+            f"{text}: the last bits of the numbers may differ from those of an unbroken run"
+            for text in _differences(before, config, ("versions",))
+        ]
+
+
+def _differences(before: Any, now: Any, keys: Sequence[str], prefix: str = "") -> list[str]:
+    out = []
+    for key in keys:
+        a, b = before.get(key), now.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            inner = [k for k in {**a, **b} if k not in ("path", "created")]
+            out += _differences(a, b, inner, f"{prefix}{key}.")
+        elif a != b:
+            out.append(f"{prefix}{key} was {a}, now {b}")
+    return out

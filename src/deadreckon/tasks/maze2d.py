@@ -1,0 +1,279 @@
+"""Maze2D: a ball that is pushed to a goal in a maze (thesis 7.3), rebuilt on the MuJoCo bindings.
+
+Constants and layouts are D4RL's. Cell (row, column) of a layout is the point x = row, y = column. As in D4RL, the walls stand
+one unit further and the ball's origin 1.2 further, so the middle of a cell's free space is at (row - 0.2, column - 0.2): a
+quirk that is kept because the original logs were recorded in these coordinates.
+
+One difference is known: here and in D4RL's environment the reward of a step looks at the observation after it; in D4RL's
+published *logs* rewards were computed again from the observation before the step, so their columns are one step late.
+"""
+
+import importlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.tasks.task import Reference, Task
+
+RADIUS = 0.1  # of the ball
+OFFSET = 0.2  # a cell's middle lies this much below (row, column), in both coordinates
+REACH = 0.5  # sparse reward within this distance of the goal
+MAX_SPEED = 5.0  # velocities are clipped to this before each step; one seen after it may be larger
+START_NOISE = 0.1  # half-width of the start's uniform position noise, and standard deviation of its velocity
+
+LAYOUTS = {
+    "umaze": "#####/#GOO#/###O#/#OOO#/#####",
+    "medium": "########/#OO##OO#/#OO#OOO#/##OOO###/#OO#OOO#/#O#OO#O#/#OOO#OG#/########",
+    "large": "############/#OOOO#OOOOO#/#O##O#O#O#O#/#OOOOOO#OOO#/#O####O###O#/"
+    "#OO#O#OOOOO#/##O#O#O#O###/#OO#OOO#OGO#/############",
+    "eval-umaze": "#####/#OOG#/#O###/#OOO#/#####",
+    "eval-medium": "########/#OOOOOG#/#O#O##O#/#OOOO#O#/###OO###/#OOOOOO#/#OO##OO#/########",
+    "eval-large": "############/#OO#OOO#OGO#/##O###O#O#O#/#OO#O#OOOOO#/#O##O#OO##O#/"
+    "#OOOOOO#OOO#/#O##O#O#O###/#OOOO#OOOOO#/############",
+}
+
+
+@dataclass(frozen=True)
+class Maze2D(Task):
+    """A Maze2D task. Observations are [x, y, x velocity, y velocity]; actions are two forces; no state is terminal.
+
+    Attributes:
+        layout: rows of the maze from the top, joined by "/": "#" wall, "O" free, "G" the goal (free too).
+        dense: reward exp(-distance to the goal) instead of 1 within 0.5 of it and 0 elsewhere.
+    """
+
+    layout: str = ""
+    dense: bool = False
+
+    def __post_init__(self):
+        rows = self.layout.split("/")
+        # A border that leaks would let the ball roll away for ever.
+        closed = set(rows[0] + rows[-1] + "".join(row[:1] + row[-1:] for row in rows)) == {"#"}
+        if len({len(row) for row in rows}) != 1 or set(self.layout) - set("#OG/") or self.layout.count("G") != 1 or not closed:
+            raise UserError(f"{self.name}: layout needs equal rows of '#', 'O' and one 'G', closed by '#', got {self.layout!r}")
+
+    @cached_property
+    def grid(self) -> np.ndarray:
+        """(rows, columns) bool, True where a cell is free."""
+        return np.array([[cell != "#" for cell in row] for row in self.layout.split("/")])
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """(cells, 2) int row and column of each free cell, which are also its x and y; the goal's is among them."""
+        return np.argwhere(self.grid)
+
+    @cached_property
+    def goal(self) -> np.ndarray:
+        """(2,) float32 position of the goal."""
+        flat = self.layout.replace("/", "").index("G")
+        return np.array(divmod(flat, self.grid.shape[1]), np.float32)
+
+    def walls(self) -> np.ndarray:
+        """(walls, 4) x low, y low, x high, y high of each wall box, in the observations' coordinates, for pictures."""
+        middle = np.argwhere(~self.grid) - OFFSET
+        return np.hstack([middle - 0.5, middle + 0.5])
+
+    def cell_of(self, positions: np.ndarray) -> np.ndarray:
+        """(n,) index into `cells` of the cell that each of (n, 2) positions is in, -1 inside a wall."""
+        row, column = np.rint(positions + OFFSET).astype(int).T
+        return self._index[row, column]
+
+    @cached_property
+    def _index(self) -> np.ndarray:
+        index = np.full(self.grid.shape, -1)
+        index[self.grid] = np.arange(len(self.cells))
+        return index
+
+    def rewards(self, observations: np.ndarray) -> np.ndarray:
+        """(n,) float32 rewards of the steps that led to (n, 4) float32 observations."""
+        away = observations[..., :2] - self.goal
+        distance = np.sqrt(np.square(away[..., 0]) + np.square(away[..., 1]))
+        return np.exp(-distance) if self.dense else (distance <= REACH).astype(np.float32)
+
+    def start(self, generator: np.random.Generator) -> np.ndarray:
+        """(4,) float64 position and velocity of a new episode: any free cell, the goal's too."""
+        cell = self.cells[generator.integers(len(self.cells))]
+        position = cell + generator.uniform(-START_NOISE, START_NOISE, 2)
+        return np.concatenate([position, START_NOISE * generator.standard_normal(2)])
+
+    def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "MazeSimulator":
+        """One copy of the environment for each seed; see `Task.simulate`."""
+        return MazeSimulator(self, seeds, threads)
+
+
+class MazeSimulator:
+    """Copies of one maze, stepped together by MuJoCo's threaded rollout.
+
+    A step is a pure function of (position, velocity, action), because the solver's warm start is off: any number of
+    copies or threads, `Maze2DEnv` and collected logs agree to the bit.
+    """
+
+    def __init__(self, task: Maze2D, seeds: Sequence[int], threads: int | None = None):
+        from mujoco.rollout import Rollout
+
+        mujoco = bindings()
+        self.task = task
+        self._generators = [np.random.default_rng(seed) for seed in _checked(task, seeds, threads)]
+        copies = len(self._generators)
+        # Waking threads costs more than a few copies take.
+        threads = min(threads or len(os.sched_getaffinity(0)), max(1, copies // 16))
+        self._model = model(task.layout)
+        self._data = [mujoco.MjData(self._model) for _ in range(threads)]
+        self._models = [self._model] * copies
+        self._pool = Rollout(nthread=threads if threads > 1 else 0)
+        self._spec = mujoco.mjtState.mjSTATE_CTRL.value
+        # MuJoCo's full state is [time, x, y, x velocity, y velocity]; each step overwrites it in place.
+        self._state = np.zeros((copies, 5))
+        self._moving, self._velocity = self._state[:, 1:], self._state[:, 3:]
+        self._after = self._state[:, None]
+        self._control = np.zeros((copies, 1, 2))
+        self._sensors = np.zeros((copies, 1, 0))
+        self._steps = 0
+        self._never = np.zeros(copies, bool)
+
+    def reset(self) -> np.ndarray:
+        """(copies, 4) float32 observations of new episodes in all copies."""
+        return self.set_state(np.stack([self.task.start(generator) for generator in self._generators]))
+
+    def set_state(self, state: np.ndarray) -> np.ndarray:
+        """Starts episodes in the given (copies, 4) positions and velocities and gives their observations."""
+        self._state[:, 0] = 0.0
+        self._moving[:] = state
+        self._steps = 0
+        return self._moving.astype(np.float32)
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Applies (copies, 2) forces, clipped to ±1; gives observations, rewards, terminals and timeouts."""
+        # Logs hold float32: rounding here makes the replay of a log repeat it.
+        actions = np.asarray(actions, np.float32)
+        if actions.shape != (len(self._state), 2):
+            raise UserError(f"{self.task.name}: actions have shape {actions.shape}, {(len(self._state), 2)} is needed")
+        if not np.isfinite(actions).all():
+            copy = int(np.argwhere(~np.isfinite(actions))[0][0])
+            raise UserError(f"{self.task.name}: the action of copy {copy} is {actions[copy].tolist()}, numbers are needed")
+        observations = self.advance(actions)
+        self._steps += 1
+        timeouts = np.full(len(actions), self._steps >= self.task.horizon)
+        return observations, self.task.rewards(observations), self._never.copy(), timeouts
+
+    def advance(self, actions: np.ndarray) -> np.ndarray:
+        """Physics alone, unchecked and without end: (copies, 2) float32 forces in, (copies, 4) float32 observations out."""
+        control = self._control[:, 0]
+        np.maximum(actions, -1.0, out=control)
+        np.minimum(control, 1.0, out=control)
+        np.maximum(self._velocity, -MAX_SPEED, out=self._velocity)
+        np.minimum(self._velocity, MAX_SPEED, out=self._velocity)
+        self._pool.rollout(
+            self._models, self._data, self._state, self._control, control_spec=self._spec, skip_checks=True, nstep=1,
+            state=self._after, sensordata=self._sensors,
+        )  # fmt: skip
+        return self._moving.astype(np.float32)
+
+
+def _checked(task: Maze2D, seeds: Sequence[int], threads: int | None) -> list[int]:
+    if len(seeds) == 0 or any(seed < 0 for seed in seeds):
+        raise UserError(f"{task.name}: one seed a copy is needed, each 0 or more, got {list(seeds)}")
+    if threads is not None and threads < 1:
+        raise UserError(f"{task.name}: threads must be 1 or more, got {threads}")
+    return [int(seed) for seed in seeds]
+
+
+def bindings() -> Any:
+    """The module `mujoco`, loaded when first needed; untyped, because type checkers cannot see into its compiled part."""
+    return importlib.import_module("mujoco")
+
+
+@lru_cache
+def model(layout: str) -> Any:
+    """The compiled MuJoCo model of a layout, shared by all who step it (they never write to it)."""
+    return bindings().MjModel.from_xml_string(mjcf(layout))
+
+
+def mjcf(layout: str) -> str:
+    """The maze as MuJoCo's XML: a wall box for each "#" and the ball on two slides."""
+    # A contact's margin is the larger or, in other releases, the sum of both bodies': set on the ball alone, it is the same.
+    walls = "\n".join(
+        f'    <geom type="box" size="0.5 0.5 0.5" pos="{row + 1} {column + 1} 0" contype="1" conaffinity="0" condim="1"/>'
+        for row, line in enumerate(layout.split("/"))
+        for column, cell in enumerate(line)
+        if cell == "#"
+    )
+    return f"""<mujoco model="maze2d">
+  <option timestep="0.01" integrator="Euler" gravity="0 0 0" iterations="20"><flag warmstart="disable"/></option>
+  <worldbody>
+{walls}
+    <body name="ball" pos="{1 + OFFSET} {1 + OFFSET} 0">
+      <joint name="x" type="slide" axis="1 0 0" damping="1"/>
+      <joint name="y" type="slide" axis="0 1 0" damping="1"/>
+      <geom type="sphere" size="{RADIUS}" density="1000" margin="0.002" condim="1" contype="0" conaffinity="1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="x" gear="100" ctrllimited="true" ctrlrange="-1 1"/>
+    <motor joint="y" gear="100" ctrllimited="true" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>"""
+
+
+# ---- the tasks --------------------------------------------------------------------------------------------------------
+
+_HORIZONS = {"umaze": 300, "medium": 600, "large": 800}
+
+# Measured on this simulator (MuJoCo 3.11.0, seed 0): mean return of 100 episodes of uniform actions (thesis 7.3; sparse, its
+# standard error is about 4, 3 and 3) and of 1,000 episodes of the planner of `deadreckon.collect` going to the goal and
+# staying there. Made by `python -m deadreckon.collect.references`.
+_MEASURED = {
+    "maze2d-umaze": (28.7800, 224.9790),
+    "maze2d-medium": (21.4200, 431.1520),
+    "maze2d-large": (11.9300, 557.4270),
+    "maze2d-eval-umaze": (37.1500, 221.7260),
+    "maze2d-eval-medium": (22.6400, 444.9030),
+    "maze2d-eval-large": (10.9600, 573.7390),
+    "maze2d-umaze-dense": (73.0153, 236.7739),
+    "maze2d-medium-dense": (45.8601, 445.2628),
+    "maze2d-large-dense": (31.8549, 577.4826),
+    "maze2d-eval-umaze-dense": (75.0714, 233.0478),
+    "maze2d-eval-medium-dense": (57.4565, 456.4030),
+    "maze2d-eval-large-dense": (42.4374, 594.0618),
+}
+
+# D4RL's own, from its published table; the variants that are not there have none.
+_PUBLISHED = {
+    "maze2d-umaze": (23.85, 161.86),
+    "maze2d-umaze-dense": (68.537689, 193.66285642381482),
+    "maze2d-medium": (13.13, 277.39),
+    "maze2d-medium-dense": (44.264742, 297.4552547777125),
+    "maze2d-large": (6.7, 273.99),
+    "maze2d-large-dense": (30.569041, 303.4857382709002),
+}
+
+
+def _make(maze: str, dense: bool) -> Maze2D:
+    name = f"maze2d-{maze}{'-dense' if dense else ''}"
+    size = maze.removeprefix("eval-")
+    title = ("Eval" if maze != size else "") + {"umaze": "UMaze"}.get(size, size.title())
+    random, expert = _MEASURED[name]
+    published = _PUBLISHED.get(name)
+    return Maze2D(
+        name=name,
+        domain="maze2d",
+        horizon=_HORIZONS[size],
+        observation_shape=(4,),
+        action_space=Box((-1.0, -1.0), (1.0, 1.0)),
+        gym_id=f"deadreckon/Maze2D-{title}{'Dense' if dense else ''}-v1",
+        reference=Reference(random, expert, "measured on this simulator: uniform actions, waypoint planner"),
+        published=Reference(*published, "D4RL") if published else None,
+        split="training" if maze == size else "evaluation",
+        summary=f"push a ball to the goal of the {maze} maze; reward " + ("exp(-distance)" if dense else "1 within 0.5 of it"),
+        layout=LAYOUTS[maze],
+        dense=dense,
+    )
+
+
+TASKS = tuple(_make(maze, dense) for dense in (False, True) for maze in LAYOUTS)

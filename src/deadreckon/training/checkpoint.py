@@ -1,0 +1,62 @@
+"""Pytrees of arrays on disk, without pickle, in files that are either whole or absent."""
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.files import replacing
+
+_META = "meta.json"
+
+
+def save_arrays(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
+    """Writes named arrays and JSON values as one npz file, atomically."""
+    text = np.frombuffer(json.dumps(meta).encode(), np.uint8)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **{_META: text}, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def load_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Reads what `save_arrays` wrote.
+
+    Raises:
+        UserError: the file is missing, truncated or of another kind.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        return arrays, json.loads(arrays.pop(_META).tobytes())
+    except FileNotFoundError as error:
+        raise UserError(f"no file {path}") from error
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} is not a whole deadreckon file: {error}") from error
+
+
+def _named(tree: Any) -> dict[str, Any]:
+    return {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]}
+
+
+def save_tree(path: Path, tree: Any, meta: dict[str, Any]) -> None:
+    """Writes a pytree of arrays under the names of its paths."""
+    save_arrays(path, {name: np.asarray(leaf) for name, leaf in jax.device_get(_named(tree)).items()}, meta)
+
+
+def load_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
+    """Reads a pytree of the same structure, shapes and dtypes as `like`.
+
+    Raises:
+        UserError: the file is broken, or holds something else.
+    """
+    arrays, meta = load_arrays(path)
+    wanted = _named(like)
+    found = {name: (value.shape, value.dtype) for name, value in arrays.items()}
+    expected = {name: (leaf.shape, leaf.dtype) for name, leaf in wanted.items()}
+    if found != expected:
+        name = sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))[0]
+        raise UserError(f"{path} does not fit: {name} is {found.get(name)}, {expected.get(name)} is needed")
+    return jax.tree.unflatten(jax.tree.structure(like), [arrays[name] for name in wanted]), meta

@@ -1,0 +1,415 @@
+"""The one training loop: compiled chunks of updates, checkpoints, resume, and lanes whose numbers go bad.
+
+All randomness is folded from the seed, a purpose and the step, and a chunk's length is an argument of one compiled
+program, so neither the chunk length nor an interruption changes a bit of the result.
+"""
+
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
+from deadreckon.training.checkpoint import load_tree, save_tree
+from deadreckon.training.learner import lift
+
+INIT, DRAW, UPDATE, PREPARE = range(4)  # purposes of randomness
+KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk lies about having written it
+RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
+
+
+class Failure(NamedTuple):
+    """Why a lane stopped: the first metric that was not finite, and the update at which it was seen."""
+
+    metric: str
+    step: int
+
+
+class Progress(NamedTuple):
+    """What `fit` tells after every chunk.
+
+    Attributes:
+        step: updates done.
+        states: (lanes, ...) states.
+        metrics: per name (lanes,) means over the chunk; of a failed lane NaN.
+        failures: per lane None or why it stopped.
+    """
+
+    step: int
+    states: Any
+    metrics: dict[str, np.ndarray]
+    failures: tuple[Failure | None, ...]
+
+
+@dataclass
+class Fitted:
+    """The end of a fit: states with a leading lane axis, per lane None or its failure, and the updates done."""
+
+    states: Any
+    failures: tuple[Failure | None, ...]
+    step: int
+
+    def lane(self, index: int) -> Any:
+        """The state of one lane."""
+        return jax.tree.map(lambda leaf: leaf[index], self.states)
+
+
+class Column(NamedTuple):
+    """Where a batch's field lies in the packed matrix (`start` >= 0) or, for images, that it is its own array."""
+
+    name: str
+    start: int
+    shape: tuple[int, ...]
+    dtype: str
+
+
+def _layout(rows: Rows) -> tuple[Column, ...]:
+    columns, start = [], 0
+    for name, (shape, dtype) in rows.fields.items():
+        packed = dtype != np.uint8
+        columns.append(Column(name, start if packed else -1, tuple(shape), str(dtype)))
+        start += int(np.prod(shape)) if packed else 0
+    return tuple(columns)
+
+
+def _pack(columns: dict[str, np.ndarray], layout: tuple[Column, ...], axes: int) -> dict[str, np.ndarray]:
+    """Columns as one float32 matrix, so that a batch is one gather; images stay beside it. `axes`: leading index axes."""
+    packed = [columns[c.name] for c in layout if c.start >= 0]
+    lead = packed[0].shape[:axes]
+    out = {"packed": np.concatenate([p.reshape(*lead, -1).astype(np.float32, copy=False) for p in packed], -1)}
+    return out | {c.name: columns[c.name] for c in layout if c.start < 0}
+
+
+def _unpack(taken: dict[str, Array], layout: tuple[Column, ...], axes: int) -> dict[str, Array]:
+    out = {}
+    for c in layout:
+        if c.start < 0:
+            out[c.name] = taken[c.name]
+            continue
+        matrix = taken["packed"]
+        part = matrix[..., c.start : c.start + int(np.prod(c.shape))].reshape(*matrix.shape[:axes], *c.shape)
+        out[c.name] = part.astype(c.dtype)
+    return out
+
+
+class _Plan(NamedTuple):
+    """What shapes the compiled chunk; hashable."""
+
+    layout: tuple[Column, ...]
+    batch_size: int
+    window: int
+    initial: int
+    count: int
+    resident: bool
+
+
+def _draw(plan: _Plan, root: PRNGKeyArray, step: Int[Array, ""]) -> Int[Array, "b *w"]:
+    """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
+    key = jax.random.fold_in(jax.random.fold_in(root, DRAW), step)
+    index = jax.random.randint(key, (plan.batch_size,), 0, plan.count)
+    if plan.window:
+        index = jnp.minimum(index[:, None] + jnp.arange(plan.window), plan.count - 1)
+    return index
+
+
+@eqx.filter_jit
+def _indices(plan: _Plan, roots: PRNGKeyArray, start: Int[Array, ""], length: int) -> Int[Array, "t lanes b *w"]:
+    steps = start + jnp.arange(length)
+    return jax.vmap(lambda step: jax.vmap(lambda root: _draw(plan, root, step))(roots))(steps)
+
+
+def _batch(plan: _Plan, taken: dict[str, Array], initial: Array | None, root: PRNGKeyArray, step: Array) -> Batch:
+    fields = _unpack(taken, plan.layout, 2 if plan.window else 1)
+    if plan.window:
+        left = fields.pop("_left")[:, :1]
+        fields["mask"] = (jnp.arange(plan.window) <= left).astype(jnp.float32)
+    if initial is not None:
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(root, DRAW), step), 1)
+        fields["initial_observation"] = initial[jax.random.randint(key, (plan.initial,), 0, initial.shape[0])]
+    # Keeps the compiler from fusing the fetch into the update, whose bits then do not depend on where rows come from.
+    return jax.lax.optimization_barrier(Batch(**fields))
+
+
+@eqx.filter_jit
+def _advance(
+    learner: Any,
+    plan: _Plan,
+    states: Any,
+    data: dict[str, Array],
+    initial: Array | None,
+    roots: PRNGKeyArray,
+    start: Int[Array, ""],
+    stop: Int[Array, ""],
+) -> tuple[Any, dict[str, Float[Array, "lanes"]], dict[str, Int[Array, "lanes"]]]:
+    """Updates `start` .. `stop` - 1 of all lanes as one program.
+
+    The log is an argument, never a closure (that would be compiled in). Nothing is donated: the states from before the
+    chunk are what a failed lane falls back to, and one copy a chunk costs nothing.
+
+    Returns:
+        The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none).
+    """
+    single = roots.shape[0] == 1
+
+    def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, step: Array) -> tuple[Any, dict[str, Array]]:
+        if plan.resident:
+            index = _draw(plan, root, step)
+            fetched = {name: column[index] for name, column in data.items()}
+        batch = _batch(plan, fetched, initial, root, step)
+        key = jax.random.fold_in(jax.random.fold_in(root, UPDATE), step)
+        return learner.update(state, batch, step=step, key=key)
+
+    def all_lanes(states: Any, step: Array) -> tuple[Any, dict[str, Array]]:
+        fetched = None if plan.resident else {name: column[step - start] for name, column in data.items()}
+        if single:  # a lane axis of one would make every product a batched one
+            squeeze = lambda tree: jax.tree.map(lambda x: x[0], tree)  # noqa: E731
+            out = one(squeeze(learner), squeeze(states), roots[0], squeeze(fetched), step)
+            return jax.tree.map(lambda x: x[None], out)
+        return jax.vmap(one, (0, 0, 0, 0, None))(learner, states, roots, fetched, step)
+
+    def body(step: Array, carry: Any) -> Any:
+        states, sums, bad = carry
+        states, metrics = all_lanes(states, step)
+        sums = jax.tree.map(jnp.add, sums, metrics)
+        bad = jax.tree.map(lambda b, m: jnp.where((b < 0) & ~jnp.isfinite(m), step, b), bad, metrics)
+        return states, sums, bad
+
+    shapes = jax.eval_shape(all_lanes, states, start)[1]
+    sums = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    bad = jax.tree.map(lambda s: jnp.full(s.shape, -1, jnp.int32), shapes)
+    states, sums, bad = jax.lax.fori_loop(start, stop, body, (states, sums, bad))
+    count = jnp.maximum(stop - start, 1)
+    return states, jax.tree.map(lambda s: s / count, sums), bad
+
+
+@eqx.filter_jit
+def _init(learner: Any, spec: Spec, roots: PRNGKeyArray) -> Any:
+    one = lambda learner, root: learner.init(spec, jax.random.fold_in(root, INIT))  # noqa: E731
+    return jax.vmap(one)(learner, roots)
+
+
+@jax.jit
+def _finite(states: Any) -> Array:
+    """(lanes,) whether every number of a lane is finite."""
+    flags = [
+        jnp.isfinite(leaf).reshape(leaf.shape[0], -1).all(1)
+        for leaf in jax.tree.leaves(states)
+        if jnp.issubdtype(leaf.dtype, jnp.floating)
+    ]
+    return jnp.stack(flags).all(0)
+
+
+@jax.jit
+def _choose(take_new: Array, new: Any, old: Any) -> Any:
+    return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
+
+
+class _Source:
+    """Rows on the device, or fetched for each chunk while the one before is computed."""
+
+    def __init__(self, rows: Rows, plan: _Plan, chunk: int):
+        self.rows, self.plan, self.chunk = rows, plan, chunk
+        self.resident = None
+        if plan.resident:
+            columns = rows.take(np.arange(rows.count))
+            self.resident = jax.device_put(_pack(columns, plan.layout, 1))
+        self.pool = ThreadPoolExecutor(1)
+        self.ahead: tuple[int, Future] | None = None
+
+    def get(self, roots: PRNGKeyArray, start: int, steps: int) -> dict[str, Any]:
+        if self.resident is not None:
+            return self.resident
+        if self.ahead is not None and self.ahead[0] == start:
+            data = self.ahead[1].result()
+        else:
+            data = self._fetch(roots, start)
+        following = start + self.chunk
+        self.ahead = (following, self.pool.submit(self._fetch, roots, following)) if following < steps else None
+        return data
+
+    def _fetch(self, roots: PRNGKeyArray, start: int) -> dict[str, Any]:
+        # Always a whole chunk of draws, so that one compiled program serves the last, shorter chunk too.
+        index = np.asarray(_indices(self.plan, roots, jnp.int32(start), self.chunk))
+        return _pack(self.rows.take(index), self.plan.layout, index.ndim)
+
+    def close(self) -> None:
+        self.pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _fits(rows: Rows) -> bool:
+    stats = jax.devices()[0].memory_stats()
+    if stats and "bytes_limit" in stats:
+        return rows.nbytes < RESIDENT_SHARE * stats["bytes_limit"]
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return rows.nbytes < RESIDENT_SHARE * memory
+
+
+def _checkpoints(folder: Path) -> list[tuple[int, Path]]:
+    """Step and path of every checkpoint, oldest first."""
+    found = ((re.fullmatch(r"(\d+)\.npz", p.name), p) for p in folder.glob("*.npz"))
+    return sorted((int(m[1]), p) for m, p in found if m)
+
+
+def latest_step(folder: Path) -> int | None:
+    """Updates done by the newest checkpoint in `folder`, or None."""
+    found = _checkpoints(folder)
+    return found[-1][0] if found else None
+
+
+@dataclass
+class Fit:
+    """A fit that can be walked chunk by chunk, stopped anywhere and taken up again.
+
+    Attributes:
+        learners: one a lane, alike in everything but float fields.
+        rows: the log as the learners need it.
+        seeds: one a lane.
+        steps: updates in all.
+        chunk: most updates between two looks from outside; also what a kill can lose.
+        folder: of the checkpoints; None keeps nothing on disk.
+        meta: JSON values stored in each checkpoint.
+        stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
+        stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
+    """
+
+    learners: Sequence[Any]
+    rows: Rows
+    seeds: Sequence[int]
+    steps: int
+    chunk: int = 1000
+    folder: Path | None = None
+    meta: dict[str, Any] = field(default_factory=dict)
+    stream: bool | None = None
+    stops: int = 0
+
+    def __post_init__(self):
+        if self.steps < 1 or self.chunk < 1:
+            raise UserError(f"steps and chunk must be >= 1, got {self.steps} and {self.chunk}")
+        if len(self.learners) != len(self.seeds) or not self.seeds:
+            raise UserError(f"one learner a seed is needed, got {len(self.learners)} and {len(self.seeds)}")
+        needs, spec = self.rows.needs, self.rows.log.spec
+        if any(learner.needs(spec) != needs for learner in self.learners):
+            raise UserError("lanes of one program must need the same batches (discount with n-step rows, standardisation)")
+        if self.stops:
+            self.chunk = min(self.chunk, self.stops)
+        self.learner = lift(self.learners)
+        self.roots = jnp.stack([jax.random.key(seed) for seed in self.seeds])
+        resident = not self.stream if self.stream is not None else _fits(self.rows)
+        self.plan = _Plan(_layout(self.rows), needs.batch_size, needs.window, needs.initial, self.rows.count, resident)
+        initial = self.rows.initial
+        self.initial = None if initial is None else jax.device_put(initial)
+        self.states = _init(self.learner, spec, self.roots)
+        self.failures: tuple[Failure | None, ...] = (None,) * len(self.seeds)
+        self.step = 0
+
+    def resume(self) -> None:
+        """Takes up the newest whole checkpoint in `folder`; a broken one is passed over for the one before it."""
+        found = _checkpoints(self.folder) if self.folder else []
+        problem = None
+        for _, path in reversed(found):
+            try:
+                states, meta = load_tree(path, self.states)
+            except UserError as error:
+                problem = error
+                continue
+            self.states = jax.device_put(states)
+            self.step = int(meta["step"])
+            self.failures = tuple(None if f is None else Failure(*f) for f in meta["failures"])
+            return
+        if problem is not None:
+            raise problem
+
+    def chunks(self) -> Iterator[Progress]:
+        """Walks to the end, giving `Progress` after every chunk. The checkpoint follows when the caller comes back,
+
+        so whatever the caller wrote for this chunk is on disk before it; after a kill it is written again, the same.
+        """
+        source = _Source(self.rows, self.plan, self.chunk)
+        refresh = getattr(self.learners[0], "refresh", 0)
+        prepares = hasattr(self.learners[0], "prepare")
+        try:
+            if self.step == 0:
+                self._save()
+            while self.step < self.steps and not all(self.failures):
+                if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
+                    self._prepare()
+                stop = min(self.step + self.chunk, self.steps)
+                for period in (self.stops, refresh):
+                    if period:
+                        stop = min(stop, (self.step // period + 1) * period)
+                data = source.get(self.roots, self.step, self.steps)
+                bounds = jnp.int32(self.step), jnp.int32(stop)
+                new, means, bad = _advance(self.learner, self.plan, self.states, data, self.initial, self.roots, *bounds)
+                metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
+                self.step = stop
+                yield Progress(stop, self.states, metrics, self.failures)
+                self._save()
+        finally:
+            source.close()
+
+    def _accept(self, new: Any, means: dict[str, Any], bad: dict[str, Any], stop: int) -> dict[str, np.ndarray]:
+        """Takes the new states of the healthy lanes; a failed lane keeps the state from before the chunk."""
+        failures = list(self.failures)
+        finite = np.asarray(_finite(new))
+        for lane, already in enumerate(self.failures):
+            if already is not None:
+                continue
+            seen = [(int(steps[lane]), name) for name, steps in bad.items() if steps[lane] >= 0]
+            if seen:
+                step, name = min(seen)
+                failures[lane] = Failure(name, step)
+            elif not finite[lane]:
+                failures[lane] = Failure("parameters", stop - 1)
+        self.failures = tuple(failures)
+        healthy = np.asarray([f is None for f in failures])
+        self.states = new if healthy.all() else _choose(jnp.asarray(healthy), new, self.states)
+        return {name: np.where(healthy, np.asarray(value, np.float64), np.nan) for name, value in means.items()}
+
+    def _prepare(self) -> None:
+        def inner(learner: Any, steps: int, key: PRNGKeyArray) -> Any:
+            seed = int(jax.random.bits(key, dtype=jnp.uint32))
+            rows = Rows(self.rows.log, learner.needs(self.rows.log.spec))
+            return fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream).lane(0)
+
+        lanes = []
+        for i, learner in enumerate(self.learners):
+            key = jax.random.fold_in(jax.random.fold_in(self.roots[i], PREPARE), self.step)
+            state = jax.tree.map(lambda leaf, i=i: leaf[i], self.states)
+            lanes.append(learner.prepare(state, self.rows, key, inner) if self.failures[i] is None else state)
+        self.states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
+
+    def _save(self) -> None:
+        if self.folder is None:
+            return
+        meta = self.meta | {"step": self.step, "failures": self.failures}
+        save_tree(self.folder / f"{self.step:010d}.npz", self.states, meta)
+        for _, path in _checkpoints(self.folder)[:-KEPT]:
+            path.unlink()
+
+
+def fit(
+    learners: Sequence[Any],
+    rows: Rows,
+    seeds: Sequence[int],
+    steps: int,
+    *,
+    chunk: int = 1000,
+    stream: bool | None = None,
+    on_chunk: Callable[[Progress], None] = lambda progress: None,
+) -> Fitted:
+    """Trains in memory, without a folder; see `Fit` for the arguments."""
+    job = Fit(learners, rows, seeds, steps, chunk=chunk, stream=stream)
+    for progress in job.chunks():
+        on_chunk(progress)
+    return Fitted(job.states, job.failures, job.step)

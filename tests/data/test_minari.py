@@ -1,0 +1,156 @@
+import h5py
+import minari
+import numpy as np
+import pytest
+from gymnasium import spaces
+from minari.data_collector import EpisodeBuffer
+from small_logs import images, make_log, same
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.hdf5 import read_hdf5
+from deadreckon.data.io import read
+from deadreckon.data.minari import read_minari, write_minari
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:minari")
+
+
+@pytest.fixture(autouse=True)
+def root(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    return tmp_path / "minari"
+
+
+def by_minari(log, dataset_id="theirs/maze-v0", goals=False):
+    """`log` written with the minari package alone."""
+    space = spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    buffers = []
+    for index, (start, end) in enumerate(zip(log.starts, log.ends)):
+        rows = slice(start, end + 1)
+        observations = np.concatenate([log.observations[rows], log.final_observations[index : index + 1]])
+        goal = np.full((len(observations), 2), index, np.float32)
+        infos = {"qpos": np.arange(len(observations)), "deep": {"flag": np.ones(len(observations), bool)}}
+        if goals:
+            observations = {"observation": observations, "desired_goal": goal, "achieved_goal": goal + 1}
+        buffers.append(
+            EpisodeBuffer(
+                observations=observations, actions=log.actions[rows], rewards=log.rewards[rows].tolist(),
+                terminations=log.terminals[rows].tolist(), truncations=log.timeouts[rows].tolist(), infos=infos,
+            )  # fmt: skip
+        )
+    goal_space = spaces.Box(-np.inf, np.inf, (2,), np.float32)
+    minari.create_dataset_from_buffers(
+        dataset_id,
+        buffer=buffers,
+        observation_space=spaces.Dict({"observation": space, "desired_goal": goal_space, "achieved_goal": goal_space})
+        if goals
+        else space,
+        action_space=spaces.Box(np.float32([-1, -1]), np.float32([1, 1.5])),
+    )
+
+
+@pytest.mark.parametrize("goals", [False, True])
+def test_minari_and_d4rl_files_of_the_same_data_agree(log, tmp_path, goals):
+    by_minari(log, goals=goals)
+    path = tmp_path / "same.hdf5"
+    with h5py.File(path, "w") as file:
+        for key in ("observations", "next_observations", "actions", "rewards", "terminals", "timeouts"):
+            file.create_dataset(key, data=getattr(log, key), compression="gzip")
+    theirs = read_minari("theirs/maze-v0")
+    d4rl = read_hdf5(path)
+    assert set(theirs.extras) == {"qpos", "deep_flag", *(("desired_goal", "achieved_goal") if goals else ())}
+    for key in ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations", "next_observations"):
+        np.testing.assert_array_equal(getattr(theirs, key), getattr(d4rl, key), err_msg=key)
+        assert getattr(theirs, key).dtype == getattr(d4rl, key).dtype
+    assert theirs.successors is None
+    assert theirs.action_space == Box((-1, -1), (1, 1.5))
+    assert theirs.name == "maze-v0"
+    assert theirs.provenance.extra["dataset_id"] == "theirs/maze-v0"
+    if goals:
+        np.testing.assert_array_equal(theirs.extras["achieved_goal"][:, 0], log.episode_of + 1)
+
+
+def test_a_log_comes_back(root):
+    log = make_log(goal=np.ones((13, 2), np.float32), name="mine@dr1")
+    folder = write_minari(log, "minari:mine/deep/maze-v0")
+    assert folder == root / "mine" / "deep" / "maze-v0"
+    for source in (folder, folder / "data", "mine/deep/maze-v0", "minari:mine/deep/maze-v0"):
+        again = read_minari(source)
+        same(log, again)
+    assert read("minari:mine/deep/maze-v0").fingerprint == read(folder).fingerprint == log.fingerprint
+    assert again.name == "mine@dr1"
+    assert minari.load_dataset("mine/deep/maze-v0").total_steps == 13
+    assert "mine/deep/maze-v0" in minari.list_local_datasets()
+    assert not [path for path in root.iterdir() if path.name.startswith(".")]
+
+
+def test_discrete_actions_and_pictures_come_back():
+    for log in (make_log(discrete=True), images()):
+        write_minari(log, "mine/other-v0", force=True)
+        assert read_minari("mine/other-v0").fingerprint == log.fingerprint
+
+
+def test_actions_that_start_elsewhere_are_counted_from_zero():
+    buffer = EpisodeBuffer(
+        observations=np.zeros((4, 2), np.float32), actions=np.array([3, 5, 4]), rewards=[0.0, 1.0, 2.0],
+        terminations=[False, False, True], truncations=[False] * 3,
+    )  # fmt: skip
+    box = spaces.Box(-1, 1, (2,), np.float32)
+    minari.create_dataset_from_buffers(
+        "theirs/start-v0", buffer=[buffer], observation_space=box, action_space=spaces.Discrete(3, start=3)
+    )
+    log = read_minari("theirs/start-v0")
+    assert log.actions.tolist() == [0, 2, 1]
+    assert log.action_space == Discrete(3)
+
+
+def test_rows_without_successor_are_left_out_when_written():
+    log = make_log((3, 1, 2), terminal=(False,), finals=False)
+    write_minari(log, "mine/short-v0")
+    again = read_minari("mine/short-v0")
+    assert again.lengths.tolist() == [2, 1]
+    assert again.dropped == 0
+    np.testing.assert_array_equal(again.final_observations, log.observations[log.ends[[0, 2]]])
+
+
+def test_what_cannot_be_read_or_written_is_told_in_one_line(log, root, tmp_path):
+    with pytest.raises(UserError, match="holds none"):
+        read_minari("mine/maze-v0")
+    write_minari(log, "mine/maze-v0")
+    with pytest.raises(UserError, match="unknown Minari data set 'mine/mazes-v0': did you mean mine/maze-v0"):
+        read_minari("mine/mazes-v0")
+    with pytest.raises(UserError, match="exists already"):
+        write_minari(log, "mine/maze-v0")
+    for bad in ("no id at all", "mine/../../maze-v0", "/mine/maze-v0"):
+        with pytest.raises(UserError, match="is no Minari id"):
+            write_minari(log, bad)
+    odd = Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards,
+        next_observations=log.observations + 1, timeouts=log.timeouts | log.terminals,
+    )  # fmt: skip
+    with pytest.raises(UserError, match="Minari cannot store it"):
+        write_minari(odd, "mine/odd-v0")
+    main = root / "mine" / "maze-v0" / "data" / "main_data.hdf5"
+    with pytest.raises(UserError, match="the inside of a Minari data set"):
+        read(main)
+    main.write_bytes(main.read_bytes()[:500])
+    with pytest.raises(UserError, match="damaged or cut short") as caught:
+        read_minari("mine/maze-v0")
+    assert "\n" not in str(caught.value)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError, match="no metadata.json"):
+        read_minari(tmp_path / "empty")
+
+
+def test_actions_that_are_neither_box_nor_discrete_are_refused():
+    buffer = EpisodeBuffer(
+        observations=np.zeros((2, 2), np.float32), actions=np.array([[1, 1]]), rewards=[0.0], terminations=[True],
+        truncations=[False],
+    )  # fmt: skip
+    box = spaces.Box(-1, 1, (2,), np.float32)
+    minari.create_dataset_from_buffers(
+        "theirs/multi-v0", buffer=[buffer], observation_space=box, action_space=spaces.MultiDiscrete([2, 2])
+    )
+    with pytest.raises(UserError, match="actions are MultiDiscrete; Box or Discrete is needed"):
+        read_minari("theirs/multi-v0")

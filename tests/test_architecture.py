@@ -1,0 +1,72 @@
+"""What holds the parts apart: imports point one way, and heavy ones wait until they are needed."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from deadreckon._version import __version__
+
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPTS = Path(sysconfig.get_path("scripts"))
+
+
+def python(code: str) -> str:
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def processor_seconds(*command: object) -> float:
+    """User and system time of one run, which other work on the machine does not lengthen as it does the wall time."""
+    process = subprocess.Popen(list(map(str, command)), stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, command
+    return usage.ru_utime + usage.ru_stime
+
+
+def test_imports_point_one_way():
+    result = subprocess.run([SCRIPTS / "lint-imports", "--no-cache"], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("module", ["deadreckon", "deadreckon.cli.main"])
+def test_import_is_light(module):
+    heavy = ["jax", "equinox", "optax", "mujoco", "gymnasium", "minari", "h5py", "pyarrow", "pandas", "scipy", "plotly"]
+    loaded = python(f"import sys, {module}; print(*(name for name in {heavy} if name in sys.modules))").split()
+    assert loaded == []
+
+
+def test_import_does_not_touch_the_compilation_cache():
+    assert python("import jax, deadreckon.nets.mlp; print(jax.config.jax_compilation_cache_dir)").strip() == "None"
+
+
+def test_help_answers_in_half_a_second():
+    seconds = []
+    while len(seconds) < 5 and min(seconds, default=1.0) >= 0.5:
+        seconds.append(processor_seconds(SCRIPTS / "deadreckon", "--help"))
+    assert min(seconds) < 0.5, seconds
+
+
+def test_versions_are_said_once():
+    """constraints.txt is what uv.lock says, and CITATION.cff and CHANGELOG.md know the version."""
+    packages = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
+    locked = {(package["name"], package.get("version")) for package in packages}
+    lines = [line.partition(";")[0].strip() for line in (ROOT / "constraints.txt").read_text().splitlines()]
+    assert len(lines) > 50
+    assert {tuple(line.split("==")) for line in lines} <= locked
+    assert f"version: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_lock_and_constraints_name_public_packages_only():
+    packages = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
+    sources = {str(package["source"]) for package in packages}
+    assert sources == {"{'registry': 'https://pypi.org/simple'}", "{'editable': '.'}"}
+    assert not {"torch", "mujoco-py", "d4rl"} & {package["name"] for package in packages}
