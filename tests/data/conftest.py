@@ -1,6 +1,6 @@
 import pytest
-
 from small_logs import make_log, variants
+
 
 @pytest.fixture
 def log():

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 
-
 # Few examples, so that the whole folder runs in seconds; no deadline, because test machines stall.
 quick = settings(max_examples=25, deadline=None)
 
 
-def make_log(lengths=(3, 5, 1, 4), *, seed=0, terminal=(True, False), discrete=False, finals=True, name="small", **extra: Any) -> Dataset:
+def make_log(
+    lengths=(3, 5, 1, 4), *, seed=0, terminal=(True, False), discrete=False, finals=True, name="small", **extra: Any
+) -> Dataset:
     """Episodes of `lengths`; `terminal` says in turn which end in a terminal, the others in a timeout."""
     rng = np.random.default_rng(seed)
     rows = sum(lengths)

@@ -5,7 +5,7 @@ from small_logs import images, make_log, same
 
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.hdf5 import create, read_hdf5, write_hdf5
-from deadreckon.data.io import read
+from deadreckon.data.io import convert, read
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 
@@ -65,9 +65,7 @@ def test_our_columns_are_contiguous_float32_at_their_offset(log, tmp_path):
 
 def test_provenance_comes_back(log, tmp_path):
     provenance = Provenance("collected", "maze", 3, {"mujoco": "3.11.0"}, None, {"cells": [1, 2]})
-    log = Dataset.from_arrays(
-        observations=log.observations, actions=log.actions, rewards=log.rewards, provenance=provenance
-    )
+    log = Dataset.from_arrays(observations=log.observations, actions=log.actions, rewards=log.rewards, provenance=provenance)
     write_hdf5(log, tmp_path / "log.hdf5")
     again = read_hdf5(tmp_path / "log.hdf5").provenance
     assert again.path == str(tmp_path / "log.hdf5")
@@ -101,6 +99,20 @@ def test_compressed_columns_are_not_memory_mapped(log, tmp_path, options):
         read_hdf5(path, mmap=True)
 
 
+def test_compressed_files_are_converted_without_being_loaded(log, tmp_path, monkeypatch):
+    path = d4rl_file(tmp_path / "log.hdf5", log, compression="gzip", following=True)
+    whole = read_hdf5(path)
+    converted = convert(path, tmp_path / "ours.hdf5")
+    assert isinstance(converted.observations, np.memmap)
+    assert read_hdf5(tmp_path / "ours.hdf5", mmap=True).fingerprint == whole.fingerprint
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.hdf5", "ours.hdf5"]
+    with h5py.File(path, "a") as file:
+        file["rewards"][4] = 1e300
+    with pytest.raises(UserError, match=r"column rewards has inf in row 4"):
+        convert(path, tmp_path / "other.hdf5")
+    assert not (tmp_path / "other.hdf5").exists()
+
+
 def test_columns_that_would_be_converted_are_not_memory_mapped(log, tmp_path):
     with pytest.raises(UserError, match="column rewards holds float64, so it cannot be memory-mapped"):
         read_hdf5(d4rl_file(tmp_path / "log.hdf5", log), mmap=True)
@@ -127,14 +139,17 @@ def test_streamed_writing(tmp_path):
 
 def test_streamed_writing_that_fails_leaves_nothing(tmp_path):
     columns = {"actions": ((2,), "f4"), "terminals": ((), bool), "timeouts": ((), bool)}
-    with pytest.raises(UserError, match="1 final observations for 2 episodes"):  # noqa: SIM117
+
+    def fill(column):
         with create(tmp_path / "log.hdf5", rows=3, columns=columns) as writer:
-            writer["terminals"][:] = [True, False, False]
+            writer[column][:] = [True, False, False]
             writer["timeouts"][:] = False
             writer.write_finals(np.zeros((1, 3)))
-    with pytest.raises(KeyError, match="rewards"):  # noqa: SIM117
-        with create(tmp_path / "log.hdf5", rows=3, columns=columns) as writer:
-            writer["rewards"][:] = 1
+
+    with pytest.raises(UserError, match="1 final observations for 2 episodes"):
+        fill("terminals")
+    with pytest.raises(KeyError, match="rewards"):
+        fill("rewards")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -167,6 +182,19 @@ def test_wrong_columns_name_file_column_and_row(log, tmp_path):
         read_hdf5(path)
 
 
+def test_texts_are_left_out_and_dones_must_be_said_what_they_are(log, tmp_path):
+    path = d4rl_file(tmp_path / "log.hdf5", log)
+    with h5py.File(path, "a") as file:
+        file["infos/comment"] = [b"well"] * len(log)
+    found = read_hdf5(path)
+    assert "comment" not in found.extras
+    assert found.provenance.extra["left_out"] == ["infos/comment"]
+    with h5py.File(path, "a") as file:
+        file.move("terminals", "dones")
+    with pytest.raises(UserError, match=f"^{path}: column dones must be called terminals"):
+        read_hdf5(path)
+
+
 def test_a_newer_format_and_a_damaged_header_are_refused(log, tmp_path):
     path = tmp_path / "log.hdf5"
     write_hdf5(log, path)
@@ -184,5 +212,5 @@ def test_strict_refuses_actions_out_of_bounds(tmp_path):
     )  # fmt: skip
     write_hdf5(log, tmp_path / "log.hdf5")
     assert "out of bounds" in read_hdf5(tmp_path / "log.hdf5").warnings[0]
-    with pytest.raises(UserError, match="log.hdf5: 1 of 3 rows .* first row 1"):
+    with pytest.raises(UserError, match=r"log.hdf5: 1 of 3 rows .* first row 1"):
         read_hdf5(tmp_path / "log.hdf5", strict=True)

@@ -35,9 +35,13 @@ def by_minari(log, dataset_id="theirs/maze-v0", goals=False):
             observations = {"observation": observations, "desired_goal": goal, "achieved_goal": goal + 1}
         buffers.append(
             EpisodeBuffer(
-                observations=observations, actions=log.actions[rows], rewards=log.rewards[rows].tolist(),
-                terminations=log.terminals[rows].tolist(), truncations=log.timeouts[rows].tolist(), infos=infos,
-            )  # fmt: skip
+                observations=observations,
+                actions=log.actions[rows],
+                rewards=log.rewards[rows].tolist(),
+                terminations=log.terminals[rows].tolist(),
+                truncations=log.timeouts[rows].tolist(),
+                infos=infos,
+            )
         )
     goal_space = spaces.Box(-np.inf, np.inf, (2,), np.float32)
     minari.create_dataset_from_buffers(
@@ -122,7 +126,10 @@ def test_what_cannot_be_read_or_written_is_told_in_one_line(log, root, tmp_path)
         read_minari("mine/mazes-v0")
     with pytest.raises(UserError, match="exists already"):
         write_minari(log, "mine/maze-v0")
-    for bad in ("no id at all", "mine/../../maze-v0", "/mine/maze-v0"):
+    (root / "mine" / "photos-v0").mkdir()
+    with pytest.raises(UserError, match="holds no Minari data set, so it is not replaced"):
+        write_minari(log, "mine/photos-v0", force=True)
+    for bad in ("no id at all", "mine", "mine/maze", "mine/../../maze-v0", "/mine/maze-v0"):
         with pytest.raises(UserError, match="is no Minari id"):
             write_minari(log, bad)
     odd = Dataset.from_arrays(
@@ -139,7 +146,7 @@ def test_what_cannot_be_read_or_written_is_told_in_one_line(log, root, tmp_path)
         read_minari("mine/maze-v0")
     assert "\n" not in str(caught.value)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UserError, match="no metadata.json"):
+    with pytest.raises(UserError, match=r"no metadata\.json"):
         read_minari(tmp_path / "empty")
 
 

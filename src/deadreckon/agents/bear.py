@@ -83,10 +83,9 @@ class BEAR(Agent):
     def resolve(self, spec, steps):
         """Fills in threshold, warm start and the behaviour model's width."""
         agent = super().resolve(spec, steps)
-        if self.constraint != "mmd" or self.density_weighting:
-            if self.behavior != "gaussian":
-                name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
-                raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
+        if (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian":
+            name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
+            raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
         if min(self.critics, self.target_samples, self.actor_samples, self.policy_samples, self.behavior_samples) < 1:
             raise UserError("BEAR's numbers of critics and samples must be >= 1")
         if self.actor_samples > self.policy_samples:
@@ -107,7 +106,9 @@ class BEAR(Agent):
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
         model = models.create(self.behavior, spec, self.behavior_hidden or self.hidden, kb)
-        log_multiplier, log_temperature = jnp.log(jnp.asarray(self.multiplier)), jnp.log(jnp.asarray(self.temperature))
+        # A multiplier of zero is the unconstrained actor; its logarithm must stay finite to be a healthy state.
+        log_multiplier = jnp.log(jnp.maximum(self.multiplier, 1e-30))
+        log_temperature = jnp.log(jnp.asarray(self.temperature))
         trained = {"actor": actor, "critics": critics, "behavior": model, "multiplier": log_multiplier,
                    "temperature": log_temperature}  # fmt: skip
         opts = {name: ADAM.init(part) for name, part in trained.items()}

@@ -105,9 +105,10 @@ class Pursuit:
             self._goal[who] = task.cell_of(task.goal[None])
             self.target[who] = task.goal
         else:
-            goal = self._generator.integers(len(task.cells), size=len(who))
+            draws = self._generator.random((len(who), 3))
+            goal = (draws[:, 0] * len(task.cells)).astype(int)
             self._goal[who] = goal
-            self.target[who] = task.cells[goal] + (self._generator.random((len(who), 2)) * 2 - 1) * START_NOISE
+            self.target[who] = task.cells[goal] + (draws[:, 1:] * 2 - 1) * START_NOISE
 
     def _head_on(self, who: np.ndarray) -> None:
         """Sets the next waypoint: a point about the next cell's middle or, in the last cell, the target itself."""

@@ -146,9 +146,7 @@ class Dataset:
             final, known = _observation_column(name, "final_observations", final_observations), np.ones(len(last), bool)
             if final.shape != (len(last), *observations.shape[1:]):
                 want = (len(last), *observations.shape[1:])
-                raise UserError(
-                    f"{name}: final_observations have shape {final.shape}, {want} is needed, one an episode"
-                )
+                raise UserError(f"{name}: final_observations have shape {final.shape}, {want} is needed, one an episode")
             _check_numbers(name, "final_observations", final)
             if final_known is not None:
                 known = _flag(name, "final_known", final_known)

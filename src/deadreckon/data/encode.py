@@ -130,7 +130,7 @@ def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
 
 def is_category(kind: pa.DataType) -> bool:
     """Whether a column's values are levels: texts, categories, truth values."""
-    texts = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
+    texts = (pa.types.is_string, pa.types.is_large_string)
     return pa.types.is_dictionary(kind) or pa.types.is_boolean(kind) or any(test(kind) for test in texts)
 
 
@@ -160,6 +160,8 @@ def _flat(table: pa.Table, column: str) -> Any:
     values = table.column(column)
     if pa.types.is_dictionary(values.type):
         values = values.unify_dictionaries()
+    elif pa.types.is_string_view(values.type):  # polars'; pyarrow cannot sort them yet
+        values = values.cast(pa.large_string())
     return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
 
 

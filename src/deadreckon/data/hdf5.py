@@ -31,17 +31,27 @@ _HEADER = "deadreckon"  # attribute that holds the header as JSON
 _RENAMED = {"infos/action_log_probs": "behavior_log_probs"}
 
 
-def read_hdf5(path: Path | str, *, mmap: bool = False, strict: bool = False, name: str | None = None) -> Dataset:
+def read_hdf5(
+    path: Path | str,
+    *,
+    mmap: bool = False,
+    strict: bool = False,
+    name: str | None = None,
+    scratch: Path | str | None = None,
+) -> Dataset:
     """Reads a D4RL-layout hdf5 file, ours or anybody's.
 
     `infos/*` and further columns with as many rows become extras (`infos/goal` is `goal`); `metadata/*` that is text
-    or a single number goes to the provenance, arrays there (such as policy weights) are left.
+    or a single number goes to the provenance,
+    arrays there (such as policy weights) are left. Columns of texts are left out, and named in the provenance.
 
     Args:
         path: of the file.
         mmap: memory-map the columns; needs contiguous uncompressed float32, which is what `write_hdf5` writes.
         strict: refuse actions out of bounds.
         name: of the log; what the file says, else the file's name, if absent.
+        scratch: a folder that takes copies of columns that cannot be memory-mapped, block by block, so that any file is
+            read without being in memory as a whole.
 
     Raises:
         UserError: one line: not an hdf5 file, cut short, columns missing or wrong, or not to be memory-mapped.
@@ -53,16 +63,20 @@ def read_hdf5(path: Path | str, *, mmap: bool = False, strict: bool = False, nam
         rows = _rows(path, file)
         columns: dict[str, Any] = {}
         metadata: dict[str, Any] = {}
+        left_out: list[str] = []
         for key, dataset in _leaves(file):
             if key in COLUMNS:
-                columns[key] = _load(path, key, dataset, mmap)
+                columns[key] = _load(path, key, dataset, mmap, scratch)
         for key, dataset in _leaves(file):
             if key.startswith("metadata/"):
                 metadata |= _scalar(key.removeprefix("metadata/"), dataset)
+            elif key not in COLUMNS and dataset.shape[:1] == (rows,) and dataset.dtype.kind not in "fiub":
+                left_out.append(key)
             elif key not in COLUMNS and dataset.shape[:1] == (rows,):
                 extra = _RENAMED.get(key) if about is None else None
-                columns[extra or extra_name(key, columns)] = _load(path, key, dataset, mmap)
-    extra = {"metadata": metadata} if metadata else {}
+                columns[extra or extra_name(key, columns)] = _load(path, key, dataset, mmap, scratch)
+    found = {"metadata": metadata, "left_out": left_out}
+    extra = {key: value for key, value in found.items() if value}
     return build(path, columns, about, source="d4rl-hdf5", name=name, extra=extra, strict=strict)
 
 
@@ -186,18 +200,39 @@ def _rows(path: Path | str, file: h5py.File) -> int:
     return len(actions)
 
 
-def _load(path: Path | str, key: str, dataset: h5py.Dataset, mmap: bool) -> np.ndarray:
+def _load(path: Path | str, key: str, dataset: h5py.Dataset, mmap: bool, scratch: Path | str | None) -> np.ndarray:
     if not mmap:
         return dataset[()]
+    obstacle = None
     if dataset.chunks is not None or dataset.compression is not None:
-        raise refuse_mmap(path, f"column {key} is stored in chunks or compressed")
-    # Anything that would have to be converted would be loaded whole, which is not what was asked for.
-    if key in COLUMNS and dataset.dtype not in (np.float32, np.uint8, np.int32, np.bool_):
-        raise refuse_mmap(path, f"column {key} holds {dataset.dtype}")
+        obstacle = "is stored in chunks or compressed"
+    elif key in COLUMNS and dataset.dtype not in (np.float32, np.uint8, np.int32, np.bool_):
+        # Anything that would have to be converted would be loaded whole, which is not what was asked for.
+        obstacle = f"holds {dataset.dtype}"
+    if obstacle and scratch is None:
+        raise refuse_mmap(path, f"column {key} {obstacle}")
+    if obstacle:
+        if dataset.ndim == 0 or dataset.size == 0:
+            return dataset[()]
+        return _copied(dataset, Path(scratch or "") / key.replace("/", "_"), key in COLUMNS)
     offset = dataset.id.get_offset()
     if offset is None:  # never written: h5py gives no place for columns without bytes
         return dataset[()]
     return np.memmap(path, dataset.dtype, "r", offset, dataset.shape)
+
+
+def _copied(dataset: h5py.Dataset, place: Path, core: bool) -> np.ndarray:
+    """A memory map of a copy of `dataset` at `place`; float64 becomes float32 in the columns that a log has anyway."""
+    dtype = np.dtype(np.float32) if core and dataset.dtype == np.float64 else dataset.dtype
+    try:
+        with open(place, "wb") as file:  # written, not mapped: a full disk is then an error and not a killed process
+            for start in range(0, len(dataset), _BLOCK):
+                with np.errstate(over="ignore"):  # an infinity is told with its row by the checks that follow
+                    file.write(np.ascontiguousarray(dataset[start : start + _BLOCK], dtype).data)
+    except OSError as error:
+        text = error.strerror or str(error)
+        raise UserError(f"cannot copy column {dataset.name} to {place}: {text}") from error
+    return np.memmap(place, dtype, "r", shape=dataset.shape)
 
 
 def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:

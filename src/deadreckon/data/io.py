@@ -3,6 +3,7 @@
 import gzip
 import pickle
 import shutil
+import tempfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,9 +19,7 @@ FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of dea
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")
 
 
-def read(
-    path: Path | str, *, mmap: bool = False, strict: bool = False, name: str | None = None, **mapping: Any
-) -> Dataset:
+def read(path: Path | str, *, mmap: bool = False, strict: bool = False, name: str | None = None, **mapping: Any) -> Dataset:
     """Reads a log; the format is told by content, not by name.
 
     Args:
@@ -35,9 +34,7 @@ def read(
         UserError: one line with the file, and column and row where they apply.
     """
     kind = sniff(path)
-    given = sorted(key for key, value in mapping.items() if value is not None)
-    if given and kind not in ("parquet", "csv"):
-        raise UserError(f"{path}: {given[0]} names a column of a table, but this is {kind}, which has its own")
+    _no_mapping(path, kind, mapping)
     if mmap and kind not in ("hdf5", "folder"):
         raise refuse_mmap(path, f"{kind} is not stored column by column")
     options: dict[str, Any] = {"strict": strict, "name": name}
@@ -75,10 +72,11 @@ def sniff(path: Path | str) -> str:
         if (path / "metadata.json").is_file() or (path / "data" / "metadata.json").is_file():
             return "minari"
         raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
+    packed = False
     try:
         with open(path, "rb") as file:
             head = file.read(4096)
-            if head[:2] == b"\x1f\x8b":
+            if packed := head[:2] == b"\x1f\x8b":
                 file.seek(0)
                 head = gzip.GzipFile(fileobj=file).read(4096)
     except FileNotFoundError as error:
@@ -90,6 +88,8 @@ def sniff(path: Path | str) -> str:
     if not head:
         raise UserError(f"{path}: the file is empty")
     for magic, kind in ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz")):
+        if head.startswith(magic) and packed:
+            raise UserError(f"{path}: a gzipped {kind} file; unpack it first (gunzip)")
         if head.startswith(magic):
             return kind
     if _is_pickle(head):
@@ -99,9 +99,7 @@ def sniff(path: Path | str) -> str:
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
 
 
-def convert(
-    source: Path | str, target: Path | str, *, force: bool = False, strict: bool = False, **mapping: Any
-) -> Dataset:
+def convert(source: Path | str, target: Path | str, *, force: bool = False, strict: bool = False, **mapping: Any) -> Dataset:
     """Reads `source` and writes it as `target`; gives the log.
 
     Args:
@@ -125,8 +123,25 @@ def convert(
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
     kind = sniff(source)
-    log = read(source, mmap=kind == "folder", strict=strict, **mapping)
-    write(log, target, force)
+    if kind != "hdf5":
+        log = read(source, mmap=kind == "folder", strict=strict, **mapping)
+        write(log, target, force)
+        return log
+    from deadreckon.data.hdf5 import read_hdf5
+
+    # A file larger than memory can be converted: its columns go through copies on disk, beside the target because the
+    # system's temporary folder may be in memory, and nobody sees them afterwards.
+    beside = None if str(target).startswith(minaris.PREFIX) else place.parent
+    try:
+        if beside is not None:
+            beside.mkdir(parents=True, exist_ok=True)
+        scratch = tempfile.TemporaryDirectory(prefix=".deadreckon-", dir=beside)
+    except OSError as error:
+        raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+    with scratch as folder:
+        _no_mapping(source, kind, mapping)
+        log = read_hdf5(source, mmap=True, strict=strict, name=mapping.get("name"), scratch=folder)
+        write(log, target, force)
     return log
 
 
@@ -169,9 +184,16 @@ def _write_folder(log: Dataset, path: Path | str, force: bool) -> None:
         raise UserError(f"cannot replace {path}: {error.strerror or error}") from error
 
 
+def _no_mapping(path: Path | str, kind: str, mapping: dict[str, Any]) -> None:
+    """Refuses names of columns for formats whose columns have names of their own."""
+    given = sorted(key for key, value in mapping.items() if value is not None and key != "name")
+    if given and kind not in ("parquet", "csv"):
+        raise UserError(f"{path}: {given[0]} names a column of a table, but this is {kind}, which has its own")
+
+
 def _is_pickle(head: bytes) -> bool:
     """Protocols 2 and up begin with their number; older ones with the text of a list or a dict."""
     if head[:1] == pickle.PROTO and len(head) > 1:
         return head[1] <= pickle.HIGHEST_PROTOCOL
     starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n")
-    return head[:2] in (b"(l", b"(d", b"(i") or head.startswith(starts)
+    return head[:2] in (b"(l", b"(d", b"(i", b"]q", b"}q") or head.startswith(starts)

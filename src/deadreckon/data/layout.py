@@ -68,6 +68,10 @@ def build(
         if key not in columns:
             found = ", ".join(sorted(columns)) or "none"
             raise UserError(f"{path}: no column {key}; {', '.join(NEEDED)} are needed, the file has {found}")
+    # Read as mere extras, these would leave a log without ends: better no log than a wrong one.
+    for key in ("dones", "done", "terminations") if "terminals" not in columns else ():
+        if key in columns:
+            raise UserError(f"{path}: column {key} must be called terminals (the task ended) or timeouts (a time limit)")
     provenance = Provenance(source=source, extra=dict(extra or {}))
     if about is not None:
         if about.get("deadreckon", 0) > FORMAT:

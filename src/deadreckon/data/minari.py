@@ -32,7 +32,7 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
     Args:
         source: its folder, or its id such as `D4RL/pointmaze/umaze-v2` (`minari:` before it is allowed).
         strict: refuse actions out of bounds.
-        name: of the log; the id without `-vN`'s namespace, if absent.
+        name: of the log; what the data set says, else the id without its namespace, if absent.
 
     Raises:
         UserError: one line with the folder, the episode and what is wrong.
@@ -81,17 +81,17 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     dataset_id = dataset_id.removeprefix(PREFIX)
     try:
         parse_dataset_id(dataset_id)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:  # TypeError is what an id without a version makes of it
         raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0") from error
     if ".." in dataset_id.split("/") or dataset_id.startswith("/"):
         raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
     if log.successors is not None:
-        raise UserError(
-            f"{log.name}: its next observations are not the following rows; Minari cannot store it, write .hdf5"
-        )
+        raise UserError(f"{log.name}: its next observations are not the following rows; Minari cannot store it, write .hdf5")
     target = _root() / dataset_id
     if target.exists() and not force:
         raise UserError(f"{target} exists already; --force replaces it")
+    if target.exists() and not (target / "data" / _METADATA).is_file():
+        raise UserError(f"{target} is a folder that holds no Minari data set, so it is not replaced; choose another id")
     observation_space, action_space = _spaces(log)
     try:
         _root().mkdir(parents=True, exist_ok=True)

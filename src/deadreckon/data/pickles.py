@@ -139,6 +139,8 @@ class _Unpickler(pickle.Unpickler):
     def find_class(self, module_name: str, global_name: str) -> Any:
         if module_name in ("builtins", "__builtin__") and global_name in _BUILTINS:
             return _BUILTINS[global_name]
+        if module_name in ("builtins", "__builtin__") and global_name == "bytes":
+            return self._no_bytes
         if (module_name, global_name) == ("collections", "OrderedDict"):
             return collections.OrderedDict
         if (module_name, global_name) == ("_codecs", "encode"):
@@ -157,6 +159,9 @@ class _Unpickler(pickle.Unpickler):
     # Bound methods, on which a pickle cannot set attributes.
     def _encode(self, text: str, encoding: str = "latin1") -> bytes:
         return text.encode("latin1")
+
+    def _no_bytes(self) -> bytes:
+        return b""
 
     def _dtype(self, code: Any, align: Any = False, copy: Any = False) -> _Type:
         return _Type(code)

@@ -7,7 +7,6 @@ in the last row of an episode alone. CSV keeps neither action bounds nor name; t
 import gzip
 import json
 import zipfile
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,9 +72,7 @@ def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None)
     ):
         columns = {key: file[key] for key in file.files}
         about = columns.pop(_HEADER, None)
-        return build(
-            path, columns, None if about is None else json.loads(str(about)), source="npz", name=name, strict=strict
-        )
+        return build(path, columns, None if about is None else json.loads(str(about)), source="npz", name=name, strict=strict)
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
@@ -119,7 +116,7 @@ def to_table(log: Dataset) -> pa.Table:
         rows = log.ends[known]
         elsewhere = np.ones(len(log), bool)
         elsewhere[rows] = False
-        for index, values in enumerate(final[known].reshape(len(rows), -1).T):
+        for index, values in enumerate(final.reshape(len(final), -1)[known].T):
             spread = np.zeros(len(log), final.dtype)
             spread[rows] = values
             table[f"final_observation_{index}"] = pa.array(spread, mask=elsewhere)
@@ -167,6 +164,8 @@ def _from_table(
 
 def _columns(path: Path | str, table: pa.Table, about: dict[str, Any] | None) -> dict[str, np.ndarray]:
     """The columns of a table that has our names, by `from_arrays` names."""
+    if not table.num_rows:
+        raise UserError(f"{path}: the log has no rows")
     shapes = (about or {}).get("columns", {})
     columns: dict[str, np.ndarray] = {}
     for name, parts in _groups(table.column_names, shapes).items():
@@ -184,7 +183,7 @@ def _columns(path: Path | str, table: pa.Table, about: dict[str, Any] | None) ->
     rows = table.num_rows
     if "episode" in table.column_names:
         episode = numbers(str(path), table, "episode")
-        change = np.append(episode[1:] != episode[:-1], True) if rows else np.zeros(0, bool)
+        change = np.append(episode[1:] != episode[:-1], True)
         if int(change.sum()) != len(np.unique(episode)):
             row = _returns(episode, change)
             raise UserError(
@@ -199,9 +198,7 @@ def _columns(path: Path | str, table: pa.Table, about: dict[str, Any] | None) ->
     return columns
 
 
-def _finals(
-    path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     ends = np.asarray(columns.get("terminals", np.zeros(table.num_rows, bool))) != 0
     ends |= np.asarray(columns.get("timeouts", np.zeros(table.num_rows, bool))) != 0
     ends[-1:] = True
@@ -231,6 +228,8 @@ def _groups(names: list[str], shapes: dict[str, Any]) -> dict[str, list[str]]:
 def _values(path: Path | str, table: pa.Table, column: str) -> np.ndarray:
     """A column as it is stored; missing values and texts are refused."""
     values = table.column(column)
+    if not len(values):
+        return np.zeros(0, np.float32)
     if pa.types.is_null(values.type) or values.null_count:
         row = int(np.argmax(values.is_null().to_numpy()))
         raise UserError(f"{path}: column {column} is empty in row {row}")

@@ -1,0 +1,1 @@
+"""Networks, distributions and optimiser steps: pure functions and pytrees of arrays."""

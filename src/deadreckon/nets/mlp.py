@@ -44,6 +44,7 @@ class MLP(eqx.Module):
         return cls(tuple(weights), tuple(biases), activation)
 
     def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
+        """The network's output."""
         return self.after_first(x @ self.weights[0] + self.biases[0])
 
     def after_first(self, pre: Float[Array, "*b h"]) -> Float[Array, "*b o"]:

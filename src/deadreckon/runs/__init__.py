@@ -1,0 +1,1 @@
+"""Where a method meets a judge: train, evaluate, run folders."""

@@ -12,6 +12,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies.policy import Deployed, Step
+from deadreckon.tasks.task import Task
 
 SAMPLE = 1024  # logged rows that policies are compared on
 
@@ -62,6 +63,36 @@ class LogProbe:
         drawn = np.concatenate([self.states, self.scale(actions)], -1)[self.half :]
         return {"mmd_to_data": float(two_sample_mmd(self.logged, drawn, max(self.variance, 1e-6))),
                 "outside_range": float(outside)}  # fmt: skip
+
+
+def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
+    """What the policy that made the log was worth over one horizon of the task, from the log alone.
+
+    Episodes that run from a start to their end count as they are. Where recordings were cut earlier and nothing ended
+    (goals that change on the way), the mean reward a step is carried to the horizon.
+
+    Returns:
+        `mean`, `low`, `high` (95 % bootstrap over episodes), and `how` in words.
+    """
+    returns, lengths = log.returns(), log.lengths
+    whole = bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon
+    picks = np.random.default_rng(seed).integers(0, len(returns), (1000, len(returns)))
+    if whole:
+        means = returns[picks].mean(1)
+        mean, how = returns.mean(), "mean return of the logged episodes"
+    else:
+        means = returns[picks].sum(1) / lengths[picks].sum(1) * task.horizon
+        mean = returns.sum() / lengths.sum() * task.horizon
+        how = f"mean logged reward a step, times the horizon of {task.horizon}"
+    low, high = np.percentile(means, [2.5, 97.5])
+    return {"mean": float(mean), "low": float(low), "high": float(high), "how": how}
+
+
+def log_segments(log: Dataset, count: int = 16, length: int = 300) -> np.ndarray:
+    """(count, length, *shape) stretches of consecutive rows, evenly spread over the log; for pictures."""
+    length = min(length, len(log))
+    starts = np.linspace(0, len(log) - length, count).astype(int)
+    return np.stack([np.asarray(log.observations[s : s + length]) for s in starts])
 
 
 @eqx.filter_jit

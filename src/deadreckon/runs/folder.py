@@ -5,6 +5,7 @@
     metrics/N.parquet   one immutable part a chunk, N updates done: step, seed, one column a metric
     checkpoints/N.npz   the newest states, see `training.checkpoint`
     policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
+    log.npz             stretches of the log, for pictures
     evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
 """
 
@@ -65,6 +66,11 @@ class Folder:
         return sorted({int(m[1]) for m in names if m})
 
     @property
+    def log(self) -> Path:
+        """Stretches of the log, for pictures."""
+        return self.path / "log.npz"
+
+    @property
     def trajectories(self) -> Path:
         """Observations of the last policies' first episodes."""
         return self.path / "evaluations" / "trajectories.npz"
@@ -85,10 +91,9 @@ class Folder:
 
     def drop_after(self, step: int) -> None:
         """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
-        for kind in ("metrics",):
-            for path in (self.path / kind).glob("*.parquet"):
-                if int(path.stem) > step:
-                    path.unlink()
+        for path in (self.path / "metrics").glob("*.parquet"):
+            if int(path.stem) > step:
+                path.unlink()
         for path in self.path.rglob(".*.tmp"):
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()

@@ -21,7 +21,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
-from deadreckon.runs.diagnostics import LogProbe, estimated_values
+from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments, logged_value
 from deadreckon.runs.evaluate import Evaluation, episode_seeds, evaluate
 from deadreckon.runs.folder import Folder, versions
 from deadreckon.tasks.registry import task as find_task
@@ -29,6 +29,7 @@ from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Failure, Fit, Progress
 
 RECORDED = 8  # episodes a policy whose observations are kept for pictures
+PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 Watcher = Callable[[Progress, int], None]  # gets each chunk's progress and the number of updates in all
 
 
@@ -116,7 +117,8 @@ def train(
     if judge is not None:
         if judge.observation_shape != log.spec.observation_shape:
             raise UserError(
-                f"{judge.name} shows observations of shape {judge.observation_shape}, {log.name} has {log.spec.observation_shape}"
+                f"{judge.name} shows observations of shape {judge.observation_shape}, "
+                f"{log.name} has {log.spec.observation_shape}"
             )
         log = log.with_action_space(judge.action_space, strict)
     lanes = [agent_class(agent)()] * seeds if isinstance(agent, str) else agent
@@ -130,7 +132,9 @@ def train(
     config = {
         "agent": {"name": agent_name(lanes[0]), "fields": _fields(lanes)},
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
-                 "usable": rows.count, "warnings": log.warnings, "provenance": dataclasses.asdict(log.provenance)},
+                 "usable": rows.count, "warnings": log.warnings,
+                 "behavior": None if judge is None else logged_value(log, judge),
+                 "provenance": dataclasses.asdict(log.provenance)},
         "task": None if judge is None else judge.name,
         "seeds": list(range(seed, seed + seeds)),
         "steps": steps,
@@ -148,6 +152,7 @@ def train(
 
     recorder = _Recorder(folder, lanes[0], job, judge, log, every, episodes)
     try:
+        recorder.picture(log)
         recorder.catch_up()
         for progress in job.chunks():
             recorder.record(progress)
@@ -199,6 +204,12 @@ class _Recorder:
         lanes = range(len(self.job.seeds))
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
         return [Deployed.of(self.agent.policy(state), view) for state in states]
+
+    def picture(self, log: Dataset) -> None:
+        """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
+        if self.judge is not None and log.spec.observation_size <= PICTURED and not self.folder.log.exists():
+            with replacing(self.folder.log) as temporary, open(temporary, "wb") as file:
+                np.savez_compressed(file, segments=log_segments(log))
 
     def catch_up(self) -> None:
         """Judges kept policies whose evaluation was interrupted."""

@@ -1,0 +1,1 @@
+"""The training loop: compiled chunks, checkpoints, resume."""

@@ -1,0 +1,77 @@
+# Two commands matter: `make demo` and `make test`. Each sets everything up in .venv first, with uv where it is on the
+# PATH and with venv + pip otherwise, from the versions in uv.lock or in constraints.txt, which say the same.
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.stamp
+DOCS_STAMP := $(VENV)/.stamp-docs
+WORKERS ?= 2
+
+UV := $(shell uv --version 2>/dev/null)
+# The first interpreter of a version that we support; `make PYTHON=...` overrides it.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' >/dev/null 2>&1 && echo $$p && break; done)
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+# uv trusts the certificates that it brings along. Behind a proxy with its own it needs the system's, hence the second try.
+SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) uv sync --frozen
+define uv_sync
+	$(SYNC) $(1) || UV_SYSTEM_CERTS=1 UV_NATIVE_TLS=1 $(SYNC) $(1)
+endef
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test test-slow lint docs bench lock clean
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(STAMP) ## the environment in .venv, with the tools for tests
+
+demo: $(STAMP) ## the main job on data that we make ourselves: collect, learn, judge; see runs/demo/report.html
+	$(BIN)/deadreckon demo --out runs/demo
+
+test: lint ## lint and the fast tests
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+test-slow: $(STAMP) ## the tests marked slow: learning, kills, the built wheel
+	$(BIN)/python -m pytest -n $(WORKERS) -m slow
+
+lint: $(STAMP) ## ruff, import-linter, pyright
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 $(BIN)/pyright --pythonpath $(BIN)/python
+
+docs: $(DOCS_STAMP) ## the site in site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+bench: $(STAMP) ## speed beside d3rlpy on an idle machine, about 10 minutes; writes docs/results/speed.md
+	$(BIN)/python benchmarks/speed.py --out docs/results/speed.md
+
+lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
+	uv lock
+	uv export --quiet --frozen --no-hashes --no-annotate --no-header --no-emit-project --all-groups \
+		--format requirements.txt --output-file constraints.txt
+
+clean: ## removes what the targets above have made, except collected logs and downloads
+	rm -rf $(VENV) .cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache dist site runs/demo
+
+$(STAMP): pyproject.toml uv.lock constraints.txt
+ifneq ($(UV),)
+	$(call uv_sync)
+else
+	@test -n "$(PYTHON)" || { echo "make: deadreckon needs Python 3.11, 3.12 or 3.13 (or uv) and finds none on the PATH" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "make: $(PYTHON) has no venv; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV)
+	$(PIP) install --quiet --upgrade 'pip>=25.1'
+	$(PIP) install --quiet --constraint constraints.txt --editable . --group dev
+endif
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+ifneq ($(UV),)
+	$(call uv_sync,--inexact --group docs)
+else
+	$(PIP) install --quiet --constraint constraints.txt --group docs
+endif
+	@touch $@

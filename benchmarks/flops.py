@@ -1,0 +1,142 @@
+"""Floating-point operations of one update, counted by hand from the layers; and two ways to check the hand.
+
+Only matrix products count (a product of b x i with i x o is 2 b i o): everything else is linear in the activations.
+A pass through an MLP costs, with F its forward products:
+
+    forward         F
+    weight gradient F                          only where the network is trained
+    input gradient  F without the first layer  the first layer's input is data, so nobody needs its gradient, except the
+                                               columns (`into`) that another network made: actions, latents
+
+so training is 3 F less the first layer's last part, and a pass for the input's gradient alone 2 F less the same.
+
+`needed` counts what the algorithm needs and no more: the states' part of a first layer is computed once for all actions
+sampled there, critics under an actor get no weight gradients. A program that does more gets no credit for it: the share
+of the machine's rate divides these counts by time.
+
+`peer` counts what d3rlpy 2.8.1 does; it equals torch's own counter (`peer_d3rlpy.py` reports that one too).
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+
+def products(dims: Sequence[int]) -> int:
+    return sum(i * o for i, o in pairwise(dims))
+
+
+def forward(b: int, dims: Sequence[int]) -> int:
+    return 2 * b * products(dims)
+
+
+def forward_many(b: int, n: int, shared: int, dims: Sequence[int]) -> int:
+    """`n` inputs a row that have their first `shared` columns in common: that part of the first layer is done once."""
+    return forward(b, [shared, dims[1]]) + n * b * 2 * ((dims[0] - shared) * dims[1] + products(dims[1:]))
+
+
+def input_gradient(b: int, dims: Sequence[int], into: int = 0) -> int:
+    return 2 * b * (into * dims[1] + products(dims[1:]))
+
+
+def train(b: int, dims: Sequence[int], into: int = 0) -> int:
+    return 2 * forward(b, dims) + input_gradient(b, dims, into)
+
+
+def through(b: int, dims: Sequence[int], into: int) -> int:
+    """Forward and the input's gradient: a critic under an actor."""
+    return forward(b, dims) + input_gradient(b, dims, into)
+
+
+def networks(opts: dict[str, Any]) -> dict[str, list[int]]:
+    o, a, h, v = opts["observation"], opts["action"], opts["width"], opts["behaviour_width"]
+    return {
+        "actor": [o, h, h, a],  # deterministic
+        "gaussian": [o, h, h, 2 * a],  # mean and log-std
+        "critic": [o + a, h, h, 1],
+        "behaviour": [o, v, v, 2 * a],
+        "encoder": [o + a, v, v, 4 * a],  # latent 2 a: mean and log-std
+        "decoder": [o + 2 * a, v, v, a],
+    }
+
+
+def needed(opts: dict[str, Any]) -> float:
+    """An update as the algorithm needs it; a mean where updates differ (TD3's delayed actor)."""
+    b, o, a, net = opts["batch"], opts["observation"], opts["action"], networks(opts)
+    case = opts["peer"]
+    if case == "bc":
+        return train(b, net["actor"])
+    critics = 2 * train(b, net["critic"])
+    if case == "td3_bc":
+        target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
+        actor = train(b, net["actor"]) + through(b, net["critic"], a)  # one critic
+        return target + critics + actor / 2  # every other update
+    # SAC and BEAR: one sampled action goes through both critics.
+    actor = train(b, net["gaussian"]) + 2 * through(b, net["critic"], a)
+    if case == "sac":
+        target = forward(b, net["gaussian"]) + 2 * forward(b, net["critic"])
+        return target + critics + actor
+    target = forward(b, net["gaussian"]) + 2 * forward_many(b, opts["target_samples"], o, net["critic"])
+    # The actor's head is evaluated once; its MMD samples are noise around it. The behaviour model is trained at every
+    # update, then sampled as it is afterwards.
+    if opts["behaviour"] == "gaussian":
+        behaviour = train(b, net["behaviour"]) + forward(b, net["behaviour"])
+    else:
+        behaviour = train(b, net["encoder"]) + train(b, net["decoder"], 2 * a)
+        behaviour += forward_many(b, opts["mmd_samples"], o, net["decoder"])
+    return target + critics + actor + behaviour
+
+
+def peer(opts: dict[str, Any]) -> float:
+    """An update of d3rlpy 2.8.1, with the work it could have left out."""
+    b, o, a, net = opts["batch"], opts["observation"], opts["action"], networks(opts)
+    case = opts["peer"]
+    if case == "bc":
+        return train(b, net["actor"])
+    critics = 2 * train(b, net["critic"])
+    # Critics under the actor get weight gradients and gradients for the states too, and TD3+BC runs both to use one.
+    under_actor = 2 * train(b, net["critic"], o + a)
+    if case == "td3_bc":
+        target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
+        return target + critics + (train(b, net["actor"]) + under_actor) / 2
+    actor = train(b, net["gaussian"]) + under_actor
+    if case == "sac":
+        return forward(b, net["gaussian"]) + 2 * forward(b, net["critic"]) + critics + actor
+    target = forward(b, net["gaussian"]) + 2 * forward(opts["target_samples"] * b, net["critic"])
+    vae = train(b, net["encoder"]) + train(b, net["decoder"], o + 2 * a)
+    vae += forward(opts["mmd_samples"] * b, net["decoder"])
+    # The MMD evaluates the actor again, and the multiplier's loss runs back through that evaluation once more.
+    mmd = 2 * train(b, net["gaussian"]) - forward(b, net["gaussian"])
+    return target + critics + actor + vae + mmd
+
+
+def of_program(function: Callable[..., Any], *arguments: Any) -> float:
+    """Matrix-product operations in a JAX function, from its jaxpr: what our program says it does.
+
+    Branches of a `cond` count with their mean (right for an actor that moves every other update), the body of a `while`
+    once. Before XLA removes dead code, so an upper bound.
+    """
+    import jax
+
+    return _count(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def _count(jaxpr: Any) -> float:
+    total = 0.0
+    for equation in jaxpr.eqns:
+        name, params = equation.primitive.name, equation.params
+        if name == "dot_general":
+            left = equation.invars[0].aval.shape
+            (contracted, _), _ = params["dimension_numbers"]
+            depth = 1
+            for axis in contracted:
+                depth *= left[axis]
+            total += 2 * depth * equation.outvars[0].aval.size
+        elif name == "cond":
+            total += sum(_count(branch.jaxpr) for branch in params["branches"]) / len(params["branches"])
+        else:
+            values = [p for value in params.values() for p in (value if isinstance(value, tuple | list) else [value])]
+            inner = [getattr(value, "jaxpr", value) for value in values]  # closed jaxprs wrap open ones
+            repeats = params["length"] if name == "scan" else 1
+            total += repeats * sum(_count(value) for value in inner if hasattr(value, "eqns"))
+    return total

@@ -1,0 +1,125 @@
+"""`deadreckon data list|collect|info|convert`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from deadreckon.cli.parse import parse
+from deadreckon.cli.progress import Bar
+from deadreckon.cli.show import table
+from deadreckon.errors import UserError, unknown
+
+
+@dataclass
+class List:
+    """The logs that the package knows, and which of them are at hand."""
+
+
+@dataclass
+class Collect:
+    """Make a known log again, offline, from its recipe."""
+
+    name: Annotated[str, tyro.conf.Positional]  # such as maze2d-umaze-v1
+    steps: int | None = None  # rows; None: the full log
+    seed: int = 0  # of everything random
+    out: str | None = None  # file; None: the cache, where `deadreckon train --data NAME` finds it
+    threads: int | None = None  # to simulate with; None: all cores. The log does not depend on it
+
+
+@dataclass
+class Mapping:
+    """Which columns of a table are what. `deadreckon data info` and `train` take the same."""
+
+    action: tuple[str, ...] | None = None  # action columns, or a prefix such as `action`
+    reward: str | None = None  # reward column
+    episode: str | None = None  # column that tells episodes apart
+    time: str | None = None  # column that orders the steps of an episode
+    terminal: str | None = None  # column that marks true ends
+    timeout: str | None = None  # column that marks ends of recording
+    propensity: str | None = None  # column with the probability of the logged action
+
+
+@dataclass
+class Info:
+    """What is inside a log, with warnings worth having before anything is learned from it."""
+
+    file: Annotated[str, tyro.conf.Positional]  # a file, a folder or the name of a known log
+    map: Mapping  # for CSV and Parquet
+
+
+@dataclass
+class Convert:
+    """A log in another format, told by the target's ending: .hdf5 .parquet .csv .npz, a folder, minari:ID."""
+
+    source: Annotated[str, tyro.conf.Positional]  # file or folder
+    target: Annotated[str, tyro.conf.Positional]  # file, folder or minari:ID
+    map: Mapping  # for CSV and Parquet
+    force: bool = False  # overwrite
+
+
+KINDS = {"list": List, "collect": Collect, "info": Info, "convert": Convert}
+
+
+def mapping_options(given: Mapping) -> dict[str, object]:
+    """Only what was given, as `deadreckon.read` takes it."""
+    out = {key: value for key, value in vars(given).items() if value is not None}
+    if "action" in out and len(out["action"]) == 1:
+        out["action"] = out["action"][0]
+    return out
+
+
+def data(args: Sequence[str]) -> None:
+    """Runs one of the data commands."""
+    if not args or args[0] in ("-h", "--help"):
+        print("usage: deadreckon data COMMAND [OPTIONS]\n")
+        for name, kind in KINDS.items():
+            print(f"  {name:<8}  {(kind.__doc__ or '').splitlines()[0]}")
+        return
+    if args[0] not in KINDS:
+        raise unknown("data command", args[0], KINDS)
+    options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
+    {"list": _list, "collect": _collect, "info": _info, "convert": _convert}[args[0]](options)
+
+
+def _list(options: List) -> None:
+    from deadreckon.data.catalogue import ENTRIES, cached_path
+
+    rows = [["log", "steps", "task", "at hand", "original (D4RL)", "Minari twin"]]
+    for e in ENTRIES.values():
+        at_hand = "yes" if cached_path(e.collected).exists() else "-"
+        rows.append([e.name, f"{e.rows:,}", e.task, at_hand, e.original, e.minari or "-"])
+    print(table(rows, right=(1,)))
+    print("\n`deadreckon data collect NAME` makes one, offline; it is named NAME@dr1, never the original.")
+
+
+def _collect(options: Collect) -> None:
+    from deadreckon.collect import collect, recipe
+
+    steps = options.steps if options.steps is not None else recipe(options.name).steps
+    with Bar(f"collecting {options.name}", steps, "steps") as bar:
+        path = collect(
+            options.name, steps=options.steps, seed=options.seed, out=options.out, threads=options.threads, progress=bar
+        )
+    print(path)
+
+
+def _info(options: Info) -> None:
+    from deadreckon.data.catalogue import load
+    from deadreckon.data.info import describe, render, warnings_for
+    from deadreckon.data.io import read
+
+    given = mapping_options(options.map)
+    log = read(options.file, **given) if given else load(options.file)
+    info = describe(log)
+    print(render(info, warnings_for(log, info)))
+
+
+def _convert(options: Convert) -> None:
+    from deadreckon.data.io import convert
+
+    if options.source == options.target:
+        raise UserError("source and target are the same")
+    convert(options.source, options.target, force=options.force, **mapping_options(options.map))
+    print(options.target)

@@ -1,0 +1,60 @@
+"""`deadreckon demo`: the whole path in minutes, from a log to judged policies and a page."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from deadreckon.cli.parse import parse
+from deadreckon.cli.progress import Bar
+
+TASK, LOG = "maze2d-umaze", "maze2d-umaze-v1"
+
+
+@dataclass
+class Demo:
+    """Collect a maze log, learn from it with five algorithms, judge the policies, write a page. A second run reuses all."""
+
+    out: str = "runs/demo"  # folder of the log, the runs and report.html
+    seed: int = 0  # of the log and the first of each agent's
+    seeds: int = 2  # an agent
+    log_steps: int = 200_000  # collected
+    steps: int = 15_000  # updates an agent
+
+
+def demo(args: Sequence[str]) -> None:
+    """Runs the demo and prints its table."""
+    options = parse(Demo, args, "demo")
+    from deadreckon.agents import agent_class
+    from deadreckon.collect import collect
+    from deadreckon.data.io import read
+    from deadreckon.report import table, write
+    from deadreckon.runs.train import train
+
+    out = Path(options.out)
+    path = out / f"{LOG}-{options.log_steps}-seed{options.seed}.hdf5"
+    if not path.exists():
+        with Bar(f"collecting {LOG}", options.log_steps, "steps") as bar:
+            collect(LOG, steps=options.log_steps, seed=options.seed, out=path, progress=bar)
+    log = read(path)
+    print(f"{log}\n")
+
+    small = {"hidden": (64, 64)}
+    agents = {
+        "bc": small,
+        "td3": small,
+        "sac": small,
+        "td3_bc": small,
+        "bear": small,
+    }
+    folders = []
+    for name, fields in agents.items():
+        folder = out / name
+        with Bar(f"{name:<7}", options.steps, "updates") as bar:
+            train(
+                agent_class(name)(**fields), log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK,
+                out=folder, resume=folder.exists(), watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
+            )  # fmt: skip
+        folders.append(folder)
+    page = write(folders, out / "report.html", title="From a log to a judged policy")
+    print(table(folders))
+    print(f"\nreport: {page}")

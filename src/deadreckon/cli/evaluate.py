@@ -1,0 +1,66 @@
+"""`deadreckon evaluate`: policies of runs, or policy files, in a simulator."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from deadreckon.cli.parse import parse
+from deadreckon.errors import UserError
+
+
+@dataclass
+class Evaluate:
+    """Run policies in a simulator and print returns, scores and 95 % intervals."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders or policy files
+    task: str | None = None  # simulator; None: the run's own
+    episodes: int = 100  # a policy
+    seed: int = 0  # of starts and draws
+    sample: bool = False  # draw actions instead of taking the policy's best guess
+    out: str | None = None  # also write one row an episode to this Parquet file
+
+
+def evaluate(args: Sequence[str]) -> None:
+    """Evaluates and prints."""
+    options = parse(Evaluate, args, "evaluate")
+    if not options.policies:
+        raise UserError("missing a run folder or a policy file")
+
+    from deadreckon.policies import store
+    from deadreckon.runs.evaluate import evaluate as run_evaluation
+    from deadreckon.runs.train import load
+
+    policies, names, tasks = [], [], []
+    for text in options.policies:
+        path = Path(text)
+        if path.is_dir():
+            run = load(path)
+            policies += run.policies
+            names += [f"{path.name} seed {seed}" for seed in run.seeds]
+            tasks.append(run.config["task"])
+        else:
+            policies.append(store.load(path))
+            names.append(path.stem)
+    task = options.task or next((t for t in tasks if t), None)
+    if task is None:
+        raise UserError("missing --task: the policies do not say where they belong")
+    result = run_evaluation(
+        policies, task, episodes=options.episodes, seed=options.seed, greedy=not options.sample, names=names
+    )
+    print(result)
+    if options.out is not None:
+        import numpy as np
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        from deadreckon.files import replacing
+
+        columns = {
+            "policy": np.repeat(names, options.episodes), "episode": np.tile(np.arange(options.episodes), len(names)),
+            "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
+        }  # fmt: skip
+        with replacing(options.out) as temporary:
+            pq.write_table(pa.table(columns), temporary)

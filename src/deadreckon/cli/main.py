@@ -1,0 +1,99 @@
+"""The command: finds the sub-command, runs it, and turns bad input into one line and exit code 2.
+
+Nothing heavy is imported here, so that `deadreckon --help` answers at once.
+"""
+
+import contextlib
+import importlib
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+
+from deadreckon._version import __version__
+from deadreckon.errors import UserError, unknown
+
+# name: (module, function, one line)
+COMMANDS = {
+    "demo": ("demo", "demo", "the main job in minutes: collect a log, learn five ways, judge, report"),
+    "tasks": ("show", "tasks", "the simulators that policies are judged in, with their reference scores"),
+    "agents": ("show", "agents", "the learning algorithms, and where they come from"),
+    "data": ("data", "data", "list, collect, inspect and convert logs (data list|collect|info|convert)"),
+    "train": ("train", "train", "learn a policy from a log, several seeds as one program"),
+    "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
+    "report": ("report", "report", "one self-contained HTML page from run folders"),
+}
+
+HELP = """usage: deadreckon COMMAND [OPTIONS]
+
+Logged data into decisions: learn policies from a fixed log, judge them, show what they are worth.
+
+commands:
+{commands}
+
+  deadreckon COMMAND --help   options of a command
+  deadreckon --version        the version
+  --debug                     with any command: full tracebacks
+
+start with: deadreckon demo
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command line.
+
+    Returns:
+        The exit code: 0, 2 for bad input, 130 when interrupted.
+    """
+    args = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in args
+    args = [a for a in args if a != "--debug"]
+    warnings.showwarning = _one_line
+    try:
+        if not args or args[0] in ("-h", "--help", "help"):
+            width = max(map(len, COMMANDS))
+            lines = (f"  {name:<{width}}  {line}" for name, (_, _, line) in COMMANDS.items())
+            print(HELP.format(commands="\n".join(lines)))
+            return 0
+        if args[0] == "--version":
+            print(f"deadreckon {__version__}")
+            return 0
+        if args[0] not in COMMANDS:
+            raise unknown("command", args[0], COMMANDS)
+        module, function, _ = COMMANDS[args[0]]
+        _cache_compiled_programs()
+        getattr(importlib.import_module(f"deadreckon.cli.{module}"), function)(args[1:])
+        return 0
+    except UserError as error:
+        if debug:
+            raise
+        print(f"deadreckon: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # `deadreckon data info x | head`: the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print("deadreckon: interrupted; a training run goes on with --resume", file=sys.stderr)
+        return 130
+
+
+def _one_line(message, category, filename, lineno, file=None, line=None):
+    print(f"deadreckon: warning: {message}", file=sys.stderr)
+
+
+def _cache_compiled_programs() -> None:
+    """Compiled programs outlive the command. By environment, so that no numerical library is loaded for `data info`.
+
+    Only the command does this: the package, imported, leaves JAX's global settings alone.
+    """
+    from deadreckon.files import home
+
+    folder = home() / "jax"
+    with contextlib.suppress(OSError):  # a read-only home costs compile time, nothing else
+        folder.mkdir(parents=True, exist_ok=True)
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

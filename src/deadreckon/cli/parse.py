@@ -1,0 +1,60 @@
+"""Options by tyro, and its error boxes as one line."""
+
+import contextlib
+import difflib
+import io
+import re
+import sys
+from collections.abc import Sequence
+from typing import TypeVar
+
+import tyro
+
+from deadreckon.errors import UserError
+
+T = TypeVar("T")
+
+
+def parse(kind: type[T], args: Sequence[str], command: str) -> T:
+    """Command-line arguments as an instance of a dataclass; field comments are the help.
+
+    Raises:
+        UserError: what is wrong, in one line, with what it may have meant.
+    """
+    prog = f"deadreckon {command}"
+    if any(a in ("-h", "--help") for a in args):
+        return tyro.cli(kind, args=args, prog=prog)
+    err, out = io.StringIO(), io.StringIO()
+    try:
+        with contextlib.redirect_stderr(err), contextlib.redirect_stdout(out):
+            return tyro.cli(kind, args=args, prog=prog)
+    except SystemExit as error:
+        if not error.code:
+            sys.stdout.write(out.getvalue())
+            raise
+        raise UserError(_line(kind, err.getvalue(), prog)) from error
+
+
+def _line(kind: type, box: str, prog: str) -> str:
+    """The first paragraph of tyro's box, without its frame, and the nearest option where one was unknown."""
+    text = [re.sub(r"[│╭╮╰╯─]", "", line).strip() for line in box.splitlines()]
+    parts, current = [], []
+    for line in text:
+        if not line or set(line) <= {"-"}:
+            parts, current = ([*parts, " ".join(current)] if current else parts), []
+        else:
+            current.append(line)
+    message = parts[1] if len(parts) > 1 else " ".join(parts)
+    unknown = re.match(r"Unrecognized options: (--[\w.-]+)", message)
+    if unknown:
+        near = difflib.get_close_matches(unknown[1], _options(kind), n=2, cutoff=0.6)
+        return f"unknown option {unknown[1]}" + (f": did you mean {' or '.join(near)}?" if near else f" (see {prog} --help)")
+    message = re.sub(rf"Missing from {prog}:", "missing", message)
+    return message[:1].lower() + message[1:]
+
+
+def _options(kind: type) -> list[str]:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        tyro.cli(kind, args=["--help"])
+    return re.findall(r"--[\w.-]+", out.getvalue())

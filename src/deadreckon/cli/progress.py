@@ -1,0 +1,57 @@
+"""Progress of long work: a bar with rate and time left on a terminal, a plain line now and then elsewhere."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+PLAIN_EVERY = 15.0  # seconds between plain lines
+
+
+class Bar:
+    """Shows `done` of `total`; use it as a context manager and call it.
+
+    Args:
+        label: what is going on.
+        total: how much there is to do.
+        unit: of the rate.
+    """
+
+    def __init__(self, label: str, total: int, unit: str):
+        self.label, self.total, self.unit = label, total, unit
+        self.begun = self.told = time.monotonic()
+        self.first: int | None = None
+        self.bar: Any = None
+        self.note = ""
+
+    def __enter__(self) -> Self:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+                       TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"))  # fmt: skip
+            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task(self.label, total=self.total, rate="", note="")
+        return self
+
+    def __call__(self, done: int, total: int | None = None, note: str = "") -> None:
+        """Tells how far it is; `note` is shown behind."""
+        if self.first is None:
+            self.first, self.begun = done, time.monotonic()  # the first call comes after start-up and compilation
+        now = time.monotonic()
+        elapsed = now - self.begun
+        rate = (done - self.first) / elapsed if elapsed > 0 else 0.0
+        text = f"{rate:,.0f} {self.unit}/s" if rate else ""
+        if self.bar is not None:
+            self.bar.update(self.task, completed=done, total=total or self.total, rate=text, note=note)
+        elif now - self.told > PLAIN_EVERY or done >= (total or self.total):
+            self.told = now
+            left = f", {((total or self.total) - done) / rate:,.0f} s left" if rate and done < (total or self.total) else ""
+            line = f"{self.label}: {done:,} of {total or self.total:,}" + (f", {text}{left}" if text else "")
+            print(f"{line}{'  ' + note if note else ''}", file=sys.stderr, flush=True)
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self.bar is not None:
+            self.bar.stop()

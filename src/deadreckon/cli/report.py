@@ -1,0 +1,29 @@
+"""`deadreckon report`: one page from run folders."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from deadreckon.cli.parse import parse
+from deadreckon.errors import UserError
+
+
+@dataclass
+class Report:
+    """One self-contained HTML page that opens without a network."""
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders of one task
+    out: str = "report.html"  # the page
+    title: str | None = None  # its heading
+
+
+def report(args: Sequence[str]) -> None:
+    """Writes the page and prints its path."""
+    options = parse(Report, args, "report")
+    if not options.runs:
+        raise UserError("missing a run folder")
+    from deadreckon.report import write
+
+    print(write(options.runs, options.out, title=options.title))

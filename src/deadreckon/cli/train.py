@@ -1,0 +1,113 @@
+"""`deadreckon train`: options of the run, and of the agent under `--agent.`"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import tyro
+
+from deadreckon.cli.data import Mapping, mapping_options
+from deadreckon.cli.parse import parse
+from deadreckon.cli.progress import Bar
+from deadreckon.errors import UserError
+
+
+@dataclasses.dataclass
+class Train:
+    """Learn a policy from a log; --agent NAME chooses the algorithm."""
+
+    data: str  # the name of a known log, or a file
+    map: Mapping  # for CSV and Parquet
+    steps: int = 100_000  # updates
+    seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
+    seed: int = 0  # the first
+    task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
+    out: str | None = None  # run folder; None: runs/AGENT-LOG
+    evaluate_every: int | None = None  # updates between evaluations; None: a tenth of the run
+    episodes: int = 20  # an evaluation
+    chunk: int = 1000  # updates between checkpoints: what a kill can lose
+    resume: bool = False  # go on with the run in OUT
+    stream: bool | None = None  # fetch batches from the host; None: where the log does not fit on the device
+    mmap: bool = False  # memory-map the log, for logs larger than memory
+    strict: bool = False  # refuse actions out of bounds instead of clipping them
+
+
+def _agent_argument(args: Sequence[str]) -> tuple[str | None, list[str]]:
+    """Takes `--agent NAME` out: it decides which options there are."""
+    rest, name = list(args), None
+    for i, a in enumerate(rest):
+        if a == "--agent" and i + 1 < len(rest):
+            name, rest = rest[i + 1], rest[:i] + rest[i + 2 :]
+            break
+        if a.startswith("--agent="):
+            name, rest = a.removeprefix("--agent="), rest[:i] + rest[i + 1 :]
+            break
+    return name, rest
+
+
+def train(args: Sequence[str]) -> None:
+    """Trains, evaluates and says where the run lies."""
+    from deadreckon.agents import AGENTS, agent_class
+
+    name, rest = _agent_argument(args)
+    if name is None and not any(a in ("-h", "--help") for a in rest):
+        raise UserError(f"missing --agent, one of {', '.join(AGENTS)}")
+    fields = [("agent", agent_class(name), dataclasses.field(default_factory=agent_class(name)))] if name else []
+    kind = dataclasses.make_dataclass("TrainAgent", fields, bases=(Train,))
+    kind.__doc__ = Train.__doc__ if name else f"{Train.__doc__} Agents: {', '.join(AGENTS)}."
+    options = parse(tyro.conf.OmitSubcommandPrefixes[kind], rest, "train")  # pyright: ignore[reportInvalidTypeArguments]
+
+    from deadreckon.data.catalogue import load
+    from deadreckon.data.io import read
+    from deadreckon.runs.train import train as run_training
+
+    given = mapping_options(options.map)
+    log = read(options.data, mmap=options.mmap, **given) if given else load(options.data, mmap=options.mmap)
+    for text in log.warnings:
+        print(f"{log.name}: {text}")
+    with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
+        run = run_training(
+            options.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
+            out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
+            resume=options.resume, stream=options.stream, strict=options.strict,
+            watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
+        )  # fmt: skip
+    print(summary(run))
+
+
+def _note(progress) -> str:
+    """The few metrics that fit on a line: means over the healthy lanes."""
+    import numpy as np
+
+    wanted = [m for m in ("critic_loss", "q", "behavior_nll", "behavior_error", "mmd") if m in progress.metrics][:3]
+    alive = [f is None for f in progress.failures]
+    if not any(alive):
+        return "all lanes failed"
+    return "  ".join(f"{m} {np.mean(progress.metrics[m][alive]):.3g}" for m in wanted)
+
+
+def summary(run) -> str:
+    """Last metrics, failures, last score, and where everything lies."""
+    import numpy as np
+
+    lines = []
+    metrics = run.metrics.to_pydict()
+    count = len(run.seeds)
+    shown = [f"{k} {np.nanmean(v[-count:]):.4g}" for k, v in metrics.items()
+             if k not in ("step", "seed") and not np.isnan(v[-count:]).all()]  # fmt: skip
+    lines.append("last metrics: " + ", ".join(shown) if shown else "no healthy lane at the end")
+    evaluations = run.evaluations.to_pydict()
+    if evaluations:
+        last = np.asarray(evaluations["step"]) == max(evaluations["step"])
+        distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
+        lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
+        if "score" in evaluations:
+            from deadreckon.runs.evaluate import bootstrap
+
+            scores = np.asarray(evaluations["score"])[last].reshape(count, -1)
+            returns = np.asarray(evaluations["return"])[last].reshape(count, -1)
+            lines.append(f"{run.config['task']}: return {bootstrap(returns)}, score {bootstrap(scores)}")
+    for seed, failure in zip(run.seeds, run.failures):
+        if failure is not None:
+            lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")
+    lines.append(f"run folder: {run.path}")
+    return "\n".join(lines)

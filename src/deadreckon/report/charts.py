@@ -1,0 +1,243 @@
+"""Charts as inline SVG: colours are CSS variables, so that both themes and print need nothing else; hover is in page.js."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.text import number
+from deadreckon.runs.evaluate import Interval
+
+POINTS = 240  # most points of a line
+
+
+@dataclass(frozen=True)
+class Series:
+    """A line with its band.
+
+    Attributes:
+        name: as the tooltip shows it.
+        slot: colour.
+        x: (n,) updates.
+        y: (n,) values; not finite where the line breaks.
+        low: (n,) lower end of the band, or None.
+        high: (n,) upper end.
+        dashed: drawn so.
+    """
+
+    name: str
+    slot: int
+    x: np.ndarray
+    y: np.ndarray
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
+    dashed: bool = False
+
+    @classmethod
+    def over_seeds(cls, name: str, slot: int, x: np.ndarray, values: np.ndarray, dashed: bool = False) -> "Series":
+        """Mean, least and greatest of (n, seeds) values; seeds that are not finite are left out."""
+        if len(x) > POINTS:
+            keep = np.unique(np.linspace(0, len(x) - 1, POINTS).astype(int))
+            x, values = x[keep], values[keep]
+        good = np.isfinite(values)
+        some = good.any(1)
+        mean = np.where(some, np.where(good, values, 0).sum(1) / np.maximum(good.sum(1), 1), np.nan)
+        low = np.where(some, np.where(good, values, np.inf).min(1, initial=np.inf), np.nan)
+        high = np.where(some, np.where(good, values, -np.inf).max(1, initial=-np.inf), np.nan)
+        banded = values.shape[1] > 1
+        return cls(name, slot, x, mean, low if banded else None, high if banded else None, dashed)
+
+
+class _Axis:
+    """Values to pixels, linear or symmetric-logarithmic (linear within ±1), with readable ticks."""
+
+    def __init__(self, low: float, high: float, start: float, end: float, symlog: bool = False, most: int = 6):
+        if not (math.isfinite(low) and math.isfinite(high)):
+            low, high = 0.0, 1.0
+        if high - low < 1e-12 * max(abs(low), abs(high), 1e-9):
+            low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
+        self.symlog = symlog
+        self.start, self.end = start, end
+        a, b = float(self._bend(low)), float(self._bend(high))
+        pad = 0.04 * (b - a)
+        self.low, self.high = a - (pad if low else 0.0), b + pad
+        self.ticks = _decades(low, high) if symlog else _nice(low, high, most)
+
+    def _bend(self, value: np.ndarray | float) -> np.ndarray:
+        value = np.asarray(value, float)
+        return np.sign(value) * np.log10(1 + np.abs(value)) if self.symlog else value
+
+    def __call__(self, value: np.ndarray | float) -> np.ndarray:
+        return self.start + (self._bend(value) - self.low) / (self.high - self.low) * (self.end - self.start)
+
+
+def _nice(low: float, high: float, most: int) -> list[float]:
+    raw = (high - low) / (most - 1)
+    size = 10.0 ** math.floor(math.log10(raw))
+    step = next(m * size for m in (1, 2, 2.5, 5, 10) if m * size >= raw * 0.999)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(i * step, 12) for i in range(first, last + 1)]
+
+
+def _decades(low: float, high: float) -> list[float]:
+    top = max(abs(low), abs(high), 1.0)
+    every = max(1, math.ceil(math.log10(top) / 4))
+    sizes = [10.0**k for k in range(0 if every == 1 else every, math.ceil(math.log10(top)) + 1, every)]
+    return [t for t in [*(-s for s in reversed(sizes)), 0.0, *sizes] if low <= t <= high]
+
+
+def _short(value: float) -> str:
+    for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if size <= abs(value) < 1e12:
+            return f"{value / size:g}{unit}".replace("-", "\N{MINUS SIGN}")
+    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}").replace("e+", "e")
+
+
+def _path(x: np.ndarray, y: np.ndarray, closed: bool = False) -> str:
+    out, pen = [], False
+    for a, b in zip(x, y):
+        good = math.isfinite(a) and math.isfinite(b)
+        if good:
+            out.append(f"{'L' if pen else 'M'}{a:.1f} {b:.1f}")
+        pen = good
+    return "".join(out) + ("Z" if closed and out else "")
+
+
+def lines(
+    series: Sequence[Series],
+    *,
+    title: str,
+    unit: str,
+    size: tuple[int, int] = (480, 300),
+    references: Sequence[tuple[str, float]] = (),
+    symlog: bool = False,
+    labels: bool = False,
+) -> Markup:
+    """Lines over updates.
+
+    Args:
+        series: what to draw.
+        title: read by screen readers.
+        unit: of the vertical axis, written above it.
+        size: of the drawing.
+        references: named horizontal lines.
+        symlog: a symmetric logarithmic vertical axis.
+        labels: names at the lines' ends instead of a legend.
+    """
+    width, height = size
+    bottom, left, top = height - 38, 52, 30
+    right = width - (136 if labels else 14)
+    finite = [v[np.isfinite(v)] for s in series for v in (s.y, s.low, s.high) if v is not None]
+    values = np.concatenate([*finite, [value for _, value in references]]) if finite else np.zeros(0)
+    steps = np.concatenate([s.x for s in series]) if series else np.zeros(0)
+    if not len(values) or not len(steps):
+        return tag("p", "nothing finite to draw", class_="empty")
+    # What cannot be negative is shown from zero on, so that small differences do not look large.
+    floor = min(float(values.min()), 0.0) if values.min() >= 0 or symlog else float(values.min())
+    y = _Axis(floor, float(values.max()), bottom, top, symlog)
+    x = _Axis(min(0.0, float(steps.min())), float(steps.max()), left, right, most=7 if width > 600 else 4)
+    parts = [tag("title", title)]
+    parts += [
+        join(
+            tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"),
+            tag("text", _short(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"),
+        )
+        for t in y.ticks
+    ]
+    parts += [tag("text", _short(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
+    parts.append(tag("text", "updates", x=right, y=bottom + 34, class_="axis end"))
+    parts.append(tag("text", unit + (", symmetric log scale" if symlog else ""), x=4, y=14, class_="axis"))
+    places = [_end(x, y, s) for s in series]
+    ends = _spread([*places, *((right, float(y(value))) for _, value in references)], top, bottom)
+    for (name, value), end in zip(references, ends[len(series) :]):
+        parts.append(tag("line", x1=left, x2=right, y1=f"{y(value):.1f}", y2=f"{y(value):.1f}", class_="reference"))
+        beside = {"x": right + 11, "y": f"{end + 4:.1f}"} if labels else {"x": left + 6, "y": f"{y(value) - 5:.1f}"}
+        parts.append(tag("text", name, class_="name", **beside))
+    hover = []
+    for s, end in zip(series, ends):
+        px, py = x(s.x), y(s.y)
+        inner = []
+        if s.low is not None and s.high is not None:
+            good = np.isfinite(s.low) & np.isfinite(s.high)
+            around = np.concatenate([px[good], px[good][::-1]]), np.concatenate([y(s.high[good]), y(s.low[good])[::-1]])
+            inner.append(tag("path", d=_path(*around, closed=True), class_="band"))
+        inner.append(tag("path", d=_path(px, py), class_="line dashed" if s.dashed else "line"))
+        good = np.flatnonzero(np.isfinite(py))
+        if len(good):
+            inner.append(marker(s.slot, float(px[good[-1]]), float(py[good[-1]])))
+            if labels:
+                inner.append(tag("text", s.name, x=f"{px[good[-1]] + 11:.1f}", y=f"{end + 4:.1f}", class_="label"))
+        parts.append(tag("g", inner, class_=f"s{s.slot}", data_agent=s.slot))
+        tips = [[round(float(px[i]), 1), round(float(py[i]), 1), f"{s.x[i]:,.0f}", number(float(s.y[i]))] for i in good]
+        hover.append({"n": s.name, "c": s.slot, "p": tips})
+    parts.append(tag("line", y1=top, y2=bottom, class_="cursor", visibility="hidden"))
+    return tag(
+        "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=title, class_="chart",
+        data_hover=json.dumps(hover, separators=(",", ":")),
+    )  # fmt: skip
+
+
+def _end(x: _Axis, y: _Axis, s: Series) -> tuple[float, float]:
+    """Where a line ends."""
+    good = np.flatnonzero(np.isfinite(s.y))
+    return (float(x(s.x[good[-1]])), float(y(s.y[good[-1]]))) if len(good) else (math.nan, math.nan)
+
+
+def _spread(places: Sequence[tuple[float, float]], top: float, bottom: float, gap: float = 16.0, wide: float = 110.0) -> list[float]:
+    """Heights of labels, moved apart where they would cover one another, in their order."""
+    out = [place for _, place in places]
+    order = sorted((i for i, place in enumerate(out) if math.isfinite(place)), key=lambda i: out[i])
+    for sign, way in ((1.0, order), (-1.0, order[::-1])):
+        done: list[int] = []
+        for i in way:
+            near = [sign * out[j] + gap for j in done if abs(places[i][0] - places[j][0]) < wide]
+            out[i] = sign * max([sign * out[i], sign * (top if sign > 0 else bottom), *near])
+            done.append(i)
+    return out
+
+
+_SHAPES = (
+    "M-4 0A4 4 0 1 0 4 0A4 4 0 1 0 -4 0Z", "M-3.5-3.5H3.5V3.5H-3.5Z", "M0-4.6L4.4 3.4H-4.4Z", "M0-5L5 0L0 5L-5 0Z",
+    "M0 4.6L4.4-3.4H-4.4Z", "M-4.5-1.5H-1.5V-4.5H1.5V-1.5H4.5V1.5H1.5V4.5H-1.5V1.5H-4.5Z", "M-4.5-2.5H4.5V2.5H-4.5Z",
+    "M-2.5-4.5H2.5V4.5H-2.5Z",
+)  # fmt: skip
+
+
+def marker(slot: int, x: float, y: float) -> Markup:
+    """The shape that goes with a colour, so that colour alone never tells agents apart."""
+    return tag("path", d=_SHAPES[slot], transform=f"translate({x:.1f} {y:.1f})", class_="marker")
+
+
+def legend(names: Sequence[tuple[str, int]]) -> Markup:
+    """Buttons that hide an agent in every chart."""
+    buttons = []
+    for name, slot in names:
+        swatch = tag("svg", tag("path", d="M0 7H26", class_="line"), marker(slot, 13, 7), viewBox="0 0 26 14", class_=f"s{slot}")
+        buttons.append(tag("button", swatch, name, type="button", data_toggle=slot, aria_pressed="true", class_="key"))
+    return tag("div", buttons, class_="legend", role="group", aria_label="show or hide agents")
+
+
+def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, references: Sequence[tuple[str, float]] = ()) -> Markup:
+    """Means with their intervals, one under another; `None` for a slot is the log."""
+    width, row, top, left, right = 480, 30, 24, 128, 466
+    height = top + row * len(bars) + 26
+    ends = [v for _, _, i in bars for v in (i.low, i.high, i.mean) if math.isfinite(v)] + [v for _, v in references]
+    x = _Axis(min(ends), max(ends), left, right)
+    parts = [tag("title", f"{unit}: mean and 95 % interval of each policy")]
+    for t in x.ticks:
+        parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
+        parts.append(tag("text", _short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
+    for name, value in references:
+        parts.append(tag("line", x1=f"{x(value):.1f}", x2=f"{x(value):.1f}", y1=top - 4, y2=height - 24, class_="reference"))
+        anchor = "end" if x(value) > width - 60 else "mid"
+        parts.append(tag("text", name, x=f"{min(x(value) + (8 if anchor == 'end' else 0), width - 2):.1f}", y=13, class_=f"name {anchor}"))
+    for k, (name, slot, spread) in enumerate(bars):
+        y = top + row * (k + 0.5)
+        inner = [tag("title", f"{name}: {spread}"), tag("text", name, x=left - 14, y=y + 4.5, class_="label end")]
+        inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
+        inner.append(marker(0 if slot is None else slot, float(x(spread.mean)), y))
+        parts.append(tag("g", inner, class_="log" if slot is None else f"s{slot}"))
+    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=f"{unit} of each policy", class_="chart")

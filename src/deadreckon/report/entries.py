@@ -1,0 +1,193 @@
+"""Run folders as a report sees them: columns of numbers, read without loading a policy."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
+from deadreckon.runs.folder import Folder
+from deadreckon.runs.train import Run
+from deadreckon.tasks import registry
+from deadreckon.tasks.task import Task
+
+NAMES = {"bc": "BC", "td3": "TD3", "td3_bc": "TD3+BC", "sac": "SAC", "bear": "BEAR", "bear_is": "IS-BEAR"}
+Columns = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One run folder.
+
+    Attributes:
+        label: unique on the page.
+        folder: where its files lie.
+        config: its run.json.
+        status: its status.json.
+        metrics: step, seed and one column a metric.
+        evaluations: one row an episode (one a seed, if nothing was simulated).
+    """
+
+    label: str
+    folder: Folder
+    config: dict[str, Any]
+    status: dict[str, Any]
+    metrics: Columns
+    evaluations: Columns
+
+    @property
+    def agent(self) -> str:
+        """The agent's registered name."""
+        return self.config["agent"]["name"]
+
+    @property
+    def seeds(self) -> list[int]:
+        """One a lane."""
+        return self.config["seeds"]
+
+    @property
+    def discount(self) -> float:
+        """Of the agent's values."""
+        return float(self.config["agent"]["fields"].get("discount") or 0.99)
+
+    @property
+    def behavior(self) -> dict[str, Any] | None:
+        """What the log's own policy returned over one horizon, where that is known."""
+        return self.config["data"].get("behavior")
+
+    @property
+    def failed(self) -> list[tuple[int, str, int]]:
+        """Seed, metric and step of each lane whose numbers went bad."""
+        found = zip(self.seeds, self.status.get("failures") or [])
+        return [(seed, failure[0], failure[1]) for seed, failure in found if failure]
+
+    @property
+    def last_step(self) -> int | None:
+        """Updates before the last evaluation."""
+        steps = self.evaluations.get("step")
+        return None if steps is None or not len(steps) else int(steps.max())
+
+    def at(self, name: str, step: int | None) -> np.ndarray | None:
+        """(seeds, episodes) of an evaluation's column after `step` updates, in order of seeds and episodes."""
+        table = self.evaluations
+        if step is None or name not in table:
+            return None
+        found = []
+        for seed in self.seeds:
+            rows = np.flatnonzero((table["step"] == step) & (table["seed"] == seed))
+            found.append(table[name][rows[np.argsort(table["episode"][rows], kind="stable")]])
+        lengths = {len(values) for values in found if len(values)}
+        return np.stack([values for values in found if len(values)]) if len(lengths) == 1 else None
+
+    def last(self, name: str) -> np.ndarray | None:
+        """(seeds, episodes) of the last evaluation."""
+        return self.at(name, self.last_step)
+
+    def curve(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Steps, and (steps, seeds) values of a column of the evaluations (mean over episodes) or else of the metrics."""
+        table = self.evaluations if name in self.evaluations else self.metrics
+        if name not in table:
+            return np.zeros(0), np.zeros((0, len(self.seeds)))
+        steps = np.unique(table["step"])
+        sums, counts = np.zeros((2, len(steps), len(self.seeds)))
+        where = np.searchsorted(steps, table["step"])
+        for lane, seed in enumerate(self.seeds):
+            mine = table["seed"] == seed
+            np.add.at(sums[:, lane], where[mine], table[name][mine])
+            np.add.at(counts[:, lane], where[mine], 1)
+        values = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
+        return steps.astype(float), values
+
+    @cached_property
+    def segments(self) -> np.ndarray | None:
+        """(stretches, steps, dimensions) of the log, if they were kept."""
+        return _array(self.folder.log, "segments")
+
+    @cached_property
+    def trajectories(self) -> np.ndarray | None:
+        """(seeds, episodes, steps, dimensions) of the last policies, if they were recorded."""
+        return _array(self.folder.trajectories, "trajectories")
+
+
+@dataclass(frozen=True)
+class Page:
+    """The runs of one report, all of one task (or all without)."""
+
+    entries: tuple[Entry, ...]
+
+    @property
+    def task_name(self) -> str | None:
+        """What the runs were judged in."""
+        return self.entries[0].config["task"]
+
+    @property
+    def task(self) -> Task | None:
+        """The task itself, unless it is a private one that is not registered here."""
+        return registry.task(self.task_name) if self.task_name in registry.names() else None
+
+    def slot(self, entry: Entry) -> int:
+        """Which colour an entry has."""
+        return self.entries.index(entry) % 8
+
+
+def read(runs: Sequence[Path | str | Run]) -> Page:
+    """Reads run folders, each once however often it is named.
+
+    Raises:
+        UserError: nothing to show, a path that is no run, or runs of different tasks.
+    """
+    runs = [runs] if isinstance(runs, (str, Path, Run)) else list(runs)
+    paths = list(dict.fromkeys(run.path if isinstance(run, Run) else Path(run) for run in runs))
+    if not paths:
+        raise UserError("nothing to report: name at least one run folder")
+    raw = [(path, _config(path)) for path in paths]
+    tasks = {config["task"]: path for path, config in reversed(raw)}
+    if len(tasks) > 1:
+        said = ", ".join(f"{path} is {'without a task' if task is None else task}" for task, path in tasks.items())
+        raise UserError(f"a report shows runs of one task: {said}; write one report for each")
+    entries = [_entry(path, config, label) for (path, config), label in zip(raw, _labels(raw))]
+    if not any(e.metrics or e.evaluations for e in entries):
+        raise UserError(f"nothing to report: {', '.join(map(str, paths))} has no metrics yet")
+    return Page(tuple(entries))
+
+
+def _config(path: Path) -> dict[str, Any]:
+    config = Folder(path).config
+    if not config.exists():
+        raise UserError(f"{path} holds no run (no run.json)")
+    found = read_json(config)
+    if not isinstance(found, dict) or not {"agent", "data", "task", "seeds", "steps"} <= found.keys():
+        raise UserError(f"{config} is not the record of a run")
+    return found
+
+
+def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
+    names = [NAMES.get(config["agent"]["name"], config["agent"]["name"]) for _, config in raw]
+    labels = [name if names.count(name) == 1 else f"{name} ({path.name})" for name, (path, _) in zip(names, raw)]
+    return [label if labels.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(labels)]
+
+
+def _entry(path: Path, config: dict[str, Any], label: str) -> Entry:
+    folder = Folder(path)
+    status_path = path / "status.json"
+    status = read_json(status_path) if status_path.exists() else {"step": 0, "finished": False}
+    try:
+        tables = [folder.table(kind) for kind in ("metrics", "evaluations")]
+    except (pa.ArrowInvalid, OSError) as error:
+        raise UserError(f"{path} has a broken table: {error}") from error
+    return Entry(label, folder, config, status, *({n: t[n].to_numpy() for n in t.column_names} for t in tables))
+
+
+def _array(path: Path, name: str) -> np.ndarray | None:
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as file:
+            return file[name] if name in file else None
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path} cannot be read: {error}") from error

@@ -1,0 +1,38 @@
+"""HTML and SVG as nested calls: whatever is not markup already is escaped, so that no name in a run can break a page."""
+
+import html
+from typing import Any
+
+
+class Markup(str):
+    """Text that is markup; every other string is escaped when it becomes part of an element."""
+
+    __slots__ = ()
+
+
+_VOID = {"br", "hr", "input", "meta"}
+
+
+def _text(child: Any) -> str:
+    if child is None:
+        return ""
+    if isinstance(child, Markup):
+        return child
+    if isinstance(child, (list, tuple)):
+        return "".join(map(_text, child))
+    return html.escape(str(child))
+
+
+def tag(name: str, *children: Any, **attributes: Any) -> Markup:
+    """An element; in attribute names `_` stands for `-`, a trailing one is dropped, and None leaves the attribute out."""
+    written = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{html.escape(str(value))}"' for key, value in attributes.items() if value is not None
+    )
+    if name in _VOID:
+        return Markup(f"<{name}{written}>")
+    return Markup(f"<{name}{written}>{_text(children)}</{name}>")
+
+
+def join(*children: Any) -> Markup:
+    """Elements one after another."""
+    return Markup(_text(children))

@@ -1,0 +1,195 @@
+"""The numbers of a report: one row a policy, and intervals of their differences. Page and terminal both show these."""
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from deadreckon.report.entries import Entry, Page
+from deadreckon.runs.evaluate import RESAMPLES, Interval
+from deadreckon.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one run's policies were worth at the last evaluation; None where it was not measured.
+
+    Attributes:
+        label: of the agent, or "behaviour (log)".
+        entry: the run; None for the log's own policy.
+        returns: undiscounted, mean over seeds and episodes.
+        score: the same on the scale from random (0) to expert (100).
+        per_seed: mean score (or return, if there is no score) of each seed.
+        value: what the critic promised at the start of the episodes.
+        truth: the discounted return that came of it.
+        mmd: distance of the policy's actions to the logged ones.
+        outside: share of its actions beyond the log's range.
+        updates: before the evaluation.
+    """
+
+    label: str
+    entry: Entry | None = None
+    returns: Interval | None = None
+    score: Interval | None = None
+    per_seed: tuple[float, ...] = ()
+    value: float | None = None
+    truth: float | None = None
+    mmd: float | None = None
+    outside: float | None = None
+    updates: int | None = None
+
+    @property
+    def baseline(self) -> bool:
+        """Behaviour cloning, which any agent has to beat."""
+        return self.entry is not None and self.entry.agent == "bc"
+
+    @property
+    def worth(self) -> Interval | None:
+        """The score, or the return where there is no score."""
+        return self.score or self.returns
+
+    @property
+    def over(self) -> float | None:
+        """Overestimation: what was promised beyond what came."""
+        return None if self.value is None or self.truth is None else self.value - self.truth
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Mean of one policy's worth minus another's, with 95 % intervals, in returns and (where known) in scores."""
+
+    returns: Interval
+    score: Interval | None
+
+    @property
+    def worth(self) -> Interval:
+        """In scores, or in returns where there are none."""
+        return self.score or self.returns
+
+
+def _draws(values: np.ndarray, rng: np.random.Generator, which: np.ndarray) -> np.ndarray:
+    who = rng.integers(0, len(values), (RESAMPLES, len(values), 1))
+    return values[who, which[:, None]].mean((1, 2))
+
+
+def _which(episodes: int, seed: int) -> tuple[np.random.Generator, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng, rng.integers(0, episodes, (RESAMPLES, episodes))
+
+
+def _percentiles(mean: float, draws: np.ndarray) -> Interval:
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return Interval(float(mean), float(low), float(high))
+
+
+def interval(values: np.ndarray, seed: int = 0) -> Interval:
+    """Mean and 95 % bootstrap interval of (seeds, episodes) values; seeds and episodes are redrawn, each as a whole.
+
+    Episode `i` starts the same way for every seed, so a draw of episodes holds for all seeds: treating them as
+    seeds x episodes independent numbers would give intervals that are too narrow.
+    """
+    rng, which = _which(values.shape[1], seed)
+    return _percentiles(values.mean(), _draws(values, rng, which))
+
+
+def paired(a: np.ndarray, b: np.ndarray, seed: int = 0) -> Interval:
+    """Mean of a - b with its 95 % bootstrap interval, both (seeds, episodes) over the same starts.
+
+    Episodes are redrawn together, so that a hard start counts against both; seeds are redrawn apart, for they share
+    nothing. If one has more episodes, the common first ones are compared.
+    """
+    episodes = min(a.shape[1], b.shape[1])
+    a, b = a[:, :episodes], b[:, :episodes]
+    rng, which = _which(episodes, seed)
+    return _percentiles(a.mean() - b.mean(), _draws(a, rng, which) - _draws(b, rng, which))
+
+
+def against(values: np.ndarray, other: Interval, seed: int = 0) -> Interval:
+    """Mean of (seeds, episodes) values minus an independent estimate, whose interval is taken as that of a normal."""
+    rng, which = _which(values.shape[1], seed)
+    error = (other.high - other.low) / (2 * 1.959964)
+    draws = _draws(values, rng, which) - rng.normal(other.mean, error, RESAMPLES)
+    return _percentiles(values.mean() - other.mean, draws)
+
+
+def to_score(task: Task | None, returns: Interval) -> Interval | None:
+    """Returns as scores; None where the task's references are not known here."""
+    if task is None:
+        return None
+    return Interval(*(float(task.reference.normalise(v)) for v in (returns.mean, returns.low, returns.high)))
+
+
+def behavior(entry: Entry) -> Interval | None:
+    """The return of the policy that made the run's log."""
+    known = entry.behavior
+    return Interval(known["mean"], known["low"], known["high"]) if known else None
+
+
+def versus(a: Row, b: Row, task: Task | None) -> Difference | None:
+    """How much `a`, a run, is worth beyond `b`, a run or the log's own policy."""
+    assert a.entry is not None
+    mine = a.entry.last("return")
+    if mine is None or b.returns is None:
+        return None
+    scores = a.entry.last("score")
+    if b.entry is None:
+        score = against(scores, b.score) if scores is not None and b.score is not None else None
+        return Difference(against(mine, b.returns), score)
+    theirs, their_scores = b.entry.last("return"), b.entry.last("score")
+    if theirs is None:
+        return None
+    score = paired(scores, their_scores) if scores is not None and their_scores is not None else None
+    return Difference(paired(mine, theirs), score)
+
+
+def row(entry: Entry) -> Row:
+    """The numbers of one run at its last evaluation."""
+    returns, scores = entry.last("return"), entry.last("score")
+    values = scores if scores is not None else returns
+    return Row(
+        entry.label,
+        entry,
+        None if returns is None else interval(returns),
+        None if scores is None else interval(scores),
+        () if values is None else tuple(float(v) for v in values.mean(1)),
+        *(_mean(entry.last(name)) for name in ("estimated_value", "discounted_return", "mmd_to_data", "outside_range")),
+        updates=entry.last_step if entry.last_step is not None else entry.status.get("step"),
+    )
+
+
+def log_rows(page: Page) -> list[Row]:
+    """One row for the policy behind each log (one log, as a rule)."""
+    logs = {entry.config["data"]["fingerprint"]: entry for entry in reversed(page.entries) if behavior(entry)}
+    out = []
+    for entry in reversed(logs.values()):
+        returns = behavior(entry)
+        assert returns is not None
+        label = "behaviour (log)" if len(logs) == 1 else f"behaviour ({entry.config['data']['name']})"
+        out.append(Row(label, None, returns, to_score(page.task, returns)))
+    return out
+
+
+def log_row(page: Page, entry: Entry) -> Row | None:
+    """The row of the policy behind this run's log."""
+    returns = behavior(entry)
+    return None if returns is None else Row("behaviour (log)", None, returns, to_score(page.task, returns))
+
+
+def rows(page: Page) -> list[Row]:
+    """All rows: the log's own policy, then the runs, best first."""
+    runs = [row(entry) for entry in page.entries]
+    runs.sort(key=lambda r: -np.inf if r.worth is None or np.isnan(r.worth.mean) else r.worth.mean, reverse=True)
+    return log_rows(page) + runs
+
+
+def published() -> dict[str, Any]:
+    """Scores of the thesis, to be shown apart."""
+    return json.loads(resources.files("deadreckon.report").joinpath("assets", "published.json").read_text())
+
+
+def _mean(values: np.ndarray | None) -> float | None:
+    if values is None or not np.isfinite(values).any():
+        return None
+    return float(values[np.isfinite(values)].mean())

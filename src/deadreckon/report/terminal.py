@@ -1,0 +1,51 @@
+"""The score table for a terminal: the same rows as on the page."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from deadreckon.report.entries import read
+from deadreckon.report.rows import Row, rows
+from deadreckon.report.text import brackets, count, number, percent, score
+from deadreckon.report.verdict import verdict
+from deadreckon.runs.evaluate import Interval
+from deadreckon.runs.train import Run
+
+
+def _with_interval(value: Interval | None) -> str:
+    return f"{score(value.mean)} {brackets(value)}" if value else number(None)
+
+
+COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("seeds", lambda r: count(len(r.entry.seeds) if r.entry else None)),
+    ("score [95 %]", lambda r: _with_interval(r.score)),
+    ("return [95 %]", lambda r: _with_interval(r.returns)),
+    ("promised", lambda r: number(r.value)),
+    ("delivered", lambda r: number(r.truth)),
+    ("MMD", lambda r: number(r.mmd)),
+    ("outside", lambda r: percent(r.outside)),
+    ("updates", lambda r: count(r.updates)),
+    ("failed", lambda r: count(len(r.entry.failed) if r.entry else None)),
+)
+
+
+def table(runs: Sequence[Path | str | Run]) -> str:
+    """One line a policy: the log's own behaviour, then the runs, best first.
+
+    Promised is the critic's value at the start of the judged episodes, delivered the discounted return that followed.
+
+    Raises:
+        UserError: nothing to show, a path that is no run, or runs of different tasks.
+    """
+    found = rows(read(runs))
+    lines = [("agent", *(name for name, _ in COLUMNS))]
+    lines += [(r.label, *(cell(r) for _, cell in COLUMNS)) for r in found]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    text = ["  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:]))]) for line in lines]
+    text.insert(1, "  ".join("-" * w for w in widths))
+    plain = str.maketrans({"\N{MINUS SIGN}": "-", "\N{EM DASH}": "-", "\N{NO-BREAK SPACE}": " "})
+    return "\n".join(line.rstrip() for line in text).translate(plain)
+
+
+def headline(runs: Sequence[Path | str | Run]) -> str:
+    """The page's one-sentence verdict."""
+    return verdict(read(runs)).headline.replace("\N{MINUS SIGN}", "-")

@@ -1,0 +1,189 @@
+"""One suite for every agent: shapes, determinism, lanes, resume, bad numbers, save and load, field rules.
+
+Compile time is the budget: one small program an agent (2 lanes, 16 wide, 50-step chunks), reused by all tests.
+"""
+
+import dataclasses
+import typing
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from deadreckon.agents import AGENTS, agent_class
+from deadreckon.data.batch import Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.policies import Deployed, store
+from deadreckon.policies.portable import load as load_portable
+from deadreckon.training.fit import Fit, fit
+from tests.agents.worlds import corridor
+
+LOG = corridor()
+STEPS, CHUNK = 150, 50
+
+
+def small(name, **fields):
+    return agent_class(name)(**({"hidden": (16, 16), "batch_size": 64} | fields)).resolve(LOG.spec, STEPS)
+
+
+def rows_of(agent, log=LOG):
+    return Rows(log, agent.needs(log.spec))
+
+
+def same(a, b):
+    return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+
+@pytest.fixture(scope="session", params=AGENTS)
+def trained(request):
+    """(agent, rows, fit of two lanes, metrics by chunk)."""
+    agent = small(request.param)
+    rows = rows_of(agent)
+    seen = []
+    result = fit([agent, agent], rows, [0, 1], STEPS, chunk=CHUNK, on_chunk=seen.append)
+    return agent, rows, result, seen
+
+
+def test_trains_with_finite_metrics_under_fixed_names(trained):
+    agent, rows, result, seen = trained
+    assert result.step == STEPS
+    assert result.failures == (None, None)
+    assert len(seen) == 3
+    assert len({tuple(p.metrics) for p in seen}) == 1
+    assert all(np.isfinite(v).all() and v.shape == (2,) for p in seen for v in p.metrics.values())
+    assert not same(result.lane(0), result.lane(1))
+
+
+def test_same_seed_same_bits_whatever_the_chunks(trained):
+    agent, rows, result, _ = trained
+    again = fit([agent, agent], rows, [0, 1], STEPS, chunk=70)
+    assert same(result.states, again.states)
+
+
+def test_a_lane_equals_the_single_run_within_tolerance(trained):
+    agent, rows, result, _ = trained
+    alone = fit([agent], rows, [1], 20, chunk=20)
+    both = fit([agent, agent], rows, [0, 1], 20, chunk=CHUNK)
+    for a, b in zip(jax.tree.leaves(alone.lane(0)), jax.tree.leaves(both.lane(1)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=2e-4)
+
+
+def test_streamed_equals_resident_bit_for_bit(trained):
+    agent, rows, result, _ = trained
+    streamed = fit([agent, agent], rows, [0, 1], STEPS, chunk=CHUNK, stream=True)
+    assert same(result.states, streamed.states)
+
+
+def test_resume_is_bit_for_bit(trained, tmp_path):
+    agent, rows, result, _ = trained
+    first = Fit([agent, agent], rows, [0, 1], STEPS, CHUNK, tmp_path)
+    walk = first.chunks()
+    next(walk)
+    next(walk)  # the checkpoint of the first chunk is written, that of the second is not
+    walk.close()
+    second = Fit([agent, agent], rows, [0, 1], STEPS, CHUNK, tmp_path)
+    second.resume()
+    assert second.step == CHUNK
+    for _ in second.chunks():
+        pass
+    assert same(result.states, second.states)
+
+
+def test_a_lane_with_bad_numbers_stops_and_the_other_goes_on(trained, tmp_path):
+    agent, rows, result, _ = trained
+    name = "lr" if hasattr(agent, "lr") else "critic_lr"
+    bad = agent.replace(**{name: 1e30})
+    job = Fit([agent, bad], rows, [0, 1], STEPS, CHUNK, tmp_path)
+    seen = list(job.chunks())
+    assert job.failures[0] is None
+    metric, step = job.failures[1]
+    assert metric in seen[0].metrics or metric == "parameters"
+    assert 0 <= step < CHUNK
+    assert np.isnan(seen[-1].metrics[next(iter(seen[-1].metrics))][1])
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(job.states))
+    for good, alone in zip(jax.tree.leaves(job.states), jax.tree.leaves(result.states), strict=True):
+        np.testing.assert_allclose(good[0], alone[0], rtol=1e-4, atol=1e-5)
+
+
+def test_the_run_stops_when_no_lane_is_left(trained):
+    agent, rows, *_ = trained
+    name = "lr" if hasattr(agent, "lr") else "critic_lr"
+    bad = agent.replace(**{name: 1e30})
+    result = fit([bad, bad], rows, [0, 1], STEPS, chunk=CHUNK)
+    assert all(result.failures)
+    assert result.step == CHUNK
+
+
+def test_settings_may_differ_along_the_lanes(trained):
+    agent, rows, result, _ = trained
+    name = "lr" if hasattr(agent, "lr") else "critic_lr"
+    other = agent.replace(**{name: 2 * getattr(agent, name)})
+    mixed = fit([agent, other], rows, [0, 0], CHUNK, chunk=CHUNK)
+    assert not same(mixed.lane(0), mixed.lane(1))
+
+
+def test_policy_acts_in_bounds_and_survives_its_file(trained, tmp_path):
+    agent, rows, result, _ = trained
+    policy = Deployed.of(agent.policy(result.lane(0)), rows.view)
+    observations = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
+    actions = policy(observations)
+    assert actions.shape == (9, 1)
+    assert (np.abs(actions) <= 1).all()
+    assert policy(observations[0]).shape == (1,)
+    store.save(tmp_path / "p.npz", policy, {"note": 1})
+    np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(observations), actions)
+    assert store.meta(tmp_path / "p.npz") == {"note": 1}
+    play = load_portable(tmp_path / "p.npz")
+    if type(policy.inner).__name__ != "GreedyQ":  # which draws its candidates from another generator
+        np.testing.assert_allclose(play(observations), actions, atol=1e-5)
+    assert play(observations[0]).shape == (1,)
+
+
+def test_floats_are_traced_and_all_else_is_static(trained):
+    agent, *_ = trained
+    hints = typing.get_type_hints(type(agent))
+    for f in dataclasses.fields(agent):
+        traced = hints[f.name] is float or hints[f.name] == float | None
+        assert traced != bool(f.metadata.get("static")), f.name
+        assert not (traced and getattr(agent, f.name) is None), f"{f.name} must be resolved before lifting"
+
+
+def test_refuses_what_does_not_fit(trained):
+    agent, *_ = trained
+    rng = np.random.default_rng(0)
+    discrete = Dataset.from_arrays(observations=rng.normal(size=(9, 2)), actions=np.arange(9) % 3, rewards=np.zeros(9))
+    with pytest.raises(UserError, match="continuous actions"):
+        agent.resolve(discrete.spec, STEPS)
+    images = Dataset.from_arrays(
+        observations=np.zeros((4, 8, 8, 3), np.uint8), actions=rng.uniform(size=(4, 1)), rewards=np.zeros(4)
+    )
+    with pytest.raises(UserError, match="flat observations"):
+        agent.resolve(images.spec, STEPS)
+    name = "lr" if hasattr(agent, "lr") else "critic_lr"
+    with pytest.raises(UserError, match=f"{name} takes a finite number"):
+        agent.replace(**{name: float("nan")}).resolve(LOG.spec, STEPS)
+
+
+def test_value_estimates_have_one_number_a_row(trained):
+    agent, rows, result, _ = trained
+    q = agent.q_value(result.lane(0), jnp.zeros((5, 1)), jnp.zeros((5, 1)))
+    assert q is None or q.shape == (5,)
+
+
+LEARNERS = {"td3": 0.35, "td3_bc": 0.35, "sac": 0.35, "bear": 0.45, "bear_is": 0.8}
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_learns_the_corridor(name):
+    """Mean |action - best| on the line, from uniform data; a random policy has about 0.8, a constant zero 0.63."""
+    fields = {"actor_lr": 1e-3, "critic_lr": 1e-3, "discount": 0.9}
+    if name.startswith("bear"):  # uniform data: everything is in support
+        fields |= {"warm_start": 50, "dual": False, "multiplier": 0.0, "test_action": "actor"}
+    agent = small(name, **fields)
+    result = fit([agent], rows_of(agent), [0], 1500, chunk=500)
+    policy = Deployed.of(agent.policy(result.lane(0)), rows_of(agent).view)
+    s = np.linspace(-1, 1, 41, dtype=np.float32)[:, None]
+    error = np.abs(policy(s) - np.clip(-5 * s, -1, 1)).mean()
+    assert error < LEARNERS[name]

@@ -1,0 +1,60 @@
+import json
+
+import pytest
+from small_logs import make_log
+
+from deadreckon.data.catalogue import ENTRIES, cached_path, entry, load
+from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.errors import UserError
+
+
+def test_the_entries():
+    assert len(ENTRIES) == 6
+    found = entry("maze2d-umaze-v1")
+    assert (found.task, found.rows, found.recipe) == ("maze2d-umaze", 1_000_000, "maze2d-umaze-v1")
+    assert found.original == "maze2d/maze2d-umaze-sparse-v1.hdf5"
+    assert found.minari == "D4RL/pointmaze/umaze-v2"
+    assert found.collected == "maze2d-umaze-v1@dr1"
+    assert entry("maze2d-large-dense-v1@dr1").minari == "D4RL/pointmaze/large-dense-v2"
+    assert entry("maze2d-large-dense-v1").task == "maze2d-large-dense"
+    assert entry("maze2d-medium-v1").rows == 2_000_000
+
+
+def test_the_originals_are_those_of_d4rl(real_data):
+    files = json.loads((real_data / "d4rl" / "d4rl_dataset_files.json").read_text())
+    assert {name: found.original for name, found in ENTRIES.items()} == {name: files[name] for name in ENTRIES}
+
+
+def test_wrong_names_are_told_the_nearest():
+    with pytest.raises(UserError, match="did you mean maze2d-umaze-v1"):
+        load("maze2d-umaze-v2")
+    with pytest.raises(UserError, match=r"unknown version 'dr9' of maze2d-umaze-v1: .* maze2d-umaze-v1@dr1"):
+        load("maze2d-umaze-v1@dr9")
+
+
+def test_the_cache(home):
+    path = cached_path("maze2d-umaze-v1")
+    assert path == home / "data" / "maze2d-umaze-v1@dr1.hdf5" == cached_path("maze2d-umaze-v1@dr1")
+    with pytest.raises(UserError, match="`deadreckon data collect maze2d-umaze-v1` makes it offline") as caught:
+        load("maze2d-umaze-v1")
+    assert "\n" not in str(caught.value)
+    log = make_log(name="maze2d-umaze-v1@dr1")
+    write_hdf5(log, path)
+    for name in ("maze2d-umaze-v1", "maze2d-umaze-v1@dr1"):
+        assert load(name).fingerprint == load(name, mmap=True).fingerprint == log.fingerprint
+        assert load(name).name == "maze2d-umaze-v1@dr1"
+
+
+def test_a_file_is_loaded_by_its_path(tmp_path, log):
+    write_hdf5(log, tmp_path / "mine.hdf5")
+    assert load(str(tmp_path / "mine.hdf5")).fingerprint == log.fingerprint
+    with pytest.raises(UserError, match="no file"):
+        load(tmp_path / "yours.hdf5")
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "/etc/passwd", "maze2d/../../x", "maze2d/x", "..", ".", "", "~/x", "a\\..\\b", "a\0b", "x/"]
+)
+def test_names_that_lead_out_of_the_cache_are_refused(name):
+    with pytest.raises(UserError, match="not the name of a log"):
+        cached_path(name)

@@ -1,0 +1,208 @@
+import datetime as dt
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_logs import quick
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.frame import from_frame
+from deadreckon.data.io import read
+from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
+
+TABLE = {
+    "who": ["b", "b", "a", "a", "a"],
+    "when": [1, 2, 1, 2, 3],
+    "x": [1.0, 2.0, 3.0, 4.0, 5.0],
+    "kind": ["red", "blue", "red", "red", "blue"],
+    "action_0": [0.1, 0.2, 0.3, 0.4, 0.5],
+    "action_1": [1.0, 2.0, 3.0, 4.0, 5.0],
+    "gain": [1, 0, 0, 0, 2],
+    "done": [True, False, False, False, True],
+}
+NAMED = {"episode": "who", "time": "when", "action": "action", "reward": "gain", "terminal": "done"}
+
+
+def test_the_whole_of_it():
+    table = {**TABLE, "done": [False, True, False, False, False]}
+    log = Dataset.from_frame(table, **NAMED, name="shop")
+    assert log.name == "shop"
+    # Episode a and b both begin at 1, so names decide.
+    assert log.rewards.tolist() == [0, 0, 2, 1, 0]
+    assert log.lengths.tolist() == [3, 2]
+    assert log.terminals.tolist() == [False, False, False, False, True]
+    assert log.timeouts.tolist() == [False, False, True, False, False]
+    np.testing.assert_allclose(log.actions[:, 0], [0.3, 0.4, 0.5, 0.1, 0.2], rtol=1e-6)
+    assert log.provenance.extra["observation_names"] == ["x", "kind=blue", "kind=red"]
+    assert log.provenance.extra["observation_levels"] == {"kind": ["blue", "red"]}
+    assert log.observations.tolist() == [[3, 0, 1], [4, 0, 1], [5, 1, 0], [1, 0, 1], [2, 1, 0]]
+    assert log.dropped == 1
+
+
+@quick
+@given(st.permutations(range(5)))
+def test_the_order_of_the_rows_does_not_matter(order):
+    shuffled = {key: [value[row] for row in order] for key, value in TABLE.items()}
+    a, b = from_frame(TABLE, **NAMED), from_frame(shuffled, **NAMED)
+    assert a.fingerprint == b.fingerprint
+
+
+@pytest.mark.parametrize("library", ["pyarrow", "pandas", "polars", "arrays"])
+def test_tables_of_all_kinds(library):
+    if library == "pyarrow":
+        frame = pa.table(TABLE)
+    elif library == "arrays":
+        frame = {key: np.array(value) for key, value in TABLE.items()}
+    else:
+        frame = pytest.importorskip(library).DataFrame(TABLE)
+    if library == "pandas":
+        frame["kind"] = frame["kind"].astype("category")
+        frame = frame.set_index(np.arange(10, 15))
+    assert from_frame(frame, **NAMED).fingerprint == from_frame(TABLE, **NAMED).fingerprint
+
+
+def test_each_row_is_an_episode_of_a_bandit():
+    log = from_frame(
+        {"x": [1, 2], "arm": [0, 1], "click": [0, 1], "p": [0.5, 0.25]}, action="arm", reward="click", propensity="p"
+    )
+    assert log.terminals.all()
+    assert log.episodes == 2
+    assert log.dropped == 0
+    np.testing.assert_allclose(np.exp(log.extras["behavior_log_probs"]), [0.5, 0.25], rtol=1e-6)
+
+
+def test_one_stream_cut_by_its_flags():
+    table = {"x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0, 0, 0, 0], "end": [0, 1, 0, 0]}
+    log = from_frame(table, action="a", reward="r", terminal="end")
+    assert log.lengths.tolist() == [2, 2]
+    assert from_frame(table, action="a", reward="r", timeout="end").lengths.tolist() == [2, 2]
+    by_time = from_frame({**table, "t": [4, 3, 2, 1]}, action="a", reward="r", time="t")
+    assert by_time.observations[:, 0].tolist() == [4, 3, 2, 1]
+    assert by_time.lengths.tolist() == [4]
+
+
+def test_episodes_follow_one_another_in_time():
+    moments = [dt.datetime(2026, 1, day) for day in (5, 6, 1, 2)]
+    log = from_frame({"e": [1, 1, 2, 2], "t": moments, "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
+                     episode="e", time="t", action="a", reward="r")  # fmt: skip
+    assert log.observations[:, 0].tolist() == [3, 4, 1, 2]
+
+
+def test_without_time_rows_of_an_episode_keep_their_order():
+    log = from_frame({"e": ["z", "a", "z", "a"], "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
+                     episode="e", action="a", reward="r")  # fmt: skip
+    assert log.observations[:, 0].tolist() == [1, 3, 2, 4]
+    assert log.lengths.tolist() == [2, 2]
+
+
+def test_missing_values_become_the_mean_and_are_marked_and_counted():
+    table = {"x": [1.0, None, 3.0, float("nan")], "k": ["u", None, "v", "u"], "b": [True, False, None, True],
+             "a": [0, 1, 0, 1], "r": [0] * 4}  # fmt: skip
+    log = from_frame(table, action="a", reward="r")
+    names = log.provenance.extra["observation_names"]
+    assert names == ["x", "x_missing", "k=u", "k=v", "k_missing", "b=false", "b=true", "b_missing"]
+    columns = dict(zip(names, log.observations.T.tolist()))
+    assert columns["x"] == [1, 2, 3, 2]
+    assert columns["x_missing"] == [0, 1, 0, 1]
+    assert columns["k=u"] == [1, 0, 0, 1]
+    assert columns["k_missing"] == [0, 1, 0, 0]
+    assert columns["b=true"] == [1, 0, 0, 1]
+    assert "x 2, k 1, b 1" in log.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "codes", "n", "levels"),
+    [
+        ([0, 2, 1, 2], [0, 2, 1, 2], 3, None),
+        ([0, 5, 1, 2], [0, 5, 1, 2], 6, None),
+        ([700, 5, 700, 90000], [1, 0, 1, 2], 3, [5, 700, 90000]),
+        ([-1, 1, 1, -1], [0, 1, 1, 0], 2, [-1, 1]),
+        (["stop", "go", "go", "stop"], [1, 0, 0, 1], 2, ["go", "stop"]),
+        ([True, False, True, True], [1, 0, 1, 1], 2, ["false", "true"]),
+    ],
+)
+def test_discrete_actions(values, codes, n, levels):
+    log = from_frame({"x": [1, 2, 3, 4], "a": values, "r": [0] * 4}, action="a", reward="r")
+    assert log.actions.tolist() == codes
+    assert log.action_space == Discrete(n)
+    assert log.provenance.extra.get("action_levels") == levels
+    assert bool(log.warnings) == isinstance(levels and levels[0], int)
+
+
+def test_floats_are_continuous_actions():
+    log = from_frame({"x": [1, 2], "dose": [0.5, 1.0], "r": [0, 1]}, action="dose", reward="r")
+    assert log.actions.tolist() == [[0.5], [1.0]]
+    both = from_frame({"x": [1, 2], "a": [0, 1], "b": [2, 3], "r": [0, 1]}, action=["b", "a"], reward="r")
+    assert both.actions.tolist() == [[2, 0], [3, 1]]
+
+
+def test_what_is_noticed():
+    table = {"": [0, 1, 2], "e": [1, 1, 1], "t": [1, 1, 2], "x": [1, 2, 3], "a": [0, 1, 0], "r": [0] * 3, "d": [1, 0, 0]}
+    log = from_frame(table, episode="e", time="t", action="a", reward="r", terminal="d")
+    assert log.provenance.extra["observation_names"] == ["x"]
+    assert [line.split()[0] for line in log.warnings] == ["column", "1", "1", "1"]
+    assert "looks like a row number" in log.warnings[0]
+    assert "have the t of the row before them" in log.warnings[1]
+    assert "not the last of their episode" in log.warnings[2]
+
+
+@pytest.mark.parametrize(
+    ("changed", "options", "words"),
+    [
+        ({}, {"reward": "gian"}, "unknown column 'gian': did you mean gain"),
+        ({}, {"action": "acton"}, "unknown column 'acton'"),
+        ({}, {"observations": ["x", "kin"]}, "unknown column 'kin': did you mean kind"),
+        ({}, {"episode": "hwo"}, "unknown column 'hwo': did you mean who"),
+        ({}, {"action": []}, "no action column is named"),
+        ({}, {"observations": []}, "no column is left to be an observation"),
+        ({"gain": [1, None, 0, 0, 0]}, {}, "column gain is empty in row 1"),
+        ({"gain": [1, float("inf"), 0, 0, 0]}, {}, "column gain has inf in row 1"),
+        ({"gain": list("abcde")}, {}, "column gain holds string, numbers are needed"),
+        ({"done": [0, 1, 2, 0, 0]}, {}, "column done has 2 in row 2, 0 or 1 is needed"),
+        ({"who": ["a", "b", None, "a", "a"]}, {}, "column who is empty in row 2"),
+        ({"when": [1, 2, 3, None, 4]}, {}, "column when is empty in row 3"),
+        ({"when": list("abcde")}, {}, "column when holds string, numbers are needed"),
+        ({"action_1": [0, None, 0, 0, 0]}, {}, "column action_1 is empty in row 1"),
+        ({"x": [1, 2, float("inf"), 4, 5]}, {}, "column x has inf in row 2"),
+        ({"x": [None] * 5}, {}, "column x is empty; leave it out"),
+        ({"x": [dt.datetime(2026, 1, 1)] * 5}, {}, r"column x holds timestamp.* give it as time, or leave it out"),
+        ({"x": [[1], [2], [3], [4], [5]]}, {}, r"column x holds list"),
+        ({"x": [0.0, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 0 in row 0, a probability in .0, 1. is"),
+        ({"x": [1.5, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 1.5 in row 0, a probability in .0, 1. is"),
+    ],
+)
+def test_bad_tables_are_told_in_one_line(changed, options, words):
+    with pytest.raises(UserError, match=words) as caught:
+        from_frame({**TABLE, **changed}, **{**NAMED, **options}, name="shop")
+    assert str(caught.value).startswith("shop: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("frame", [3, {"a": np.zeros((2, 2))}, {"a": [1], "b": [1, 2]}, {"a": [1, "x"]}, {}, {"a": []}])
+def test_what_is_no_table(frame):
+    with pytest.raises(UserError, match=r"^frame: ") as caught:
+        from_frame(frame, action="a", reward="a")
+    assert "\n" not in str(caught.value)
+
+
+def test_identifiers_are_not_encoded():
+    table = {"id": [f"user {i}" for i in range(2000)], "a": [0] * 2000, "r": [0] * 2000}
+    with pytest.raises(UserError, match="column id has 2000 distinct values, at most 1000 are encoded; leave it out"):
+        from_frame(table, action="a", reward="r")
+
+
+def test_real_bandit_feedback(real_data):
+    log = read(
+        real_data / "open_bandit" / "bts_men.csv.gz", action="item_id", reward="click", propensity="propensity_score",
+        observations=["user_feature_0", "user_feature_1", "user_feature_2", "user_feature_3", "position"],
+    )  # fmt: skip
+    assert log.name == "bts_men"
+    assert len(log) == log.episodes == 10_000
+    assert log.action_space == Discrete(34)
+    assert log.dropped == 0
+    assert (log.extras["behavior_log_probs"] <= 0).all()
+    with pytest.raises(UserError, match="no column observation or observation_0"):
+        read(real_data / "open_bandit" / "bts_men.csv.gz")

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+from small_logs import images, make_log
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.info import describe, render, warnings_for
+from deadreckon.data.spec import Box, Discrete
+
+
+def test_the_numbers(log):
+    info = describe(log)
+    assert (info.rows, info.episodes, info.dropped) == (13, 4, 0)
+    assert info.lengths == (1.0, 2.5, 3.5, 4.25, 5.0)
+    assert (info.terminal_share, info.timeout_share) == (0.5, 0.5)
+    np.testing.assert_allclose(info.mean_return, log.returns().mean())
+    np.testing.assert_allclose(info.returns[0], log.returns().min())
+    assert info.constant_observations == ()
+    assert info.duplicate_rows == 0
+    assert info.fingerprint == log.fingerprint
+    text = render(info, warnings_for(log, info))
+    assert "13 in 4 episodes" in text
+    assert "! 1 episodes have one step only" in text
+
+
+def test_every_kind_of_log_can_be_described(variant):
+    assert render(describe(variant), warnings_for(variant))
+    assert describe(images()).observation_dtype == "uint8"
+
+
+def _log(**changed):
+    rng = np.random.default_rng(0)
+    columns = {
+        "observations": rng.normal(size=(40, 3)), "actions": rng.uniform(-0.9, 0.9, (40, 2)), "rewards": rng.normal(size=40),
+        "terminals": np.isin(np.arange(40), (6, 17, 39)), "action_space": Box((-1, -1), (1, 1)),
+    }  # fmt: skip
+    return Dataset.from_arrays(**{**columns, **changed})
+
+
+def test_a_good_log_gives_no_advice():
+    assert warnings_for(_log()) == ()
+
+
+def _observations(scale):
+    return np.random.default_rng(0).normal(size=(40, 3)) * scale
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"terminals": np.arange(40) == 39}, "one single episode"),
+        ({"terminals": np.arange(40) % 10 == 9}, "all 4 terminal episodes have 10 steps: if that is a time limit"),
+        ({"terminals": np.isin(np.arange(40), (6, 17)), "timeouts": np.arange(40) % 4 == 0}, "no known successor"),
+        ({"rewards": np.full(40, 2.0)}, "all rewards are 2"),
+        ({"rewards": np.arange(40) % 4 == 0}, r"mostly zero \(75%"),
+        ({"rewards": np.arange(40.0) * 1000}, "rewards reach 3.9e"),
+        ({"rewards": np.arange(40.0) * 1e-6}, "rewards are at most 3.9e-05"),
+        ({"observations": _observations([1, 0, 1])}, "never change: 1;"),
+        ({"observations": _observations([1, 1e6, 1])}, "scales differ by a factor of"),
+        ({"actions": np.sign(_observations(1)[:, :2])}, "100% of the action entries are at the bounds"),
+        ({"actions": np.full((40, 2), 3.0)}, "actions out of bounds"),
+        ({"actions": np.arange(40) % 2, "action_space": Discrete(5)}, "3 of the actions never occur"),
+        ({"observations": np.zeros((40, 3)), "actions": np.zeros((40, 2)), "rewards": np.arange(40) % 2}, "repeat an earlier"),
+        ({"next_observations": _observations(2), "timeouts": np.zeros(40)}, "37 rows have a next observation that"),
+    ],
+)
+def test_advice(changed, words):
+    log = _log(**changed)
+    lines = warnings_for(log)
+    assert any(__import__("re").search(words, line) for line in lines), lines
+    assert not any("\n" in line for line in lines)
+
+
+def test_a_time_limit_among_other_ends():
+    log = make_log((3, 5, 9, 9, 2, 9, 4, 9, 7, 9, 9, 1), terminal=(True,))
+    assert any("50% of the terminal episodes have the longest length, 9" in line for line in warnings_for(log))
+
+
+def test_sparse_rewards():
+    rewards = np.zeros(400)
+    rewards[5] = 1
+    log = Dataset.from_arrays(
+        observations=np.random.default_rng(0).normal(size=(400, 1)), actions=np.zeros((400, 1)), rewards=rewards
+    )
+    assert any("rewards are sparse: 0.25% of the rows have one" in line for line in warnings_for(log))

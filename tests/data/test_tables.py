@@ -1,0 +1,148 @@
+import gzip
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+from small_logs import images, make_log, same
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.io import read
+from deadreckon.data.tables import read_csv, read_npz, read_parquet, to_table, write_csv, write_npz, write_parquet
+from deadreckon.errors import UserError
+
+
+@pytest.mark.parametrize("ending", ["parquet", "npz"])
+def test_a_log_comes_back_exactly(variant, tmp_path, ending):
+    path = tmp_path / f"log.{ending}"
+    {"parquet": write_parquet, "npz": write_npz}[ending](variant, path)
+    again = read(path)
+    same(variant, again)
+    assert again.fingerprint == variant.fingerprint
+    assert again.name == variant.name
+
+
+def test_csv_brings_back_the_values(variant, tmp_path):
+    write_csv(variant, tmp_path / "log.csv")
+    again = read(tmp_path / "log.csv")
+    for key in variant.extras:
+        np.testing.assert_array_equal(np.float32(again.extras[key]), np.float32(variant.extras[key]))
+    same_but_extras = {"extras": variant.extras, "name": variant.name, "action_space": variant.action_space}
+    same(variant, type(again)(**{**vars_of(again), **same_but_extras}))
+
+
+def vars_of(log):
+    return {key: getattr(log, key) for key in log.__dataclass_fields__}
+
+
+def test_csv_keeps_every_bit_of_a_float32(tmp_path):
+    rng = np.random.default_rng(0)
+    bits = rng.integers(0, 2**32, 40_000, np.uint64).astype(np.uint32).view(np.float32)
+    bits = bits[np.isfinite(bits)]
+    log = Dataset.from_arrays(observations=bits, actions=np.arange(len(bits)) % 2, rewards=bits)
+    write_csv(log, tmp_path / "log.csv")
+    again = read(tmp_path / "log.csv")
+    np.testing.assert_array_equal(again.rewards, bits)
+    np.testing.assert_array_equal(again.observations[:, 0], bits)
+
+
+def test_one_continuous_action_stays_one_though_its_values_are_whole(tmp_path):
+    log = Dataset.from_arrays(observations=np.zeros((3, 1)), actions=np.array([[0.0], [1.0], [0.0]]), rewards=np.zeros(3))
+    write_csv(log, tmp_path / "log.csv")
+    again = read(tmp_path / "log.csv")
+    assert again.actions.shape == (3, 1)
+    assert again.actions.dtype == np.float32
+
+
+def test_pictures(tmp_path):
+    for write, ending in ((write_parquet, "parquet"), (write_npz, "npz")):
+        write(images(), tmp_path / f"log.{ending}")
+        assert read(tmp_path / f"log.{ending}").fingerprint == images().fingerprint
+    with pytest.raises(UserError, match=r"do not fit into CSV; write .hdf5 or .parquet"):
+        write_csv(images(), tmp_path / "log.csv")
+    assert not (tmp_path / "log.csv").exists()
+
+
+def test_gzipped_csv_and_episodes_without_flags(tmp_path):
+    text = "episode,observation_0,observation_1,action,reward\n7,1,2,0,1\n7,3,4,1,0\n3,5,6,0,1\n"
+    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(text.encode()))
+    log = read(tmp_path / "log.csv.gz")
+    assert log.name == "log"
+    assert log.lengths.tolist() == [2, 1]
+    assert log.actions.tolist() == [0, 1, 0]
+    assert log.dropped == 2
+    whole = gzip.compress(("x,y\n" + text * 500).encode())
+    (tmp_path / "log.csv.gz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(UserError, match="damaged or cut short"):
+        read(tmp_path / "log.csv.gz")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b\n1,2\n", "no column observation or observation_0; say which it is with --observations COLUMN .columns: a, b"),
+        ("observation_0,act,reward\n1,2,3\n", "no column action or action_0; say which it is with --action COLUMN"),
+        ("observation_0,action\n1,2\n", "no column reward or reward_0; say which it is with --reward COLUMN"),
+        ("observation_0,action,reward\n1,0,1\nx,0,1\n", "column observation_0 holds string, numbers are needed; name"),
+        ("observation_0,action,reward\n1,0,1\n2,0,\n", "column reward is empty in row 1"),
+        ("observation_0,action,reward\n1,0,1\n2,0,nan\n", "column reward is empty in row 1"),
+        ("observation_0,action,reward\n1,0,1\n2,0\n", "cannot be read as CSV"),
+        ("observation_0,action,reward\n", "the log has no rows"),
+        ("observation_0,action,reward,terminal\n1,0,1,3\n", "column terminals has 3 in row 0, 0 or 1 is needed"),
+        ("episode,observation_0,action,reward\n1,1,0,1\n2,1,0,1\n1,1,0,1\n", "rows of episode 1 are not together .row 2"),
+    ],
+)
+def test_bad_csv_is_told_in_one_line(tmp_path, text, words):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(UserError, match=words) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_mapped_columns(tmp_path):
+    path = tmp_path / "clicks.csv"
+    path.write_text("user,arm,click,p\na,x,1,0.5\nb,y,0,0.25\n")
+    log = read(path, action="arm", reward="click", propensity="p")
+    assert log.name == "clicks"
+    assert log.provenance.path == str(path)
+    assert log.provenance.extra["action_levels"] == ["x", "y"]
+    assert log.terminals.all()
+    with pytest.raises(UserError, match=f"^{path}: unknown column 'clic': did you mean click?"):
+        read(path, action="arm", reward="clic")
+    with pytest.raises(UserError, match=f"^{path}: say which column is the reward: --reward COLUMN"):
+        read(path, action="arm")
+    with pytest.raises(UserError, match="unknown option 'rewards': did you mean reward"):
+        read(path, action="arm", rewards="click")
+    path.write_text("user,arm,click,p\na,x,1,0.5\nb,y,0,1.5\n")
+    with pytest.raises(UserError, match=f"^{path}: column p has 1.5 in row 1, a probability"):
+        read(path, action="arm", reward="click", propensity="p")
+
+
+def test_a_table_with_next_observations(tmp_path):
+    log = make_log((3, 2))
+    table = to_table(log)
+    for index in range(3):
+        table = table.append_column(f"next_observation_{index}", pa.array(log.next_observations[:, index]))
+    pa.parquet.write_table(table, tmp_path / "log.parquet")
+    same(log, read(tmp_path / "log.parquet"))
+
+
+def test_damaged_files(log, tmp_path):
+    for write, reader, name in ((write_parquet, read_parquet, "log.parquet"), (write_npz, read_npz, "log.npz")):
+        path = tmp_path / name
+        write(log, path)
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        with pytest.raises(UserError, match="damaged or cut short") as caught:
+            reader(path)
+        assert "\n" not in str(caught.value)
+    np.savez(tmp_path / "objects.npz", observations=np.array([object()]), actions=np.zeros(1), rewards=np.zeros(1))
+    with pytest.raises(UserError, match="cannot be read as npz"):
+        read_npz(tmp_path / "objects.npz")
+    np.savez(tmp_path / "less.npz", observations=np.zeros(1), actions=np.zeros(1))
+    with pytest.raises(UserError, match="no column rewards"):
+        read_npz(tmp_path / "less.npz")
+    with pytest.raises(UserError, match="no such file"):
+        read_csv(tmp_path / "nothing.csv")

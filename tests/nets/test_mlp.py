@@ -1,0 +1,58 @@
+"""Networks against plain numpy; the shared first layer against the plain form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.nets.mlp import MLP, ensemble, q_values
+from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.vae import VAE
+
+
+def numpy_mlp(net, x):
+    for i, (w, b) in enumerate(zip(net.weights, net.biases)):
+        x = x @ np.asarray(w) + np.asarray(b)
+        x = np.maximum(x, 0) if i < len(net.weights) - 1 else x
+    return x
+
+
+def test_q_values_of_one_and_of_many_actions_agree_with_numpy():
+    critics = ensemble(lambda k: MLP.create(5, (16, 16), 1, k), 2, jax.random.key(0))
+    obs, actions = np.random.default_rng(0).normal(size=(7, 3)), np.random.default_rng(1).normal(size=(4, 7, 2))
+    many = q_values(critics, jnp.asarray(obs), jnp.asarray(actions))
+    assert many.shape == (2, 4, 7)
+    for k in range(2):
+        net = jax.tree.map(lambda w, k=k: w[k], critics)
+        for i in range(4):
+            expected = numpy_mlp(net, np.concatenate([obs, actions[i]], -1))[:, 0]
+            np.testing.assert_allclose(many[k, i], expected, atol=1e-5)
+            np.testing.assert_allclose(q_values(critics, jnp.asarray(obs), jnp.asarray(actions[i]))[k], expected, atol=1e-5)
+
+
+def test_adam_step_and_target_tracking_equal_the_formulas():
+    params, grads = {"w": jnp.array([1.0, -2.0])}, {"w": jnp.array([0.5, -0.1])}
+    opt = ADAM.init(params)
+    m = v = np.zeros(2)
+    p = np.array([1.0, -2.0])
+    for t in range(1, 4):
+        params, opt = descend(params, grads, opt, 0.01)
+        g = np.array([0.5, -0.1])
+        m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g**2
+        p = p - 0.01 * (m / (1 - 0.9**t)) / (np.sqrt(v / (1 - 0.999**t)) + 1e-8)
+    np.testing.assert_allclose(params["w"], p, rtol=1e-5)
+    np.testing.assert_allclose(track({"w": jnp.zeros(2)}, params, 0.25)["w"], 0.25 * p, rtol=1e-5)
+    assert copy(params)["w"] is not params["w"]
+
+
+def test_vae_loss_equals_numpy():
+    vae = VAE.create(3, 2, (8,), jax.random.key(0))
+    obs, act = np.random.default_rng(0).normal(size=(5, 3)), np.tanh(np.random.default_rng(1).normal(size=(5, 2)))
+    key = jax.random.key(3)
+    loss, metrics = vae.loss(jnp.asarray(obs), jnp.asarray(act), key)
+    mean, log_std = np.split(numpy_mlp(vae.encoder, np.concatenate([obs, act], -1)), 2, -1)
+    log_std = np.clip(log_std, -4, 15)
+    z = mean + np.exp(log_std) * np.asarray(jax.random.normal(key, mean.shape))
+    error = ((np.tanh(numpy_mlp(vae.decoder, np.concatenate([obs, z], -1))) - act) ** 2).mean()
+    kl = -0.5 * (1 + 2 * log_std - mean**2 - np.exp(2 * log_std)).mean()
+    np.testing.assert_allclose(loss, error + 0.5 * kl, rtol=1e-4)
+    np.testing.assert_allclose(metrics["behavior_kl"], kl, rtol=1e-4)
