@@ -1,4 +1,4 @@
-"""Agents: one algorithm, one file. `deadreckon.agents.BEAR()` or, by name, `deadreckon.agents.create("bear")`."""
+"""Agents: one algorithm, one file. `deadreckon.agents.BEAR()` or, by name, `agent_class("bear")()`."""
 
 import importlib
 from typing import TYPE_CHECKING

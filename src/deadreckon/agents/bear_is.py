@@ -9,6 +9,7 @@ from jaxtyping import Array
 
 from deadreckon.agents import bear
 from deadreckon.agents.agent import backup, bellman_loss
+from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import ADAM, copy, descend, track
@@ -42,6 +43,12 @@ class ISBEAR(bear.BEAR):
     ratio_min: float = 0.5  # beta_1, lower clip of the importance ratio; undeclared in the thesis
     ratio_max: float = 2.0  # beta_2, its upper clip; undeclared in the thesis
     policy_samples: int = static(10)  # m, actions of the set policy (n << m, line 7)
+
+    def resolve(self, spec, steps):
+        """As BEAR's; the algorithm has no entropy."""
+        if self.base != "td3":
+            raise UserError(f"ISBEAR.base takes 'td3' only, got {self.base!r}")
+        return super().resolve(spec, steps)
 
     def init(self, spec, key):
         """Fresh networks; the set policy starts as the actor."""

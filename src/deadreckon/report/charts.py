@@ -12,6 +12,8 @@ from deadreckon.report.text import number
 from deadreckon.runs.evaluate import Interval
 
 POINTS = 240  # most points of a line
+LABEL = 110, 16  # width and height that a name beside a line may take
+LETTERS = 15  # of such a name; tooltips and legends have it all
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,10 @@ def _short(value: float) -> str:
     return f"{value:.3g}".replace("-", "\N{MINUS SIGN}").replace("e+", "e")
 
 
+def _cut(name: str) -> str:
+    return name if len(name) <= LETTERS else f"{name[: LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
+
+
 def _path(x: np.ndarray, y: np.ndarray, closed: bool = False) -> str:
     out, pen = [], False
     for a, b in zip(x, y):
@@ -149,7 +155,9 @@ def lines(
     ]
     parts += [tag("text", _short(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
     parts.append(tag("text", "updates", x=right, y=bottom + 34, class_="axis end"))
-    parts.append(tag("text", unit + (", symmetric log scale" if symlog else ""), x=4, y=14, class_="axis"))
+    parts.append(
+        tag("text", ", ".join(filter(None, (unit, "symmetric log scale" if symlog else ""))), x=4, y=14, class_="axis")
+    )
     places = [_end(x, y, s) for s in series]
     ends = _spread([*places, *((right, float(y(value))) for _, value in references)], top, bottom)
     for (name, value), end in zip(references, ends[len(series) :]):
@@ -169,13 +177,13 @@ def lines(
         if len(good):
             inner.append(marker(s.slot, float(px[good[-1]]), float(py[good[-1]])))
             if labels:
-                inner.append(tag("text", s.name, x=f"{px[good[-1]] + 11:.1f}", y=f"{end + 4:.1f}", class_="label"))
+                inner.append(tag("text", _cut(s.name), x=f"{px[good[-1]] + 11:.1f}", y=f"{end + 4:.1f}", class_="label"))
         parts.append(tag("g", inner, class_=f"s{s.slot}", data_agent=s.slot))
         tips = [[round(float(px[i]), 1), round(float(py[i]), 1), f"{s.x[i]:,.0f}", number(float(s.y[i]))] for i in good]
         hover.append({"n": s.name, "c": s.slot, "p": tips})
     parts.append(tag("line", y1=top, y2=bottom, class_="cursor", visibility="hidden"))
     return tag(
-        "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=title, class_="chart",
+        "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=title, class_=f"chart v{width}",
         data_hover=json.dumps(hover, separators=(",", ":")),
     )  # fmt: skip
 
@@ -186,14 +194,14 @@ def _end(x: _Axis, y: _Axis, s: Series) -> tuple[float, float]:
     return (float(x(s.x[good[-1]])), float(y(s.y[good[-1]]))) if len(good) else (math.nan, math.nan)
 
 
-def _spread(places: Sequence[tuple[float, float]], top: float, bottom: float, gap: float = 16.0, wide: float = 110.0) -> list[float]:
+def _spread(places: Sequence[tuple[float, float]], top: float, bottom: float) -> list[float]:
     """Heights of labels, moved apart where they would cover one another, in their order."""
     out = [place for _, place in places]
     order = sorted((i for i, place in enumerate(out) if math.isfinite(place)), key=lambda i: out[i])
     for sign, way in ((1.0, order), (-1.0, order[::-1])):
         done: list[int] = []
         for i in way:
-            near = [sign * out[j] + gap for j in done if abs(places[i][0] - places[j][0]) < wide]
+            near = [sign * out[j] + LABEL[1] for j in done if abs(places[i][0] - places[j][0]) < LABEL[0]]
             out[i] = sign * max([sign * out[i], sign * (top if sign > 0 else bottom), *near])
             done.append(i)
     return out
@@ -215,7 +223,8 @@ def legend(names: Sequence[tuple[str, int]]) -> Markup:
     """Buttons that hide an agent in every chart."""
     buttons = []
     for name, slot in names:
-        swatch = tag("svg", tag("path", d="M0 7H26", class_="line"), marker(slot, 13, 7), viewBox="0 0 26 14", class_=f"s{slot}")
+        line = tag("path", d="M0 7H26", class_="line")
+        swatch = tag("svg", line, marker(slot, 13, 7), viewBox="0 0 26 14", class_=f"s{slot}")
         buttons.append(tag("button", swatch, name, type="button", data_toggle=slot, aria_pressed="true", class_="key"))
     return tag("div", buttons, class_="legend", role="group", aria_label="show or hide agents")
 
@@ -231,13 +240,15 @@ def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, referenc
         parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
         parts.append(tag("text", _short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
     for name, value in references:
-        parts.append(tag("line", x1=f"{x(value):.1f}", x2=f"{x(value):.1f}", y1=top - 4, y2=height - 24, class_="reference"))
-        anchor = "end" if x(value) > width - 60 else "mid"
-        parts.append(tag("text", name, x=f"{min(x(value) + (8 if anchor == 'end' else 0), width - 2):.1f}", y=13, class_=f"name {anchor}"))
+        at = float(x(value))
+        parts.append(tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=top - 4, y2=height - 24, class_="reference"))
+        parts.append(tag("text", name, x=f"{min(at, width - 26):.1f}", y=13, class_="name mid"))
     for k, (name, slot, spread) in enumerate(bars):
         y = top + row * (k + 0.5)
-        inner = [tag("title", f"{name}: {spread}"), tag("text", name, x=left - 14, y=y + 4.5, class_="label end")]
+        inner = [tag("title", f"{name}: {spread}"), tag("text", _cut(name), x=left - 14, y=y + 4.5, class_="label end")]
         inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
         inner.append(marker(0 if slot is None else slot, float(x(spread.mean)), y))
         parts.append(tag("g", inner, class_="log" if slot is None else f"s{slot}"))
-    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=f"{unit} of each policy", class_="chart")
+    return tag(
+        "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=f"{unit} of each policy", class_=f"chart v{width}"
+    )

@@ -167,7 +167,7 @@ def _config(path: Path) -> dict[str, Any]:
 
 
 def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
-    names = [NAMES.get(config["agent"]["name"], config["agent"]["name"]) for _, config in raw]
+    names = [str(NAMES.get(config["agent"]["name"], config["agent"]["name"])) for _, config in raw]
     labels = [name if names.count(name) == 1 else f"{name} ({path.name})" for name, (path, _) in zip(names, raw)]
     return [label if labels.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(labels)]
 
@@ -188,6 +188,6 @@ def _array(path: Path, name: str) -> np.ndarray | None:
         return None
     try:
         with np.load(path) as file:
-            return file[name] if name in file else None
+            return file.get(name, None)
     except (OSError, ValueError) as error:
         raise UserError(f"{path} cannot be read: {error}") from error

@@ -25,9 +25,8 @@ def _text(child: Any) -> str:
 
 def tag(name: str, *children: Any, **attributes: Any) -> Markup:
     """An element; in attribute names `_` stands for `-`, a trailing one is dropped, and None leaves the attribute out."""
-    written = "".join(
-        f' {key.rstrip("_").replace("_", "-")}="{html.escape(str(value))}"' for key, value in attributes.items() if value is not None
-    )
+    given = {key.rstrip("_").replace("_", "-"): value for key, value in attributes.items() if value is not None}
+    written = "".join(f' {key}="{html.escape(str(value))}"' for key, value in given.items())
     if name in _VOID:
         return Markup(f"<{name}{written}>")
     return Markup(f"<{name}{written}>{_text(children)}</{name}>")

@@ -1,4 +1,4 @@
-"""Where a page's numbers come from: settings that differ from the defaults, versions, and the command that makes a run again."""
+"""Where a page's numbers come from: changed settings, versions, and the command that makes a run again."""
 
 import dataclasses
 import shlex
@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from deadreckon.agents import AGENTS, agent_class
-from deadreckon.report.entries import Entry
+from deadreckon.report.entries import Entry, Page
+from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.parts import note, scroll
 
 
 def settings(entry: Entry) -> dict[str, Any]:
@@ -52,3 +54,50 @@ def versions(entries: Sequence[Entry]) -> list[tuple[str, str]]:
     """What the runs were made with; several values where they differ."""
     names = dict.fromkeys(name for e in entries for name in e.config.get("versions", {}) if name != "lanes")
     return [(name, ", ".join(dict.fromkeys(str(e.config.get("versions", {}).get(name)) for e in entries))) for name in names]
+
+
+def section(page: Page) -> Markup:
+    """A card for each run, and the versions."""
+    cards = [_run(e) for e in page.entries]
+    pairs = versions(page.entries)
+    lines = [tag("tr", tag("th", name, scope="row"), tag("td", value)) for name, value in pairs]
+    table = tag("table", lines, class_="versions")
+    return join(
+        note(
+            "The numbers on this page come from the run folders below and nowhere else; only the table of published numbers "
+            "is quoted."
+        ),
+        tag("div", cards, class_="runs"),
+        tag("details", tag("summary", "Versions"), scroll(table)),
+    )
+
+
+def _run(entry: Entry) -> Markup:
+    data, config = entry.config["data"], entry.config
+    changed = settings(entry)
+    done = f"{entry.status.get('step', 0):,} of {config['steps']:,} updates"
+    state = "finished" if entry.status.get("finished") else f"not finished: {done}"
+    facts: list[tuple[str, Any]] = [
+        ("state", state),
+        ("updates", f"{config['steps']:,}, seeds {', '.join(map(str, entry.seeds))}"),
+        ("settings", ", ".join(f"{name} = {value}" for name, value in changed.items()) or "all as by default"),
+        ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes"),
+        ("fingerprint", tag("code", data["fingerprint"])),
+        ("collected with", _made(data.get("provenance") or {})),
+        ("warnings", join(*(tag("div", w) for w in data.get("warnings", []))) or "none"),
+        ("folder", tag("code", entry.folder.path)),
+    ]
+    again = command(entry)
+    return tag(
+        "article",
+        tag("h3", entry.label),
+        tag("dl", [join(tag("dt", name), tag("dd", value)) for name, value in facts if value]),
+        tag("pre", tag("code", again), tabindex="0", aria_label="command to reproduce"),
+    )
+
+
+def _made(known: dict[str, Any]) -> str:
+    parts = [known.get("source"), f"recipe {known['recipe']}" if known.get("recipe") else None]
+    parts.append(f"seed {known['seed']}" if known.get("seed") is not None else None)
+    parts += [f"{name} {version}" for name, version in (known.get("versions") or {}).items()]
+    return ", ".join(str(part) for part in parts if part)

@@ -42,10 +42,11 @@ def verdict(page: Page) -> Verdict:
     """Judges the runs of a page."""
     judged = [r for r in rows(page) if r.entry is not None and r.worth is not None and math.isfinite(r.worth.mean)]
     if not judged:
+        missing = "No simulator was named for this log" if page.task_name is None else "No evaluation is finished yet"
         return Verdict(
             "No decision: these policies were not judged.",
             None,
-            "No simulator was named for this log, and an estimate from the log alone (off-policy evaluation) is not part of "
+            f"{missing}, and an estimate from the log alone (off-policy evaluation) is not part of "
             "this report yet. The page shows how training went and how far each policy moved away from the log.",
             caveats=["A falling loss does not show that a policy is good."],
         )
@@ -59,10 +60,14 @@ def verdict(page: Page) -> Verdict:
     unit = "score" if best.score else "return"
     level = f"{unit} {score(best.worth.mean if best.worth else None)}"
     if deploy and over_log:
-        gain = f"{score(over_log.worth.mean)} above the logged behaviour (95 % lower bound {score(over_log.worth.low, signed=True)})"
-        headline = f"Deploy {best.label}: {level}, {gain}."
+        gain = over_log.worth
+        headline = (
+            f"Deploy {best.label}: {level}, {score(gain.mean)} above the logged behaviour "
+            f"(95 % lower bound {score(gain.low, signed=True)})."
+        )
     else:
-        headline = f"Do not deploy: {best.label} is best with {level}, but {reason}."
+        standing = "is best with" if len(judged) > 1 else "has"
+        headline = f"Do not deploy: {best.label} {standing} {level}, but {reason}."
     return Verdict(
         headline, deploy, reason, best, log, cloning, over_log, over_cloning,
         _beaten(page, judged, cloning, log), _caveats(page, judged, best),
@@ -89,7 +94,7 @@ def _decide(best: Row, log: Row | None, over_log: Difference | None) -> tuple[bo
             "its lanes failed"
         )
     if gap.high < 0:
-        return False, f"it is worse than the logged behaviour by {score(-gap.mean)} {brackets(gap)}"
+        return False, f"it is worse than the logged behaviour by {score(-gap.mean)} [{score(-gap.high)}, {score(-gap.low)}]"
     return False, f"its gain over the logged behaviour may be chance: the 95 % interval {brackets(gap)} holds zero"
 
 
@@ -127,13 +132,15 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
         if best.outside is not None:
             said += f", with {percent(best.outside)} of them outside the log's range"
         if best.mmd > cloning.mmd:
-            said += ": it departs from what was logged where its values see more reward"
-            said += ", and so joins pieces of logged paths into one to the goal" if undirected else ""
+            said += ": it departs from the log where its values see more reward"
+            said += (
+                ", as joining pieces of logged paths into one to the goal needs (see its trajectories)" if undirected else ""
+            )
         out.append(said + ".")
     if best.over is not None:
         calm = abs(best.over) <= max(0.5 * abs(best.truth or 0), 1.0)
         said = f"Its critic promised {number(best.value)} at the starts and {number(best.truth)} came (discounted)"
-        out.append(said + (": its values can guide it." if calm else ": take its values for an order, not for amounts."))
+        out.append(said + (": close enough to guide it." if calm else ": take its values for an order, not for amounts."))
     return out
 
 

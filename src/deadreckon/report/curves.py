@@ -1,0 +1,166 @@
+"""The sections that are pictures."""
+
+import numpy as np
+
+from deadreckon.report import charts, maze
+from deadreckon.report.entries import Page
+from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.parts import figure, legend, note, unit_of
+from deadreckon.report.rows import behavior, to_score
+from deadreckon.runs.evaluate import Interval
+from deadreckon.tasks.maze2d import Maze2D
+
+EXPLODED = 20.0  # estimates this many times beyond every return are shown on a logarithmic axis
+DISTANCES = (("mmd_to_data", "MMD to the log", 1.0), ("outside_range", "% of actions outside the log's range", 100.0))
+SHOWN = 8  # episodes in a maze picture
+METRICS = {
+    "actor_loss": "what the actor minimises",
+    "critic_loss": "squared Bellman error on batches of the log",
+    "q": "mean estimated value on batches of the log",
+    "mmd": "sampled MMD to its model of the log",
+    "behavior_nll": "negative log-likelihood of logged actions",
+}
+
+
+def learning(page: Page) -> Markup | None:
+    """Worth against updates."""
+    unit = unit_of(page)
+    series = [charts.Series.over_seeds(e.label, page.slot(e), *e.curve(unit)) for e in page.entries if unit in e.evaluations]
+    if not series:
+        return None
+    logs = {e.config["data"]["fingerprint"]: e for e in page.entries}.values()
+    worths = [worth for e in logs if (returns := behavior(e)) and (worth := _worth(page, returns))]
+    references = [("logged behaviour", worth.mean) for worth in worths]
+    references += [("expert", 100.0)] if unit == "score" else []
+    both = [
+        charts.lines(series, title=f"{unit} against updates", unit=unit, size=size, references=references, labels=wide)
+        for wide, size in ((True, (1040, 400)), (False, (480, 360)))
+    ]
+    return join(
+        legend(page),
+        figure(both[0], class_="wide"),
+        figure(both[1], class_="narrow"),
+        note(f"Mean {unit} over the episodes of each evaluation; line: mean over seeds, band: lowest to highest seed. "
+              "All evaluations use the same starts. Click a name to hide an agent in every chart."),
+    )  # fmt: skip
+
+
+def _worth(page: Page, returns: Interval) -> Interval | None:
+    return to_score(page.task, returns) if unit_of(page) == "score" else returns
+
+
+def values(page: Page) -> Markup | None:
+    """Promised against delivered value, a panel an agent (thesis, Figures 4.1 and A.2)."""
+    shown = [e for e in page.entries if "estimated_value" in e.evaluations and "discounted_return" in e.evaluations]
+    if not shown:
+        return None
+    figures = []
+    for e in shown:
+        promised, delivered = e.curve("estimated_value"), e.curve("discounted_return")
+        known = np.abs(promised[1][np.isfinite(promised[1])])
+        true = np.abs(delivered[1][np.isfinite(delivered[1])])
+        far = bool(len(known)) and known.max() > EXPLODED * max(1.0, true.max() if len(true) else 1.0)
+        series = [
+            charts.Series.over_seeds("promised", page.slot(e), *promised),
+            charts.Series.over_seeds("delivered", page.slot(e), *delivered, dashed=True),
+        ]
+        title = f"{e.label}: estimated value and return"
+        chart = charts.lines(series, title=title, unit="discounted return", symlog=far, size=(320, 240))
+        figures.append(figure(chart, e.label, data_agent=page.slot(e)))
+    without = [e.label for e in page.entries if e not in shown]
+    return join(
+        tag(
+            "p",
+            "A critic trained on a log never sees what the actions it prefers would bring. Where the solid line (",
+            tag("b", "promised"),
+            ": estimated value at the start) runs above the dashed one (",
+            tag("b", "delivered"),
+            ": Monte-Carlo discounted return of the same starts), it believes its own guesses (thesis, Figures 4.1 and A.2).",
+        ),
+        tag("div", figures, class_="charts"),
+        note(
+            "Bands: lowest to highest seed. An episode stops at the horizon, the critic's value does not: a policy that "
+            "collects reward to the end is promised a little more than an episode can deliver. Axes differ between panels."
+            + (f" No critic: {', '.join(without)}." if without else "")
+        ),
+    )
+
+
+def distance(page: Page) -> Markup | None:
+    """How far policies moved away from the log."""
+    figures, inside = [], ""
+    for name, unit, factor in DISTANCES:
+        series = []
+        for e in page.entries:
+            if name in e.evaluations:
+                x, y = e.curve(name)
+                series.append(charts.Series.over_seeds(e.label, page.slot(e), x, y * factor))
+        if name == "outside_range" and series and not any(np.nanmax(s.y, initial=0.0) for s in series):
+            inside = "No agent took an action outside the log's range at any evaluation. "
+        elif series:
+            figures.append(figure(charts.lines(series, title=f"{unit} against updates", unit=unit)))
+    if not figures:
+        return None
+    return join(
+        legend(page),
+        tag("div", figures, class_="charts two"),
+        note(
+            inside + "How far each policy's actions moved from the logged ones at the same states. Imitation stays near zero; "
+            "an agent that improves on the log has to leave it somewhat; one that leaves it far has nothing to hold its "
+            "values to."
+        ),
+    )
+
+
+def training(page: Page) -> Markup | None:
+    """Whatever else was measured, folded away."""
+    names = list(dict.fromkeys(n for e in page.entries for n in e.metrics if n not in ("step", "seed")))
+    figures = []
+    for name in names:
+        with_it = [e for e in page.entries if name in e.metrics]
+        series = [charts.Series.over_seeds(e.label, page.slot(e), *e.curve(name)) for e in with_it]
+        values = np.concatenate([np.abs(s.y[np.isfinite(s.y)]) for s in series])
+        far = len(values) > 0 and values.max() > EXPLODED and values.max() > 50 * max(float(np.median(values)), 1e-9)
+        title, unit = f"{name} against updates", METRICS.get(name, "")
+        figures.append(figure(charts.lines(series, title=title, unit=unit, symlog=bool(far), size=(320, 220)), name))
+    if not figures:
+        return None
+    open_ = "open" if page.task_name is None else None
+    return tag(
+        "details",
+        tag("summary", f"Losses and other metrics ({len(figures)} charts)"),
+        legend(page),
+        tag("div", figures, class_="charts"),
+        note("Means over the updates of a chunk; bands: lowest to highest seed."),
+        open=open_,
+    )
+
+
+def mazes(page: Page) -> Markup | None:
+    """Trajectories of the log and of the agents (thesis D.7); None where there is no maze."""
+    task = page.task
+    if not isinstance(task, Maze2D):
+        return None
+    figures = []
+    stretches = next((e.segments for e in page.entries if e.segments is not None), None)
+    if stretches is not None:
+        slots = [i % 8 for i in range(len(stretches))]
+        drawn = maze.picture(task, list(stretches), slots, "stretches of the log", False)
+        figures.append(figure(drawn, "the log"))
+    for e in page.entries:
+        ways = e.trajectories
+        if ways is None or not len(ways):
+            continue
+        ways = list(ways[0][:SHOWN])
+        drawn = maze.picture(task, ways, [page.slot(e)] * len(ways), f"{e.label}: {len(ways)} episodes", True)
+        figures.append(figure(drawn, e.label, data_agent=page.slot(e)))
+    if not figures:
+        return None
+    return join(
+        tag("div", figures, class_="mazes"),
+        note(
+            "From above; x runs down, y to the right. Star: goal, with the circle inside which a step is rewarded. An agent's "
+            "panel has the first episodes of the last evaluation (first seed), ring: start, dot: end. The log's has stretches "
+            "of consecutive rows, spread evenly over it; there colours tell stretches apart and mean nothing else."
+        ),
+    )

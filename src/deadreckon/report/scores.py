@@ -1,0 +1,89 @@
+"""The score table, and the published numbers beside it."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from deadreckon.report.entries import Page
+from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.parts import note, scroll
+from deadreckon.report.rows import Row, published, rows
+from deadreckon.report.text import brackets, count, number, percent, score
+from deadreckon.runs.evaluate import Interval
+
+Cell = Callable[[Row], tuple[Any, float | None]]  # what is shown, and what it is sorted by
+
+
+def _two(value: Interval | None) -> tuple[Any, float | None]:
+    if value is None:
+        return number(None), None
+    return join(tag("b", score(value.mean)), tag("small", brackets(value))), value.mean
+
+
+def _failures(r: Row) -> tuple[Any, float | None]:
+    if r.entry is None:
+        return number(None), None
+    failed = r.entry.failed
+    lines = [tag("small", f"seed {seed}: {metric} at {step:,}") for seed, metric, step in failed]
+    return (join(tag("b", f"{len(failed)} of {len(r.entry.seeds)}", class_="bad"), lines) if failed else "none"), len(failed)
+
+
+def _seeds(r: Row) -> tuple[Any, float | None]:
+    seeds = len(r.entry.seeds) if r.entry else None
+    return count(seeds), seeds
+
+
+def _each(r: Row) -> tuple[Any, float | None]:
+    shown = " \N{MIDDLE DOT} ".join(map(score, r.per_seed)) or number(None)
+    return tag("small", shown), max(r.per_seed) - min(r.per_seed) if r.per_seed else None
+
+
+COLUMNS: tuple[tuple[str, str, Cell], ...] = (
+    ("seeds", "trained apart", _seeds),
+    ("score", "0 random, 100 expert", lambda r: _two(r.score)),
+    ("return", "undiscounted", lambda r: _two(r.returns)),
+    ("by seed", "mean of each", _each),
+    ("promised", "Q at the start", lambda r: (number(r.value), r.value)),
+    ("delivered", "discounted return", lambda r: (number(r.truth), r.truth)),
+    ("over\N{SOFT HYPHEN}estimate", "promised \N{MINUS SIGN} delivered", lambda r: (number(r.over, signed=True), r.over)),
+    ("MMD", "to the log", lambda r: (number(r.mmd), r.mmd)),
+    ("outside", "the log's range", lambda r: (percent(r.outside), r.outside)),
+    ("updates", "of the networks", lambda r: (count(r.updates), r.updates)),
+    ("failed", "lanes", _failures),
+)
+
+
+def scores(page: Page) -> Markup:
+    """Sortable rows, and below, apart, what was published."""
+    head = [tag("th", tag("button", "agent", type="button"), scope="col")]
+    head += [tag("th", tag("button", name, type="button"), tag("small", sub), scope="col") for name, sub, _ in COLUMNS]
+    lines = []
+    for r in rows(page):
+        badge = "baseline" if r.baseline else None if r.entry else "what the log did"
+        swatch = tag("i", class_=f"dot s{page.slot(r.entry)}" if r.entry else "dot log")
+        cells = [tag("th", swatch, r.label, tag("small", badge) if badge else None, scope="row", data_value=r.label)]
+        for _, _, cell in COLUMNS:
+            shown, key = cell(r)
+            finite = key is not None and math.isfinite(key)
+            cells.append(tag("td", shown, data_value=f"{key:.9g}" if finite and key is not None else ""))
+        lines.append(tag("tr", cells, class_=None if r.entry else "log"))
+    table = tag("table", tag("thead", tag("tr", head)), tag("tbody", lines), class_="sortable", id="score-table")
+    text = (
+        "Click a heading to sort. Promised: the critic's value of the policy's own actions at the starts of the judged "
+        "episodes; delivered: the discounted return that followed. MMD: Gaussian-kernel two-sample distance between "
+        "(state, logged action) and (state, policy's action) on 1,024 logged rows; a perfect copy has about 0."
+    )
+    return join(scroll(table), note(text), _published(page))
+
+
+def _published(page: Page) -> Markup | None:
+    known = published()
+    if page.task_name not in known["tasks"]:
+        return None
+    head = tag("tr", tag("th", "task", scope="col"), [tag("th", m, scope="col") for m in known["methods"]])
+    lines = []
+    for name, values in known["tasks"].items():
+        here = "here" if name == page.task_name else None
+        lines.append(tag("tr", tag("th", name, scope="row"), [tag("td", score(v)) for v in values], class_=here))
+    table = tag("table", tag("caption", known["title"]), tag("thead", head), tag("tbody", lines), class_="published")
+    return tag("aside", scroll(table), note(known["source"] + "."))

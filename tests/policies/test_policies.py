@@ -1,0 +1,102 @@
+"""Policies: the numpy player equals the package, files are safe, black boxes fit, densities are right."""
+
+import json
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate
+
+from deadreckon.data.view import View
+from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.vae import VAE
+from deadreckon.policies import BlackBoxPolicy, Deployed, Policy, Step, portable, store
+from deadreckon.policies.policy import Deterministic, GreedyQ, TanhGaussian, VAEDecoder
+
+KEY = jax.random.key(0)
+VIEW = View(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
+
+
+def make(kind):
+    actor = MLP.create(3, (8, 8), 4, KEY)
+    inner = {
+        "deterministic": Deterministic(MLP.create(3, (8,), 2, KEY, activation="swish")),
+        "gaussian": TanhGaussian(actor),
+        "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
+        "greedy": GreedyQ(TanhGaussian(actor), MLP.create(5, (8,), 1, KEY), 5),
+    }[kind]
+    return Deployed.of(inner, VIEW)
+
+
+@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "vae", "greedy"])
+def test_file_round_trip_and_numpy_player(kind, tmp_path):
+    policy = make(kind)
+    assert isinstance(policy, Policy)
+    store.save(tmp_path / "p.npz", policy)
+    x = np.random.default_rng(0).normal(size=(6, 3)).astype("f4")
+    np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(x), policy(x))
+    play = portable.load(tmp_path / "p.npz")
+    if kind != "greedy":
+        np.testing.assert_allclose(play(x), policy(x), atol=1e-5)
+    else:  # other candidates, the same choice among them: the distribution of many draws agrees
+        many = np.repeat(x[:1], 4000, 0)
+        ours = np.asarray(policy.act(Step(jnp.asarray(many), None, None), (), jax.random.key(1), greedy=True)[0])
+        np.testing.assert_allclose(play(many).mean(0), ours.mean(0), atol=0.06)
+    assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
+
+
+def test_player_needs_numpy_alone(tmp_path):
+    store.save(tmp_path / "p.npz", make("gaussian"))
+    code = (
+        "import sys\n"
+        "for name in ('jax', 'equinox', 'scipy', 'gymnasium'): sys.modules[name] = None\n"
+        "from deadreckon.policies.portable import load\n"
+        f"print(load({str(tmp_path / 'p.npz')!r})([[0.0, 0.0, 0.0]]).tolist())"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    np.testing.assert_allclose(json.loads(out), make("gaussian")(np.zeros((1, 3))), atol=1e-6)
+
+
+def test_density_over_environment_actions_integrates_to_one():
+    net = MLP.create(1, (4,), 2, KEY)
+    policy = Deployed.of(TanhGaussian(net), View(None, None, np.array([-3.0]), np.array([1.0])))
+    f = lambda a: float(jnp.exp(policy.log_prob(np.zeros((1, 1)), np.array([[a]], "f4")))[0])  # noqa: E731
+    total, _ = integrate.quad(f, -2.9995, 0.9995, limit=50, epsabs=1e-3, epsrel=1e-3)
+    assert abs(total - 1) < 5e-3
+    with pytest.raises(UserError, match="no log-probabilities"):
+        make("vae").log_prob(np.zeros((1, 3)), np.zeros((1, 2)))
+
+
+def test_black_box_gets_numpy_and_a_generator():
+    policy = BlackBoxPolicy(lambda obs, rng: rng.uniform(-1, 1, (len(obs), 2)))
+    assert isinstance(policy, Policy)
+    assert policy(np.zeros(3)).shape == (2,)
+    np.testing.assert_array_equal(policy(np.zeros((4, 3))), policy(np.zeros((4, 3))))
+    with pytest.raises(UserError, match="gave 1 actions for 4"):
+        BlackBoxPolicy(lambda obs, rng: np.zeros((1, 2)))(np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("damage", ["text", "truncated", "kind", "pickle", "missing"])
+def test_broken_files_are_told_in_one_line(damage, tmp_path):
+    path = tmp_path / "p.npz"
+    store.save(path, make("gaussian"))
+    if damage == "text":
+        path.write_text("hello")
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:300])
+    elif damage == "kind":
+        tree, arrays = portable.read(path)
+        tree["policy"]["inner"]["kind"] = "os.system"
+        np.savez(path, **{"policy.json": np.frombuffer(json.dumps(tree).encode(), np.uint8)}, **arrays)
+    elif damage == "pickle":
+        np.savez(path, **{"policy.json": np.array([{"a": 1}], object)})
+    else:
+        path.unlink()
+    with pytest.raises(UserError) as error:
+        store.load(path)
+    assert "\n" not in str(error.value)
+    assert str(path) in str(error.value)

@@ -1,0 +1,77 @@
+"""Run folders written by hand: everything a report reads, and no training."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.agents import AGENTS, agent_class
+from deadreckon.files import write_json
+from deadreckon.runs.folder import Folder
+from deadreckon.tasks import registry
+
+TASK = "maze2d-umaze"
+
+
+def write_run(
+    path: Path,
+    agent: str = "bc",
+    level: float = 50.0,
+    *,
+    task: str | None = TASK,
+    seeds: int = 2,
+    episodes: int = 6,
+    failures: dict[int, tuple[str, int]] | None = None,
+    promised: float | None = None,
+    metrics: dict[str, float] | None = None,
+    name: str = "maze2d-umaze-v1@dr1",
+    behavior: float | None = 25.0,
+    finished: bool = True,
+    paths: bool = False,
+    seed: int = 0,
+) -> Path:
+    """A run whose returns lie around `level` after 200 updates; failed lanes have NaN metrics from their step on."""
+    rng = np.random.default_rng([seed, len(agent)])
+    folder, lanes, failures = Folder(path), list(range(seeds)), failures or {}
+    known = None
+    if task and behavior is not None:
+        known = {"mean": behavior, "low": behavior - 2, "high": behavior + 2, "how": "mean logged reward a step"}
+    fields = {"discount": 0.99, "hidden": [64, 64]}
+    if agent in AGENTS:
+        default = agent_class(agent)()
+        plain = json.loads(json.dumps(vars(default), default=str))
+        fields = plain | {"hidden": [64, 64]}
+    write_json(folder.config, {
+        "agent": {"name": agent, "fields": fields},
+        "data": {"name": name, "fingerprint": "abc123", "rows": 1000, "episodes": 10, "usable": 1000,
+                 "warnings": ["3 of 1000 rows have actions out of bounds"], "behavior": known,
+                 "provenance": {"source": "collected", "recipe": "maze2d-umaze-v1", "seed": 0,
+                                "versions": {"mujoco": "3.11.0"}, "path": "/logs/some log.hdf5"}},
+        "task": task, "seeds": lanes, "steps": 200, "evaluation": {"every": 100, "episodes": episodes},
+        "versions": {"deadreckon": "0.1.0", "jax": "0.10.2", "lanes": seeds},
+    })  # fmt: skip
+    failed = [list(failures[lane]) if lane in failures else None for lane in lanes]
+    write_json(path / "status.json", {"step": 200, "steps": 200, "finished": finished, "failures": failed})
+    for step in (50, 100, 150, 200):
+        bad = np.array([lane in failures and step >= failures[lane][1] for lane in lanes])
+        columns = {m: np.where(bad, np.nan, v * np.exp(-step / 100)) for m, v in (metrics or {"loss": 2.0}).items()}
+        folder.write_part("metrics", step, {"step": np.full(seeds, step), "seed": np.array(lanes), **columns})
+    for step in (100, 200):
+        count = episodes if task else 1
+        columns = {"step": np.full(seeds * count, step), "seed": np.repeat(lanes, count),
+                   "episode": np.tile(np.arange(count), seeds), "mmd_to_data": np.full(seeds * count, 0.05 * len(agent)),
+                   "outside_range": np.repeat([0.1 * lane for lane in lanes], count)}  # fmt: skip
+        if task:
+            start = np.random.default_rng(7).normal(0, 20, episodes)  # the same starts for every run
+            returns = level * step / 200 + start - start.mean() + rng.normal(0, 3, (seeds, episodes))
+            score = registry.task(task).reference.normalise(returns) if task in registry.names() else returns
+            columns |= {"return": returns.ravel(), "score": np.asarray(score).ravel(), "length": np.full(seeds * count, 300),
+                        "discounted_return": 0.3 * returns.ravel()}  # fmt: skip
+            if promised is not None:
+                columns["estimated_value"] = np.full(seeds * count, promised * step / 200)
+        folder.write_part("evaluations", step, columns)
+    if paths:
+        walk = np.cumsum(rng.normal(0, 0.004, (seeds, 8, 300, 4)), 2) + np.array([1.0, 2.0, 0, 0])
+        np.savez_compressed(folder.trajectories, trajectories=walk.astype(np.float32))
+        np.savez_compressed(folder.log, segments=walk[0].astype(np.float32))
+    return path

@@ -1,0 +1,138 @@
+"""The page as text: whole, self-contained, and safe whatever names it shows."""
+
+import re
+
+import numpy as np
+import pytest
+from run_folders import TASK, write_run
+
+from deadreckon.errors import UserError
+from deadreckon.report import charts, maze, table, write
+from deadreckon.report.entries import read
+from deadreckon.report.page import render
+from deadreckon.report.provenance import command
+from deadreckon.report.rows import rows
+from deadreckon.report.text import number, score
+from deadreckon.runs.folder import Folder
+from deadreckon.tasks import registry
+
+SECTIONS = ["decision", "scores", "learning", "values", "distance", "training", "mazes", "provenance"]
+
+
+def test_page_is_whole_and_loads_nothing(runs, tmp_path):
+    out = write(runs, tmp_path / "new" / "page.html")
+    text = out.read_text()
+    assert re.findall(r'<section id="(\w+)"', text) == SECTIONS
+    assert not re.findall(r"""(?:src|href|action|poster|data)\s*=\s*["']?(?:https?:)?//""", text)
+    assert not re.search(r"@import|url\(", text)
+    assert "$" not in re.sub(r"<script>.*?</script>", "", text, flags=re.S)  # no unfilled place in the template
+    assert len(text) < 500_000
+    assert [p.name for p in out.parent.iterdir()] == ["page.html"]
+    for label in ("BC", "TD3+BC", "TD3", "behaviour (log)"):
+        assert f">{label}<" in text
+    for r in rows(read(runs)):
+        assert score(r.score.mean) in text
+    assert "not the same data or simulator" in text
+    assert "88.2" in text
+    assert "1 of 2" in text
+    assert "critic_loss at 150" in text
+    assert "3 of 1000 rows have actions out of bounds" in text
+
+
+def test_hostile_names_are_shown_and_never_run(tmp_path):
+    evil = "<script>alert(1)</script>\"'&$x"
+    path = write_run(tmp_path / "x", evil, 60.0, name=evil, task=evil, metrics={evil: 1.0}, failures={0: (evil, 100)})
+    text = render(read([path]), title=evil)
+    assert text.count("<script>") == 1
+    assert "&lt;script&gt;alert(1)" in text
+
+
+def test_without_a_task(tmp_path):
+    paths = [write_run(tmp_path / agent, agent, task=None) for agent in ("bc", "bear")]
+    text = render(read(paths))
+    assert re.findall(r'<section id="(\w+)"', text) == ["decision", "scores", "distance", "training", "provenance"]
+    assert "No decision" in text
+    assert "BEAR" in table(paths)
+
+
+def test_bad_numbers_are_gaps(tmp_path):
+    path = write_run(tmp_path / "bad", "td3", 20.0, promised=np.nan, failures={0: ("loss", 0), 1: ("loss", 0)})
+    text = render(read([path]))
+    assert "2 of 2" in text
+    assert not re.search(r"\b(nan|inf|None)\b", re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S))
+    assert "nothing finite to draw" in text
+    infinite = write_run(tmp_path / "inf", "td3", 20.0, promised=np.inf, metrics={"loss": np.inf})
+    assert "Infinity" not in render(read([infinite]))
+
+
+def test_a_run_that_has_only_begun(tmp_path):
+    path = write_run(tmp_path / "young", "td3", finished=False)
+    for part in (path / "evaluations").iterdir():
+        part.unlink()
+    text = render(read([path]))
+    assert "No evaluation is finished yet" in text
+    assert "not finished" in text
+
+
+def test_labels_tell_runs_of_one_agent_apart(tmp_path):
+    page = read([write_run(tmp_path / "small", "bear"), write_run(tmp_path / "large", "bear"), str(tmp_path / "small")])
+    assert [e.label for e in page.entries] == ["BEAR (small)", "BEAR (large)"]
+
+
+@pytest.mark.parametrize("kind", ["nothing", "no run", "other task", "broken", "empty"])
+def test_refusals_are_one_line(tmp_path, kind):
+    good = write_run(tmp_path / "good", "bc")
+    other = write_run(tmp_path / "other", "bc", task=None)
+    broken, empty = write_run(tmp_path / "broken", "bc"), write_run(tmp_path / "empty", "bc")
+    Folder(broken).part("metrics", 50).write_bytes(b"PAR1 not")
+    for part in empty.rglob("*.parquet"):
+        part.unlink()
+    given, said = {
+        "nothing": ([], "at least one"),
+        "no run": ([tmp_path / "nowhere"], "no run.json"),
+        "other task": ([good, other], "without a task"),
+        "broken": ([broken], "broken"),
+        "empty": ([empty], "no metrics yet"),
+    }[kind]
+    with pytest.raises(UserError, match=said) as caught:
+        write(given, tmp_path / "page.html")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_command_to_reproduce(runs):
+    text = command(read(runs).entries[1])
+    assert text == (
+        f"deadreckon train --agent td3_bc --data '/logs/some log.hdf5' --task {TASK} --steps 200 --seeds 2 "
+        f"--evaluate-every 100 --episodes 6 --agent.hidden 64 64 --out {runs[1]}"
+    )
+
+
+@pytest.mark.parametrize("name", ["maze2d-umaze", "maze2d-medium", "maze2d-large"])
+def test_maze_free_cells_are_drawn_free(name):
+    task = registry.task(name)
+    svg = maze.picture(task, [task.cells - 0.2], [0], "t", True)
+    blocks = np.array(re.findall(r"M([-\d.]+) ([-\d.]+)h60", svg), float)
+    drawn = re.search(r'd="([^"]*)" class="way', svg)[1]
+    points = np.array(re.findall(r"[ML]([-\d.]+) ([-\d.]+)", drawn), float)
+    assert len(points) == len(task.cells)
+    assert len(blocks) == len(task.walls())
+    for px, py in points:  # the middle of a free cell is half a cell away from every block
+        gap = np.maximum(np.abs(px - blocks[:, 0] - 30), np.abs(py - blocks[:, 1] - 30)).min()
+        assert gap == pytest.approx(60, abs=0.2)
+
+
+def test_paths_break_at_resets_and_ends():
+    task = registry.task(TASK)
+    path = np.array([[1.0, 1.0], [1.1, 1.0], [3.0, 3.0], [3.1, 3.0], [np.nan, np.nan]])
+    drawn = re.search(r'd="([^"]*)" class="way', maze.picture(task, [path], [0], "t", True))[1]
+    assert (drawn.count("M"), drawn.count("L")) == (2, 2)
+
+
+def test_axes_have_round_ticks():
+    assert charts._nice(0.0, 100.0, 6) == [0, 20, 40, 60, 80, 100]
+    assert charts._nice(-0.013, 0.021, 6) == [-0.01, 0.0, 0.01, 0.02]
+    assert charts._decades(-5.0, 3e7)[-1] == 1e6
+    assert number(1234567.0) == "1.2e6"
+    assert number(-0.25) == "\N{MINUS SIGN}0.250"
+    assert number(None) == "\N{EM DASH}"

@@ -1,0 +1,117 @@
+"""The numbers, against a computation of their own."""
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from run_folders import TASK, write_run
+
+from deadreckon.report.entries import read
+from deadreckon.report.rows import against, interval, paired, published, rows, versus
+from deadreckon.report.terminal import headline, table
+from deadreckon.report.verdict import verdict
+from deadreckon.runs.evaluate import Interval
+from deadreckon.tasks import registry
+
+
+def test_rows_equal_an_independent_computation(runs):
+    found = {r.label: r for r in rows(read(runs))}
+    assert list(found) == ["behaviour (log)", "TD3+BC", "BC", "TD3"]
+    last = pq.read_table(runs[1] / "evaluations" / "0000000200.parquet").to_pandas()
+    row = found["TD3+BC"]
+    assert row.returns.mean == pytest.approx(last["return"].mean())
+    assert row.score.mean == pytest.approx(last["score"].mean())
+    assert row.per_seed == pytest.approx(list(last.groupby("seed")["score"].mean()))
+    assert row.value == pytest.approx(45.0)
+    assert row.truth == pytest.approx(last["discounted_return"].mean())
+    assert row.over == pytest.approx(45.0 - last["discounted_return"].mean())
+    assert row.mmd == pytest.approx(0.3)
+    assert row.outside == pytest.approx(0.05)
+    assert (row.updates, row.entry.failed, row.baseline) == (200, [], False)
+    assert found["TD3"].entry.failed == [(1, "critic_loss", 150)]
+    assert found["BC"].baseline
+    assert found["BC"].value is None
+    log = found["behaviour (log)"]
+    reference = registry.task(TASK).reference
+    assert log.score.mean == pytest.approx(100 * (25 - reference.random) / (reference.expert - reference.random))
+
+
+def test_a_constant_gain_has_no_spread_when_paired():
+    b = np.array([[0.0, 10.0, 50.0], [0.0, 10.0, 50.0]])
+    gap = paired(b + 3, b)
+    assert (gap.mean, gap.low, gap.high) == pytest.approx((3, 3, 3))
+    alone = interval(b)
+    assert alone.high - alone.low > 10  # what pairing takes away
+
+
+def test_paired_difference_by_hand():
+    # One seed each, differences 0 and 4: the bootstrap mean is 0, 2 or 4 with chances 1/4, 1/2, 1/4.
+    gap = paired(np.array([[1.0, 5.0]]), np.array([[1.0, 1.0]]))
+    assert (gap.mean, gap.low, gap.high) == pytest.approx((2, 0, 4))
+    # Seeds are redrawn too: seed means 0 and 2 against 0.
+    gap = paired(np.array([[0.0, 0.0], [2.0, 2.0]]), np.zeros((1, 2)))
+    assert (gap.mean, gap.low, gap.high) == pytest.approx((1, 0, 2))
+    # More episodes on one side: only the common starts count.
+    assert paired(np.array([[1.0, 1.0, 99.0]]), np.array([[0.0, 0.0]])).mean == pytest.approx(1)
+
+
+def test_difference_to_an_estimate_carries_its_uncertainty():
+    gap = against(np.full((1, 4), 10.0), Interval(4.0, 3.0, 5.0))
+    assert gap.mean == pytest.approx(6)
+    assert (gap.low, gap.high) == pytest.approx((5, 7), abs=0.1)
+
+
+def test_interval_covers():
+    rng = np.random.default_rng(0)
+    hits = 0
+    for i in range(200):
+        starts, seeds = rng.normal(0, 1, 30), rng.normal(0, 0.5, (20, 1))
+        found = interval(starts + seeds + rng.normal(0, 0.3, (20, 30)), seed=i)
+        hits += found.low <= 0 <= found.high
+    assert hits >= 180
+
+
+def test_verdict_rules(tmp_path, runs):
+    found = verdict(read(runs))
+    assert found.deploy is True
+    assert found.best.label == "TD3+BC"
+    assert found.versus_log.worth.low > 0
+    assert found.versus_cloning.worth.mean == pytest.approx(found.best.score.mean - found.cloning.score.mean)
+    text = " ".join(found.beaten)
+    assert "Clearly better than behaviour cloning (BC): TD3+BC by" in text
+    assert "Not clearly better: TD3" in text
+    assert "TD3 promised 3.0e7" in text
+    lane = write_run(tmp_path / "lane", "sac", 300.0, failures={0: ("q", 100)})
+    found = verdict(read([*runs, lane]))
+    assert (found.best.label, found.deploy) == ("SAC", False)
+    assert "1 of 2 lanes" in found.reason
+    assert "chance" in verdict(read([write_run(tmp_path / "same", "sac", 25.0)])).reason
+    assert "worse" in verdict(read([write_run(tmp_path / "worse", "sac", -80.0)])).reason
+    assert "not finished" in verdict(read([write_run(tmp_path / "now", "sac", 300.0, finished=False)])).reason
+    assert "not known" in verdict(read([write_run(tmp_path / "none", "sac", 300.0, behavior=None)])).reason
+
+
+def test_without_a_gain_the_page_does_not_claim_one(tmp_path):
+    page = read([write_run(tmp_path / "a", "bc", 60.0), write_run(tmp_path / "b", "sac", 60.0, seed=1)])
+    assert verdict(page).beaten[0].startswith("No agent clearly beats BC")
+
+
+def test_a_private_task_is_shown_in_returns(tmp_path):
+    page = read([write_run(tmp_path / "a", "bc", 60.0, task="mine"), write_run(tmp_path / "b", "sac", 200.0, task="mine")])
+    log, best, _ = rows(page)
+    assert log.score is None
+    assert versus(best, log, page.task).worth.mean == pytest.approx(best.returns.mean - 25)
+
+
+def test_terminal_table_shows_the_same_numbers(runs):
+    text = table(runs)
+    assert text.isascii()
+    for r in rows(read(runs)):
+        line = next(line for line in text.splitlines() if line.startswith(r.label + " "))
+        assert f"{r.score.mean:.1f} [{r.score.low:.1f}, {r.score.high:.1f}]" in line
+    assert headline(runs).startswith("Deploy TD3+BC: score ")
+
+
+def test_published_numbers():
+    known = published()
+    assert known["tasks"]["maze2d-large"] == [2.7, 5.0, -1.9, 4.6]
+    assert len(known["methods"]) == 4

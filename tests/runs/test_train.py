@@ -1,0 +1,212 @@
+"""From a log to a judged run folder, and taking it up again."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import deadreckon as dr
+from deadreckon.collect import generate
+from deadreckon.files import read_json, write_json
+from deadreckon.policies import BlackBoxPolicy
+from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
+from deadreckon.runs.evaluate import bootstrap, evaluate
+from deadreckon.tasks import task
+
+
+@pytest.fixture(scope="module")
+def log():
+    return generate("maze2d-umaze-v1", steps=6000, seed=0)
+
+
+def agent(**fields):
+    return dr.agents.TD3BC(hidden=(16, 16), batch_size=32, **fields)
+
+
+SETTINGS = {"steps": 60, "seeds": 2, "chunk": 20, "evaluate_every": 30, "episodes": 3}
+
+
+@pytest.fixture(scope="module")
+def run(log, tmp_path_factory):
+    return dr.train(agent(), log, out=tmp_path_factory.mktemp("runs") / "whole", **SETTINGS)
+
+
+def test_run_folder_holds_what_was_asked_and_what_came_out(run, log):
+    config = run.config
+    assert config["agent"]["name"] == "td3_bc"
+    assert config["agent"]["fields"]["hidden"] == [16, 16]
+    assert config["data"]["fingerprint"] == log.fingerprint
+    assert config["task"] == "maze2d-umaze"  # a known log knows its task
+    assert config["versions"]["lanes"] == 2
+    assert read_json(run.path / "status.json") == {"step": 60, "steps": 60, "finished": True, "failures": [None, None]}
+    metrics = run.metrics.to_pydict()
+    assert metrics["step"] == [20, 20, 30, 30, 50, 50, 60, 60]  # evaluations end a chunk
+    evaluations = run.evaluations.to_pydict()
+    assert len(evaluations["return"]) == 2 * 2 * 3
+    assert np.isfinite(evaluations["estimated_value"]).all()
+    np.testing.assert_allclose(evaluations["score"], task("maze2d-umaze").reference.normalise(np.asarray(evaluations["return"])))
+    with np.load(run.path / "evaluations" / "trajectories.npz") as file:
+        assert file["trajectories"].shape == (2, 3, 300, 4)
+
+
+def test_the_last_evaluation_is_that_of_the_last_policies(run):
+    again = evaluate(run, "maze2d-umaze", episodes=3)
+    last = run.evaluations.to_pydict()
+    np.testing.assert_allclose(np.ravel(again.returns), last["return"][-6:])
+
+
+def test_interrupted_and_resumed_is_the_same_as_unbroken(run, log, tmp_path):
+    class Stop(Exception):
+        pass
+
+    def watch(progress, steps):
+        if progress.step == 50:
+            raise Stop
+
+    with pytest.raises(Stop):
+        dr.train(agent(), log, out=tmp_path / "r", watch=watch, **SETTINGS)
+    with pytest.raises(dr.UserError, match="holds a run already"):
+        dr.train(agent(), log, out=tmp_path / "r", **SETTINGS)
+    with pytest.raises(dr.UserError, match="not finished"):
+        dr.load_run(tmp_path / "r")
+    (tmp_path / "r" / "metrics" / ".0000000050.parquet.x.tmp").write_text("left by a kill")
+    resumed = dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
+    assert resumed.metrics.equals(run.metrics)
+    assert resumed.evaluations.equals(run.evaluations)
+    x = np.zeros((5, 4), np.float32)
+    for a, b in zip(resumed.policies, run.policies, strict=True):
+        np.testing.assert_array_equal(a(x), b(x))
+    assert not list((tmp_path / "r").rglob("*.tmp"))
+
+
+def test_a_finished_run_is_given_back_and_another_is_refused(run, log):
+    again = dr.train(agent(), log, out=run.path, resume=True, **SETTINGS)
+    assert again.metrics.equals(run.metrics)
+    with pytest.raises(dr.UserError, match=r"holds another run: agent.fields.alpha was 2.5, now 3.0"):
+        dr.train(agent(alpha=3.0), log, out=run.path, resume=True, **SETTINGS)
+
+
+def test_other_versions_are_told_on_resume(run, log, tmp_path):
+    import shutil
+
+    shutil.copytree(run.path, tmp_path / "r")
+    config = read_json(tmp_path / "r" / "run.json")
+    config["versions"]["jax"] = "0.0.1"
+    write_json(tmp_path / "r" / "run.json", config)
+    with pytest.warns(UserWarning, match=r"versions.jax was 0.0.1"):
+        dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
+
+
+def test_an_evaluation_lost_to_a_kill_is_done_again(run, log, tmp_path):
+    import shutil
+
+    shutil.copytree(run.path, tmp_path / "r")
+    (tmp_path / "r" / "evaluations" / "0000000030.parquet").unlink()
+    again = dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
+    assert again.evaluations.equals(run.evaluations)
+
+
+def test_a_failed_lane_keeps_its_last_good_policy(log, tmp_path):
+    lanes = [agent(), agent(critic_lr=1e30)]
+    run = dr.train(lanes, log, out=tmp_path / "r", **SETTINGS)
+    assert run.failures[0] is None
+    assert run.failures[1].step < 20
+    assert np.isfinite(run.policies[1](np.zeros((3, 4), np.float32))).all()
+    assert run.config["agent"]["fields"]["critic_lr"] == [3e-4, 1e30]
+
+
+def test_without_a_task_there_are_losses_and_distances(log, tmp_path):
+    from dataclasses import replace
+
+    run = dr.train("bc", replace(log, name="mine"), steps=4, out=tmp_path / "r", chunk=2)
+    assert run.config["task"] is None
+    assert "return" not in run.evaluations.column_names
+    assert np.isfinite(run.evaluations["mmd_to_data"].to_numpy()).all()
+
+
+def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
+    from dataclasses import replace
+
+    cases = [
+        ({"steps": 0}, "steps, seeds"),
+        ({"task": "maze2d-umze"}, "did you mean maze2d-umaze"),
+        ({"evaluate_every": 0}, "evaluate_every"),
+    ]
+    for change, words in cases:
+        with pytest.raises(dr.UserError, match=words):
+            dr.train(agent(), log, out=tmp_path / "no", **(SETTINGS | change))
+    narrow = replace(log, observations=log.observations[:, :3], final_observations=log.final_observations[:, :3])
+    with pytest.raises(dr.UserError, match=r"shows observations of shape \(4,\)"):
+        dr.train(agent(), narrow, out=tmp_path / "no", task="maze2d-umaze", **SETTINGS)
+    with pytest.raises(dr.UserError, match="one agent a seed"):
+        dr.train([agent()], log, out=tmp_path / "no", **SETTINGS)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("mine")
+    with pytest.raises(dr.UserError, match="is not a run"):
+        dr.train(agent(), log, out=tmp_path / "other", **SETTINGS)
+    assert not (tmp_path / "no").exists()
+
+
+def test_evaluation_of_a_policy_does_not_depend_on_its_neighbours(run):
+    together = evaluate([run.policies[0], run.policies[1]], "maze2d-umaze", episodes=4)
+    alone = evaluate(run.policies[1], "maze2d-umaze", episodes=4)
+    np.testing.assert_allclose(together.returns[1], alone.returns[0])
+
+
+def test_uniform_actions_score_about_zero_and_black_boxes_are_judged():
+    uniform = BlackBoxPolicy(lambda obs, rng: rng.uniform(-1, 1, (len(obs), 2)))
+    result = evaluate(uniform, "maze2d-umaze", episodes=60, record=2)
+    assert abs(result.score().mean) < 15
+    assert result.returns.shape == (1, 60)
+    assert result.trajectories.shape == (1, 2, 300, 4)
+    assert "policy 0" in str(result)
+    with pytest.raises(dr.UserError, match="takes actions of size 2"):
+        evaluate(BlackBoxPolicy(lambda obs, rng: np.zeros((len(obs), 3))), "maze2d-umaze", episodes=2)
+
+
+def test_discounted_returns_and_lengths():
+    still = BlackBoxPolicy(lambda obs, rng: np.zeros((len(obs), 2)))
+    result = evaluate(still, "maze2d-umaze-dense", episodes=5, discount=0.5, record=5)
+    goal = task("maze2d-umaze-dense").goal
+    rewards = np.exp(-np.linalg.norm(result.trajectories[0, :, 1:, :2] - goal, axis=-1))
+    np.testing.assert_allclose(result.discounted[0], (rewards * 0.5 ** np.arange(299)).sum(1), rtol=1e-4)
+    assert (result.lengths == 300).all()
+
+
+def test_bootstrap_covers_the_mean_and_keeps_the_spread_between_policies():
+    rng = np.random.default_rng(0)
+    hits = 0
+    for trial in range(200):
+        x = bootstrap(rng.normal(3.0, 1.0, (1, 40)), seed=trial)
+        hits += x.low <= 3.0 <= x.high
+    assert 0.90 <= hits / 200 <= 0.98
+    apart = bootstrap(np.array([[0.0] * 50, [10.0] * 50]))
+    assert apart.mean == 5.0
+    assert (apart.low, apart.high) == (0.0, 10.0)
+
+
+def test_logged_value_of_whole_episodes_and_of_cut_ones(log):
+    cut = logged_value(log, task("maze2d-umaze"))
+    np.testing.assert_allclose(cut["mean"], log.rewards.mean() * 300, rtol=1e-6)
+    assert cut["low"] < cut["mean"] < cut["high"]
+    assert "times the horizon of 300" in cut["how"]
+    whole = dr.Dataset.from_arrays(
+        observations=np.zeros((600, 4)), actions=np.zeros((600, 2)), rewards=np.repeat([0.0, 1.0], 300),
+        timeouts=np.arange(600) % 300 == 299,
+    )  # fmt: skip
+    assert logged_value(whole, task("maze2d-umaze"))["mean"] == 150.0
+
+
+def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(log, run):
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(5, 2)).astype("f4"), rng.normal(1, 1, size=(4, 2)).astype("f4")
+    k = lambda a, b: np.exp(-((a - b) ** 2).sum() / 4.0)  # noqa: E731
+    xx = sum(k(x[i], x[j]) for i in range(5) for j in range(5) if i != j) / 20
+    yy = sum(k(y[i], y[j]) for i in range(4) for j in range(4) if i != j) / 12
+    xy = sum(k(a, b) for a in x for b in y) / 20
+    np.testing.assert_allclose(two_sample_mmd(x, y, 2.0), np.sqrt(max(xx + yy - 2 * xy, 0)), rtol=1e-4)
+    probe = LogProbe(log)
+    far = run.policies[0]
+    assert probe(far)["mmd_to_data"] > 0.02
+    copy = two_sample_mmd(probe.logged, probe.logged[::-1], probe.variance)
+    assert float(copy) < 0.05

@@ -1,0 +1,192 @@
+"""The loop with toy learners whose states can be computed by hand: batches, windows, phases, lanes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from deadreckon.data.batch import Needs, Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.training.checkpoint import load_arrays, load_tree, save_tree
+from deadreckon.training.fit import Fit, fit, latest_step
+from deadreckon.training.learner import check_fields, lift, static
+from tests.agents.worlds import corridor
+
+LOG = corridor(400)
+
+
+class Collector(eqx.Module):
+    """Sums what it sees, so that every kind of batch can be looked into."""
+
+    scale: float = 1.0
+    asks: Needs = static(Needs())
+    refresh: int = static(0)
+
+    def needs(self, spec):
+        return self.asks
+
+    def init(self, spec, key):
+        return {"seen": jnp.zeros(()), "prepared": jnp.zeros(())}
+
+    def update(self, state, batch, *, step, key):
+        total = sum(jnp.sum(x) for x in batch if x is not None)
+        return {**state, "seen": state["seen"] + self.scale * total}, {"batch": total, "rows": jnp.float32(len(batch[0]))}
+
+
+class Phased(Collector):
+    """Has a phase on the host: trains another learner there and counts how often."""
+
+    def prepare(self, state, rows, key, fit):
+        inner = fit(Collector(asks=self.asks), 3, key)
+        return {**state, "prepared": state["prepared"] + 1.0, "seen": state["seen"] + 0 * inner["seen"]}
+
+
+def columns(asks, log=LOG):
+    rows = Rows(log, asks)
+    return rows, rows.take(np.arange(rows.count))
+
+
+def test_n_step_rewards_stop_at_the_episode_end():
+    log = Dataset.from_arrays(
+        observations=np.arange(6.0), actions=np.zeros((6, 1)), rewards=[1, 2, 4, 8, 16, 32.0],
+        terminals=[0, 0, 1, 0, 0, 0], timeouts=[0, 0, 0, 0, 0, 1], final_observations=[[90.0], [91.0]],
+    )  # fmt: skip
+    asks = Needs(("reward", "next_observation", "terminal", "discount", "next_action", "time", "return_to_go"), n_step=2, gamma=0.5)
+    _, got = columns(asks, log)
+    np.testing.assert_allclose(got["reward"], [2, 4, 4, 16, 32, 32])
+    np.testing.assert_allclose(got["next_observation"][:, 0], [2, 90, 90, 5, 91, 91])
+    np.testing.assert_allclose(got["terminal"], [0, 1, 1, 0, 0, 0])
+    np.testing.assert_allclose(got["discount"], [0.25, 0, 0, 0.25, 0.25, 0.5])
+    np.testing.assert_allclose(got["time"], [0, 1, 2, 0, 1, 2])
+    np.testing.assert_allclose(got["return_to_go"], [3, 4, 4, 24, 32, 32])
+
+
+def test_rows_without_successor_are_never_drawn():
+    log = Dataset.from_arrays(observations=np.arange(6.0), actions=np.zeros((6, 1)), rewards=np.zeros(6), timeouts=[0, 0, 1, 0, 0, 1])
+    rows, got = columns(Needs(), log)
+    assert rows.count == 4
+    np.testing.assert_array_equal(got["observation"][:, 0], [0, 1, 3, 4])
+    np.testing.assert_array_equal(got["next_observation"][:, 0], [1, 2, 4, 5])
+
+
+@pytest.mark.parametrize("stream", [False, True])
+def test_windows_are_masked_beyond_their_episode(stream):
+    class Probe(Collector):
+        def update(self, state, batch, *, step, key):
+            inside = batch.mask.astype(bool)
+            steps = jnp.diff(batch.time, axis=1)
+            broken = (jnp.where(inside[:, 1:], steps != 1.0, False)).sum()  # inside, time goes on by one
+            beyond = jnp.where(~inside, batch.time >= jnp.maximum(batch.time[:, :1], 0) + 7, False).sum()
+            shape = jnp.float32(batch.observation.shape[0] * 100 + batch.observation.shape[1])
+            return state, {"broken": broken.astype(jnp.float32), "beyond": beyond.astype(jnp.float32), "shape": shape,
+                           "outside": (~inside).mean()}  # fmt: skip
+
+    asks = Needs(("observation", "time"), batch_size=8, window=7)
+    seen = []
+    fit([Probe(asks=asks)], Rows(LOG, asks), [0], 20, chunk=10, stream=stream, on_chunk=seen.append)
+    assert seen[-1].metrics["broken"][0] == 0
+    assert seen[-1].metrics["shape"][0] == 807
+    assert 0.05 < seen[-1].metrics["outside"][0] < 0.3  # episodes of 20, windows of 7: 6/2/20 = 0.15
+
+
+def test_initial_observations_come_from_episode_starts():
+    class Probe(Collector):
+        def update(self, state, batch, *, step, key):
+            known = jnp.asarray(LOG.observations[LOG.starts])
+            hit = (batch.initial_observation[:, None] == known[None]).all(-1).any(1)
+            return state, {"hit": hit.mean(), "count": jnp.float32(len(hit))}
+
+    asks = Needs(("observation",), batch_size=4, initial=16)
+    seen = []
+    fit([Probe(asks=asks)], Rows(LOG, asks), [0], 5, chunk=5, on_chunk=seen.append)
+    assert (seen[0].metrics["hit"][0], seen[0].metrics["count"][0]) == (1.0, 16.0)
+
+
+def test_standardised_observations_and_unit_actions():
+    log = Dataset.from_arrays(observations=np.arange(8.0), actions=np.linspace(10, 20, 8)[:, None], rewards=np.zeros(8))
+    rows, got = columns(Needs(standardise=True), log)
+    assert abs(got["observation"].mean() + (7 - 3.5) / (7 * 2.29)) < 0.05  # the last row has no successor and is left out
+    np.testing.assert_allclose(got["action"][[0, -1], 0], [-1 + 1e-6, 2 * 6 / 7 - 1], atol=1e-6)
+    np.testing.assert_allclose(rows.view.from_unit(rows.view.to_unit(np.array([[15.0]]))), [[15.0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("stream", [False, True])
+def test_phases_run_first_and_at_every_refresh_however_chunks_fall(stream):
+    learner = Phased(refresh=10)
+    result = fit([learner, learner], Rows(LOG, learner.asks), [0, 1], 25, chunk=7, stream=stream)
+    np.testing.assert_array_equal(result.states["prepared"], [3.0, 3.0])  # before updates 0, 10 and 20
+
+
+def test_stops_end_chunks_without_changing_bits():
+    rows = Rows(LOG, Needs())
+    plain = fit([Collector()], rows, [3], 40, chunk=40).states["seen"]
+    job = Fit([Collector()], rows, [3], 40, chunk=40, stops=15)
+    assert [p.step for p in job.chunks()] == [15, 30, 40]
+    np.testing.assert_array_equal(job.states["seen"], plain)
+
+
+def test_lanes_take_floats_and_refuse_shapes():
+    lifted = lift([Collector(scale=1.0), Collector(scale=2.0)])
+    np.testing.assert_array_equal(lifted.scale, [1.0, 2.0])
+    with pytest.raises(UserError, match="Collector.refresh shapes the program"):
+        lift([Collector(), Collector(refresh=1)])
+    with pytest.raises(UserError, match="of one type"):
+        lift([Collector(), Phased()])
+    with pytest.raises(UserError, match="Collector.scale takes a finite number, got 'x'"):
+        check_fields(Collector(scale="x"))
+    with pytest.raises(UserError, match="Collector.refresh takes a whole number >= 0, got -1"):
+        check_fields(Collector(refresh=-1))
+
+
+def test_bad_needs_are_told():
+    with pytest.raises(UserError, match="unknown column 'rewards': did you mean reward"):
+        Rows(LOG, Needs(("rewards",)))
+    with pytest.raises(UserError, match="batch_size and n_step"):
+        Rows(LOG, Needs(batch_size=0))
+    with pytest.raises(UserError, match="behavior_log_probs"):
+        Rows(LOG, Needs(("behavior_log_prob",)))
+
+
+def test_checkpoints_are_whole_or_absent(tmp_path):
+    tree = {"a": jnp.arange(3.0), "b": (jnp.zeros((2, 2)), jnp.int32(4))}
+    path = tmp_path / "0000000005.npz"
+    save_tree(path, tree, {"step": 5})
+    back, meta = load_tree(path, tree)
+    assert meta == {"step": 5}
+    assert all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(tree), jax.tree.leaves(back), strict=True))
+    assert latest_step(tmp_path) == 5
+    with pytest.raises(UserError, match=r"does not fit: \['a'\] is \(\(3,\)"):
+        load_tree(path, {**tree, "a": jnp.zeros(4)})
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(UserError, match="not a whole deadreckon file"):
+        load_arrays(path)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_broken_newest_checkpoint_is_passed_over(tmp_path):
+    rows = Rows(LOG, Needs())
+    job = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
+    for _ in job.chunks():
+        pass
+    newest = tmp_path / f"{30:010d}.npz"
+    newest.write_bytes(newest.read_bytes()[:100])
+    again = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
+    again.resume()
+    assert again.step == 20
+    for _ in again.chunks():
+        pass
+    np.testing.assert_array_equal(again.states["seen"], job.states["seen"])
+
+
+def test_data_is_an_argument_of_the_program_not_a_constant():
+    """The same compiled chunk serves two logs of one shape."""
+    from deadreckon.training import fit as module
+
+    asks = Needs()
+    fit([Collector()], Rows(LOG, asks), [0], 5, chunk=5)
+    before = module._advance._cached._cache_size() if hasattr(module._advance, "_cached") else None
+    fit([Collector()], Rows(corridor(400, seed=1), asks), [0], 5, chunk=5)
+    after = module._advance._cached._cache_size() if hasattr(module._advance, "_cached") else None
+    assert before == after
