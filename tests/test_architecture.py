@@ -38,7 +38,7 @@ def test_imports_point_one_way():
 
 @pytest.mark.parametrize("module", ["deadreckon", "deadreckon.cli.main"])
 def test_import_is_light(module):
-    heavy = ["jax", "equinox", "optax", "mujoco", "gymnasium", "minari", "h5py", "pyarrow", "pandas", "scipy", "plotly"]
+    heavy = ["jax", "equinox", "optax", "mujoco", "gymnasium", "minari", "h5py", "pyarrow", "pandas", "scipy"]
     loaded = python(f"import sys, {module}; print(*(name for name in {heavy} if name in sys.modules))").split()
     assert loaded == []
 

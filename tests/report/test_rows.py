@@ -6,10 +6,10 @@ import pytest
 from run_folders import TASK, write_run
 
 from deadreckon.report.entries import read
-from deadreckon.report.rows import against, interval, paired, published, rows, versus
+from deadreckon.report.rows import against, paired, published, rows, versus
 from deadreckon.report.terminal import headline, table
 from deadreckon.report.verdict import verdict
-from deadreckon.runs.evaluate import Interval
+from deadreckon.runs.evaluate import Interval, bootstrap
 from deadreckon.tasks import registry
 
 
@@ -39,7 +39,7 @@ def test_a_constant_gain_has_no_spread_when_paired():
     b = np.array([[0.0, 10.0, 50.0], [0.0, 10.0, 50.0]])
     gap = paired(b + 3, b)
     assert (gap.mean, gap.low, gap.high) == pytest.approx((3, 3, 3))
-    alone = interval(b)
+    alone = bootstrap(b)
     assert alone.high - alone.low > 10  # what pairing takes away
 
 
@@ -65,7 +65,7 @@ def test_interval_covers():
     hits = 0
     for i in range(200):
         starts, seeds = rng.normal(0, 1, 30), rng.normal(0, 0.5, (20, 1))
-        found = interval(starts + seeds + rng.normal(0, 0.3, (20, 30)), seed=i)
+        found = bootstrap(starts + seeds + rng.normal(0, 0.3, (20, 30)), seed=i)
         hits += found.low <= 0 <= found.high
     assert hits >= 180
 

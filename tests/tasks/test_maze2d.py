@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon import tasks
 from deadreckon.errors import UserError
 from deadreckon.tasks.maze2d import LAYOUTS, RADIUS, TASKS, Maze2D, model
@@ -193,12 +194,8 @@ def test_timeouts_at_the_horizon_and_again_after_reset():
         np.testing.assert_array_equal(np.array(ends), np.arange(300)[:, None].repeat(2, 1) == 299)
 
 
-@pytest.mark.parametrize(
-    "order", ["import deadreckon.tasks, gymnasium", "import gymnasium, deadreckon.tasks", "{find}; import gymnasium"]
-)
-def test_ids_are_there_whatever_is_imported_first(order):
-    find = "import deadreckon.tasks, importlib.util as u; u.find_spec('gymnasium')"
-    code = f"{order.format(find=find)}; gymnasium.spec('deadreckon/Maze2D-EvalLargeDense-v1')"
+def test_gymnasium_finds_the_ids_through_the_module_that_registers_them():
+    code = "import gymnasium; gymnasium.make('deadreckon.tasks.envs:deadreckon/Maze2D-EvalLargeDense-v1')"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 

@@ -30,10 +30,11 @@ class Collect:
 
 @dataclass
 class Mapping:
-    """Which columns of a table are what. `deadreckon data info` and `train` take the same."""
+    """Which columns of a table (CSV, Parquet) are what."""
 
     action: tuple[str, ...] | None = None  # action columns, or a prefix such as `action`
     reward: str | None = None  # reward column
+    observations: tuple[str, ...] | None = None  # observation columns; None: all others
     episode: str | None = None  # column that tells episodes apart
     time: str | None = None  # column that orders the steps of an episode
     terminal: str | None = None  # column that marks true ends
@@ -46,7 +47,7 @@ class Info:
     """What is inside a log, with warnings worth having before anything is learned from it."""
 
     file: Annotated[str, tyro.conf.Positional]  # a file, a folder or the name of a known log
-    map: Mapping  # for CSV and Parquet
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
 
 
 @dataclass
@@ -55,7 +56,7 @@ class Convert:
 
     source: Annotated[str, tyro.conf.Positional]  # file or folder
     target: Annotated[str, tyro.conf.Positional]  # file, folder or minari:ID
-    map: Mapping  # for CSV and Parquet
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
     force: bool = False  # overwrite
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Annotated
 
 import tyro
 
@@ -16,7 +17,7 @@ class Train:
     """Learn a policy from a log; --agent NAME chooses the algorithm."""
 
     data: str  # the name of a known log, or a file
-    map: Mapping  # for CSV and Parquet
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
     steps: int = 100_000  # updates
     seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
     seed: int = 0  # the first
@@ -54,7 +55,7 @@ def train(args: Sequence[str]) -> None:
     fields = [("agent", agent_class(name), dataclasses.field(default_factory=agent_class(name)))] if name else []
     kind = dataclasses.make_dataclass("TrainAgent", fields, bases=(Train,))
     kind.__doc__ = Train.__doc__ if name else f"{Train.__doc__} Agents: {', '.join(AGENTS)}."
-    options = parse(tyro.conf.OmitSubcommandPrefixes[kind], rest, "train")  # pyright: ignore[reportInvalidTypeArguments]
+    options = parse(kind, rest, "train")
 
     from deadreckon.data.catalogue import load
     from deadreckon.data.io import read

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from deadreckon.data.catalogue import VERSION, cached_path
+from deadreckon.data.catalogue import VERSION, cached_path, entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.tasks import registry
@@ -128,8 +128,6 @@ def default_path(found: Recipe, steps: int | None, seed: int) -> Path:
 
 # ---- Maze2D -----------------------------------------------------------------------------------------------------------
 
-_MAZE2D_STEPS = {"umaze": 1_000_000, "medium": 2_000_000, "large": 4_000_000}  # thesis Table D.1
-
 
 def _maze2d(task: Maze2D) -> Recipe:
     def make(*, name: str, steps: int, seed: int, threads: int | None, progress: Progress | None) -> Dataset:
@@ -137,8 +135,8 @@ def _maze2d(task: Maze2D) -> Recipe:
 
         return collect_maze2d(task, name=name, steps=steps, seed=seed, threads=threads, progress=progress)
 
-    steps = next(rows for size, rows in _MAZE2D_STEPS.items() if size in task.name)
-    return Recipe(f"{task.name}-v1", task.name, steps, make, "waypoints of a planner to random targets, PD control")
+    known = entry(f"{task.name}-v1")
+    return Recipe(known.recipe, task.name, known.rows, make, "waypoints of a planner to random targets, PD control")
 
 
 for _task in TASKS:

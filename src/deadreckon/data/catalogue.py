@@ -45,11 +45,16 @@ def _maze2d(size: str, rows: int, dense: bool) -> Entry:
     middle = "-dense" if dense else ""
     name = f"maze2d-{size}{middle}-v1"
     file = name if dense else f"maze2d-{size}-sparse-v1"
-    twin = f"D4RL/pointmaze/{size}{middle}-v2"
+    twin = None if size.startswith("eval-") else f"D4RL/pointmaze/{size}{middle}-v2"
     return Entry(name, "maze2d", f"maze2d-{size}{middle}", name, rows, f"maze2d/{file}.hdf5", twin)
 
 
-_MAZES = (("umaze", 1_000_000), ("medium", 2_000_000), ("large", 4_000_000))
+# Rows: thesis Table D.1. The original has logs of the evaluation mazes too, though no Minari twin does.
+_MAZES = tuple(
+    (f"{split}{size}", rows)
+    for split in ("", "eval-")
+    for size, rows in (("umaze", 1_000_000), ("medium", 2_000_000), ("large", 4_000_000))
+)
 ENTRIES: dict[str, Entry] = {
     entry.name: entry for dense in (False, True) for size, rows in _MAZES for entry in (_maze2d(size, rows, dense),)
 }

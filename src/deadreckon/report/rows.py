@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.report.entries import Entry, Page
-from deadreckon.runs.evaluate import RESAMPLES, Interval
+from deadreckon.runs.evaluate import RESAMPLES, Interval, bootstrap, percentiles, redraws, resampler
 from deadreckon.tasks.task import Task
 
 
@@ -69,31 +69,6 @@ class Difference:
         return self.score or self.returns
 
 
-def _draws(values: np.ndarray, rng: np.random.Generator, which: np.ndarray) -> np.ndarray:
-    who = rng.integers(0, len(values), (RESAMPLES, len(values), 1))
-    return values[who, which[:, None]].mean((1, 2))
-
-
-def _which(episodes: int, seed: int) -> tuple[np.random.Generator, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return rng, rng.integers(0, episodes, (RESAMPLES, episodes))
-
-
-def _percentiles(mean: float, draws: np.ndarray) -> Interval:
-    low, high = np.percentile(draws, [2.5, 97.5])
-    return Interval(float(mean), float(low), float(high))
-
-
-def interval(values: np.ndarray, seed: int = 0) -> Interval:
-    """Mean and 95 % bootstrap interval of (seeds, episodes) values; seeds and episodes are redrawn, each as a whole.
-
-    Episode `i` starts the same way for every seed, so a draw of episodes holds for all seeds: treating them as
-    seeds x episodes independent numbers would give intervals that are too narrow.
-    """
-    rng, which = _which(values.shape[1], seed)
-    return _percentiles(values.mean(), _draws(values, rng, which))
-
-
 def paired(a: np.ndarray, b: np.ndarray, seed: int = 0) -> Interval:
     """Mean of a - b with its 95 % bootstrap interval, both (seeds, episodes) over the same starts.
 
@@ -102,16 +77,16 @@ def paired(a: np.ndarray, b: np.ndarray, seed: int = 0) -> Interval:
     """
     episodes = min(a.shape[1], b.shape[1])
     a, b = a[:, :episodes], b[:, :episodes]
-    rng, which = _which(episodes, seed)
-    return _percentiles(a.mean() - b.mean(), _draws(a, rng, which) - _draws(b, rng, which))
+    rng, which = resampler(episodes, seed)
+    return percentiles(a.mean() - b.mean(), redraws(a, rng, which) - redraws(b, rng, which))
 
 
 def against(values: np.ndarray, other: Interval, seed: int = 0) -> Interval:
     """Mean of (seeds, episodes) values minus an independent estimate, whose interval is taken as that of a normal."""
-    rng, which = _which(values.shape[1], seed)
+    rng, which = resampler(values.shape[1], seed)
     error = (other.high - other.low) / (2 * 1.959964)
-    draws = _draws(values, rng, which) - rng.normal(other.mean, error, RESAMPLES)
-    return _percentiles(values.mean() - other.mean, draws)
+    draws = redraws(values, rng, which) - rng.normal(other.mean, error, RESAMPLES)
+    return percentiles(values.mean() - other.mean, draws)
 
 
 def to_score(task: Task | None, returns: Interval) -> Interval | None:
@@ -151,8 +126,8 @@ def row(entry: Entry) -> Row:
     return Row(
         entry.label,
         entry,
-        None if returns is None else interval(returns),
-        None if scores is None else interval(scores),
+        None if returns is None else bootstrap(returns),
+        None if scores is None else bootstrap(scores),
         () if values is None else tuple(float(v) for v in values.mean(1)),
         *(_mean(entry.last(name)) for name in ("estimated_value", "discounted_return", "mmd_to_data", "outside_range")),
         updates=entry.last_step if entry.last_step is not None else entry.status.get("step"),

@@ -30,19 +30,33 @@ class Interval:
         return f"{self.mean:.1f} [{self.low:.1f}, {self.high:.1f}]"
 
 
-def bootstrap(values: np.ndarray, seed: int = 0) -> Interval:
-    """Mean and 95 % percentile bootstrap over the last axis; with two axes (policies, episodes) policies are redrawn too.
+def redraws(values: np.ndarray, rng: np.random.Generator, episodes: np.ndarray) -> np.ndarray:
+    """(resamples,) means of (policies, episodes) values, policies drawn anew by `rng`, episodes as `episodes` says."""
+    who = rng.integers(0, len(values), (len(episodes), len(values)))
+    return values[who[:, :, None], episodes[:, None, :]].mean((1, 2))
 
-    Redrawing policies first and their episodes second keeps the spread between seeds in the interval.
+
+def resampler(episodes: int, seed: int) -> tuple[np.random.Generator, np.ndarray]:
+    """A generator for policies, and (resamples, episodes) draws of episodes."""
+    rng = np.random.default_rng(seed)
+    return rng, rng.integers(0, episodes, (RESAMPLES, episodes))
+
+
+def percentiles(mean: float, draws: np.ndarray) -> Interval:
+    """The 95 % percentile interval of bootstrap draws."""
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return Interval(float(mean), float(low), float(high))
+
+
+def bootstrap(values: np.ndarray, seed: int = 0) -> Interval:
+    """Mean and 95 % bootstrap interval of (policies, episodes) values, or of (episodes,).
+
+    Policies and episodes are redrawn, each as a whole: episode `i` starts the same way for every policy, and treating
+    them as so many independent numbers would give intervals that are too narrow.
     """
     values = np.atleast_2d(np.asarray(values, np.float64))
-    rng = np.random.default_rng(seed)
-    policies, episodes = values.shape
-    who = rng.integers(0, policies, (RESAMPLES, policies, 1))
-    which = rng.integers(0, episodes, (RESAMPLES, policies, episodes))
-    means = values[who, which].mean((1, 2))
-    low, high = np.percentile(means, [2.5, 97.5])
-    return Interval(float(values.mean()), float(low), float(high))
+    rng, which = resampler(values.shape[1], seed)
+    return percentiles(float(values.mean()), redraws(values, rng, which))
 
 
 @dataclass(frozen=True)

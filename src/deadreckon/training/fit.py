@@ -220,16 +220,16 @@ class _Source:
 
     def __init__(self, rows: Rows, plan: _Plan, chunk: int):
         self.rows, self.plan, self.chunk = rows, plan, chunk
-        self.resident = None
+        self.resident: dict[str, Any] | None = None
         if plan.resident:
             columns = rows.take(np.arange(rows.count))
             self.resident = jax.device_put(_pack(columns, plan.layout, 1))
-        self.pool = ThreadPoolExecutor(1)
+        self.pool = None if plan.resident else ThreadPoolExecutor(1)
         self.ahead: tuple[int, Future] | None = None
 
     def get(self, roots: PRNGKeyArray, start: int, steps: int) -> dict[str, Any]:
-        if self.resident is not None:
-            return self.resident
+        if self.resident is not None or self.pool is None:
+            return self.resident or {}
         if self.ahead is not None and self.ahead[0] == start:
             data = self.ahead[1].result()
         else:
@@ -244,7 +244,8 @@ class _Source:
         return _pack(self.rows.take(index), self.plan.layout, index.ndim)
 
     def close(self) -> None:
-        self.pool.shutdown(wait=True, cancel_futures=True)
+        if self.pool is not None:
+            self.pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _fits(rows: Rows) -> bool:

@@ -1,0 +1,87 @@
+"""The commands as a user types them, on small settings."""
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from deadreckon.cli.main import COMMANDS, main
+
+
+def test_help_names_every_command(capsys):
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in COMMANDS)
+    assert main([]) == 0
+    assert main(["--version"]) == 0
+
+
+def test_tasks_and_agents(capsys):
+    assert main(["tasks", "--domain", "maze2d"]) == 0
+    out = capsys.readouterr().out
+    assert "maze2d-eval-large-dense" in out
+    assert "evaluation" in out
+    assert main(["agents"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in ("bc", "bear_is", "thesis 4.3, Algorithm 1"))
+
+
+def test_agent_help_shows_the_comments_behind_fields(capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["train", "--agent", "bear", "--help"])
+    assert done.value.code == 0
+    out = capsys.readouterr().out
+    assert "--agent.min-weight" in out
+    assert "lambda: target" in out
+
+
+def test_collect_info_convert_train_evaluate_report(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["data", "collect", "maze2d-umaze-v1", "--steps", "3000", "--seed", "1", "--out", "log.hdf5"]) == 0
+    assert main(["data", "info", "log.hdf5"]) == 0
+    out = capsys.readouterr().out
+    assert "maze2d-umaze-v1@dr1" in out
+    assert "3,000" in out
+    assert main(["data", "convert", "log.hdf5", "log.csv"]) == 0
+    small = ["--steps", "40", "--chunk", "20", "--episodes", "2", "--agent.hidden", "8", "8", "--agent.batch-size", "16"]
+    assert main(["train", "--agent", "bc", "--data", "log.hdf5", "--seeds", "2", "--out", "run", *small]) == 0
+    out = capsys.readouterr().out
+    assert "score" in out
+    assert "run folder: run" in out
+    assert main(["train", "--agent", "bc", "--data", "log.hdf5", "--seeds", "2", "--out", "run", "--resume", *small]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", "run", "--episodes", "3", "--out", "scores.parquet"]) == 0
+    assert "run seed 1" in capsys.readouterr().out
+    table = pq.read_table("scores.parquet")
+    assert len(table) == 6
+    assert np.isfinite(table["score"].to_numpy()).all()
+    assert main(["evaluate", "run/policies/seed0.npz", "--task", "maze2d-umaze", "--episodes", "2"]) == 0
+    assert main(["report", "run", "--out", "page.html"]) == 0
+    assert (tmp_path / "page.html").stat().st_size > 10_000
+
+
+def test_a_table_of_ones_own_by_its_columns(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    lines = ["patient,hour,pulse,dose,outcome"]
+    lines += [f"{i // 5},{i % 5},{rng.normal():.3f},{rng.uniform():.3f},{rng.normal():.3f}" for i in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    columns = ["--episode", "patient", "--time", "hour", "--action", "dose", "--reward", "outcome"]
+    assert main(["data", "info", "log.csv", *columns]) == 0
+    assert "12 episodes" in capsys.readouterr().out
+    settings = ["--steps", "10", "--agent.hidden", "8", "--agent.batch-size", "8"]
+    assert main(["train", "--agent", "bc", "--data", "log.csv", *columns, "--out", "run", *settings]) == 0
+    assert "MMD to the log" in capsys.readouterr().out
+
+
+def test_human_demonstrations_train_and_report_losses_and_mmd(real_data, tmp_path, monkeypatch, capsys):
+    """Real input: 25 episodes with as many observations as rewards, most rows out of bounds."""
+    monkeypatch.chdir(tmp_path)
+    log = real_data / "adroit" / "door-v0_demos.pickle"
+    small = ["--steps", "60", "--chunk", "20", "--agent.hidden", "16", "16", "--agent.batch-size", "32"]
+    assert main(["train", "--agent", "bear", "--data", str(log), "--out", "run", *small]) == 0
+    out = capsys.readouterr().out
+    assert "5497 of 6729 rows (82 %) have actions out of bounds" in out
+    assert "25 of 6729 rows have no known successor" in out
+    assert "critic_loss" in out
+    assert "mmd " in out
+    assert "MMD to the log" in out
