@@ -1,8 +1,10 @@
 """Writing files so that a kill, a full disk or a read-only folder leaves nothing half-written."""
 
 import contextlib
+import errno
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,6 +47,20 @@ def replacing(path: Path | str) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def reserve(path: Path, size: int) -> None:
+    """Makes sure that `size` bytes fit where `path` lies, before a library starts that does not survive a full disk.
+
+    Raises:
+        OSError: they do not; `replacing` tells it in one line.
+    """
+    if hasattr(os, "posix_fallocate"):
+        with open(path, "rb+") as file:
+            os.posix_fallocate(file.fileno(), 0, max(size, 1))
+            file.truncate(0)
+    elif shutil.disk_usage(path.parent).free < size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def write_json(path: Path | str, value: Any) -> None:

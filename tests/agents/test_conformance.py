@@ -201,8 +201,9 @@ def test_bc_copies_what_was_logged(model):
     rng = np.random.default_rng(0)
     s = rng.uniform(-1, 1, (3000, 1))
     log = Dataset.from_arrays(
-        observations=s, actions=0.7 * np.sin(3 * s), rewards=np.zeros(3000), terminals=np.ones(3000), action_space=LOG.action_space
-    )
+        observations=s, actions=0.7 * np.sin(3 * s), rewards=np.zeros(3000), terminals=np.ones(3000),
+        action_space=LOG.action_space,
+    )  # fmt: skip
     agent = agent_class("bc")(model=model, hidden=(32, 32), lr=3e-3).resolve(log.spec, 1500)
     rows = rows_of(agent, log)
     policy = Deployed.of(agent.policy(fit([agent], rows, [0], 1500, chunk=500).lane(0)), rows.view)

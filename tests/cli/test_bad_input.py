@@ -87,7 +87,8 @@ CASES = {
         lambda f, g: [*BC, hdf5(f / "x.hdf5", observations=with_bad("observations", 3, np.inf))], ["observations", "row 3"]),
     "lengths that differ": (lambda f, g: [*BC, hdf5(f / "x.hdf5", rewards=np.zeros(49))], ["rewards", "49", "50"]),
     "no actions": (lambda f, g: [*BC, hdf5(f / "x.hdf5", actions=None)], ["actions"]),
-    "terminals that are no flags": (lambda f, g: [*BC, hdf5(f / "x.hdf5", terminals=np.full(50, 3.0))], ["terminals", "0 or 1"]),
+    "terminals that are no flags": (
+        lambda f, g: [*BC, hdf5(f / "x.hdf5", terminals=np.full(50, 3.0))], ["terminals", "0 or 1"]),
     "next observations of another shape": (
         lambda f, g: [*BC, hdf5(f / "x.hdf5", next_observations=np.zeros((50, 9)))], ["next_observations"]),
     "empty log": (lambda f, g: [*BC, hdf5(f / "x.hdf5", n=0)], ["no rows"]),
@@ -121,7 +122,7 @@ CASES = {
     "unknown log": (lambda f, g: [*BC, "maze2d-umaze-v7"], ["did you mean maze2d-umaze-v1"]),
     "path that climbs out of the cache": (lambda f, g: [*BC, "../../secrets"], ["../../secrets"]),
     "pickle that imports os": (pickled, ["bomb.pickle", "system"]),
-    "csv without columns": (text("a.csv", "a,b\n1,2\n"), ["--action"]),
+    "csv without columns": (text("a.csv", "a,b\n1,2\n"), ["--observations COLUMN", "a, b"]),
     "empty file": (text("a.csv", ""), ["empty"]),
     "no log at all": (text("a.bin", "\x00\x01\x02"), ["a.bin"]),
     "unknown recipe": (lambda f, g: ["data", "collect", "maze2d-umaz-v1"], ["did you mean maze2d-umaze-v1"]),

@@ -9,7 +9,7 @@ from deadreckon.errors import UserError
 
 
 def test_the_entries():
-    assert len(ENTRIES) == 6
+    assert len(ENTRIES) == 12  # three sizes, sparse and dense, and the evaluation mazes
     found = entry("maze2d-umaze-v1")
     assert (found.task, found.rows, found.recipe) == ("maze2d-umaze", 1_000_000, "maze2d-umaze-v1")
     assert found.original == "maze2d/maze2d-umaze-sparse-v1.hdf5"

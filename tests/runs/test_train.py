@@ -1,7 +1,5 @@
 """From a log to a judged run folder, and taking it up again."""
 
-import warnings
-
 import numpy as np
 import pytest
 
@@ -44,7 +42,8 @@ def test_run_folder_holds_what_was_asked_and_what_came_out(run, log):
     evaluations = run.evaluations.to_pydict()
     assert len(evaluations["return"]) == 2 * 2 * 3
     assert np.isfinite(evaluations["estimated_value"]).all()
-    np.testing.assert_allclose(evaluations["score"], task("maze2d-umaze").reference.normalise(np.asarray(evaluations["return"])))
+    scores = task("maze2d-umaze").reference.normalise(np.asarray(evaluations["return"]))
+    np.testing.assert_allclose(evaluations["score"], scores)
     with np.load(run.path / "evaluations" / "trajectories.npz") as file:
         assert file["trajectories"].shape == (2, 3, 300, 4)
 

@@ -53,7 +53,8 @@ def test_n_step_rewards_stop_at_the_episode_end():
         observations=np.arange(6.0), actions=np.zeros((6, 1)), rewards=[1, 2, 4, 8, 16, 32.0],
         terminals=[0, 0, 1, 0, 0, 0], timeouts=[0, 0, 0, 0, 0, 1], final_observations=[[90.0], [91.0]],
     )  # fmt: skip
-    asks = Needs(("reward", "next_observation", "terminal", "discount", "next_action", "time", "return_to_go"), n_step=2, gamma=0.5)
+    names = ("reward", "next_observation", "terminal", "discount", "next_action", "time", "return_to_go")
+    asks = Needs(names, n_step=2, gamma=0.5)
     _, got = columns(asks, log)
     np.testing.assert_allclose(got["reward"], [2, 4, 4, 16, 32, 32])
     np.testing.assert_allclose(got["next_observation"][:, 0], [2, 90, 90, 5, 91, 91])
@@ -64,7 +65,8 @@ def test_n_step_rewards_stop_at_the_episode_end():
 
 
 def test_rows_without_successor_are_never_drawn():
-    log = Dataset.from_arrays(observations=np.arange(6.0), actions=np.zeros((6, 1)), rewards=np.zeros(6), timeouts=[0, 0, 1, 0, 0, 1])
+    ends = [0, 0, 1, 0, 0, 1]
+    log = Dataset.from_arrays(observations=np.arange(6.0), actions=np.zeros((6, 1)), rewards=np.zeros(6), timeouts=ends)
     rows, got = columns(Needs(), log)
     assert rows.count == 4
     np.testing.assert_array_equal(got["observation"][:, 0], [0, 1, 3, 4])

@@ -8,7 +8,7 @@ import optax
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import ADAM, descend
+from deadreckon.nets.optim import begin, descend
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
 from deadreckon.training.learner import static
@@ -36,7 +36,7 @@ class BC(Agent):
     def init(self, spec, key):
         """A fresh model."""
         model = behavior.create(self.model, spec, self.hidden, key)
-        return State(model, ADAM.init(model))
+        return State(model, begin(model))
 
     def update(self, state, batch, *, step, key):
         """One step on the negative log-likelihood (or the VAE's bound)."""

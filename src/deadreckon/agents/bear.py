@@ -5,7 +5,7 @@ dual gradient descent. Where the thesis misprints (missing terminal mask, the me
 over states), the right form is used; `docs/agents/bear.md` lists every difference.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,11 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.mmd import Kernel, mmd
-from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import GreedyQ, TanhGaussian
-from deadreckon.training.learner import static
+from deadreckon.training.learner import Metrics, static
 
 WARM_STEPS, WARM_SHARE = 40_000, 0.2  # of the run, whichever is smaller (FACTS 1 has 40,000 of 500,000 and more)
 
@@ -100,7 +100,7 @@ class BEAR(Agent):
         """Transitions."""
         return Needs(batch_size=self.batch_size)
 
-    def init(self, spec, key):
+    def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
         ka, kc, kb = jax.random.split(key, 3)
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
@@ -111,7 +111,7 @@ class BEAR(Agent):
         log_temperature = jnp.log(jnp.asarray(self.temperature))
         trained = {"actor": actor, "critics": critics, "behavior": model, "multiplier": log_multiplier,
                    "temperature": log_temperature}  # fmt: skip
-        opts = {name: ADAM.init(part) for name, part in trained.items()}
+        opts = {name: begin(part) for name, part in trained.items()}
         return State(actor, critics, model, log_multiplier, log_temperature, copy(actor), copy(critics), opts)
 
     # ---- losses -----------------------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ class BEAR(Agent):
 
     # ---- one update -------------------------------------------------------------------------------------------------
 
-    def update(self, state, batch, *, step, key):
+    def update(self, state, batch, *, step, key) -> tuple[Any, Metrics]:
         """Behaviour model, critics, actor, multipliers, targets (Algorithm 1)."""
         k_model, k_future, k_actor = jax.random.split(key, 3)
         opts = dict(state.opts)

@@ -12,7 +12,7 @@ from deadreckon.agents.agent import backup, bellman_loss
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.training.learner import static
@@ -57,7 +57,7 @@ class ISBEAR(bear.BEAR):
         set_policy = copy(first.actor)
         return State(
             first.actor, set_policy, first.critics, first.behavior, first.log_multiplier, first.target_actor,
-            first.target_critics, opts | {"set_policy": ADAM.init(set_policy)},
+            first.target_critics, opts | {"set_policy": begin(set_policy)},
         )  # fmt: skip
 
     def future(self, state, batch, key):
@@ -116,4 +116,4 @@ class ISBEAR(bear.BEAR):
             "actor_loss": loss, "critic_spread": spread, self.constraint: divergence,
             "multiplier": jnp.exp(log_multiplier),
         }  # fmt: skip
-        return State(actor, set_policy, critics, model, log_multiplier, *targets, opts), metrics
+        return State(actor, set_policy, critics, model, log_multiplier, targets[0], targets[1], opts), metrics

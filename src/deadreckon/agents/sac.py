@@ -11,7 +11,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import TanhGaussian
 from deadreckon.training.learner import static
 
@@ -56,7 +56,7 @@ class SAC(Agent):
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, 2, kc)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
-        opts = ADAM.init(actor), ADAM.init(critics), ADAM.init(log_temperature)
+        opts = begin(actor), begin(critics), begin(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
 
     def target(self, state, batch, key):

@@ -9,7 +9,7 @@ import optax
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import Deterministic
 from deadreckon.training.learner import static
 
@@ -48,7 +48,7 @@ class TD3(Agent):
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
         critics = create_critics(spec, self.hidden, 2, kc)
-        return State(actor, critics, copy(actor), copy(critics), ADAM.init(actor), ADAM.init(critics))
+        return State(actor, critics, copy(actor), copy(critics), begin(actor), begin(critics))
 
     def target(self, state, batch, key):
         """r + discount min_j Q'_j(s', a'), a' the target actor's action plus clipped noise (TD3 eq. 14-15)."""

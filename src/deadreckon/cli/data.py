@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -63,7 +63,7 @@ class Convert:
 KINDS = {"list": List, "collect": Collect, "info": Info, "convert": Convert}
 
 
-def mapping_options(given: Mapping) -> dict[str, object]:
+def mapping_options(given: Mapping) -> dict[str, Any]:
     """Only what was given, as `deadreckon.read` takes it."""
     out = {key: value for key, value in vars(given).items() if value is not None}
     if "action" in out and len(out["action"]) == 1:

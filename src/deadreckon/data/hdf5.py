@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,11 @@ from deadreckon.data.layout import (
 )
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.files import replacing
+from deadreckon.files import replacing, reserve
 
 _BLOCK = 262_144  # rows copied at a time
 _HEADER = "deadreckon"  # attribute that holds the header as JSON
+_OVERHEAD = 65_536  # bytes of a file beside its columns: names, header, alignment
 # D4RL's name for the behaviour policy's log-probability of the logged action, and ours.
 _RENAMED = {"infos/action_log_probs": "behavior_log_probs"}
 
@@ -90,7 +92,7 @@ def write_hdf5(log: Dataset, path: Path | str) -> None:
     finals = columns.pop("final_observations"), columns.pop("final_known")
     about = header_of(log)
     shapes = {key: (column.shape[1:], column.dtype) for key, column in columns.items()}
-    with create(path, rows=len(log), columns=shapes, about=about) as writer:
+    with create(path, rows=len(log), columns=shapes, about=about, episodes=log.episodes) as writer:
         for key, column in columns.items():
             copy_rows(column, writer[key])
         writer.write_finals(*finals)
@@ -149,6 +151,7 @@ def create(
     action_space: Box | Discrete | None = None,
     provenance: Provenance | None = None,
     about: dict[str, Any] | None = None,
+    episodes: int | None = None,
 ) -> Iterator[Writer]:
     """An hdf5 log of known length to be filled in any order; it appears at `path` only if the block ends well.
 
@@ -160,18 +163,24 @@ def create(
         action_space: bounds of the environment.
         provenance: where the log comes from; `writer.provenance` may replace it before the end.
         about: the header as a whole, instead of the last three.
+        episodes: how many there will be, for the space that their final observations take; `rows` at most.
 
     Raises:
         UserError: the file cannot be written, or the number of final observations is wrong.
     """
     about = about or header(name, action_space, provenance or Provenance())
-    # Aligned columns, so that a memory map of one is as fast as an array.
-    with replacing(path) as temporary, h5py.File(temporary, "w", alignment_threshold=1, alignment_interval=64) as file:
-        writer = Writer(file, about)
-        for key, (shape, dtype) in columns.items():
-            writer.add(key, (rows, *shape), dtype)
-        yield writer
-        writer.close()
+    sizes = {key: math.prod(shape) * np.dtype(dtype).itemsize for key, (shape, dtype) in columns.items()}
+    finals = (rows if episodes is None else episodes) * (sizes.get("observations", 0) + 1)
+    with replacing(path) as temporary:
+        # The HDF5 library crashes where the disk fills up under it; so the space is found first.
+        reserve(temporary, rows * sum(sizes.values()) + finals + _OVERHEAD)
+        # Aligned columns, so that a memory map of one is as fast as an array.
+        with h5py.File(temporary, "w", alignment_threshold=1, alignment_interval=64) as file:
+            writer = Writer(file, about)
+            for key, (shape, dtype) in columns.items():
+                writer.add(key, (rows, *shape), dtype)
+            yield writer
+            writer.close()
 
 
 def copy_rows(source: Any, target: Any) -> None:

@@ -1,6 +1,7 @@
 """Dense networks whose every leaf is an array, so that they can be carried, stacked, saved and vmapped as they are."""
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -55,7 +56,10 @@ class MLP(eqx.Module):
         return x
 
 
-def ensemble(create: Callable[[PRNGKeyArray], eqx.Module], count: int, key: PRNGKeyArray):
+N = TypeVar("N", bound=eqx.Module)
+
+
+def ensemble(create: Callable[[PRNGKeyArray], N], count: int, key: PRNGKeyArray) -> N:
     """`count` networks stacked along a leading axis, each from its own key."""
     return jax.vmap(create)(jax.random.split(key, count))
 

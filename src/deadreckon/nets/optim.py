@@ -9,6 +9,11 @@ import optax
 ADAM = optax.scale_by_adam()
 
 
+def begin(params: Any) -> optax.OptState:
+    """Adam's state before the first step."""
+    return ADAM.init(params)
+
+
 def descend(params: Any, grads: Any, opt: optax.OptState, lr: Any) -> tuple[Any, optax.OptState]:
     """One Adam step (beta 0.9 and 0.999, epsilon 1e-8). `lr` may differ along a vmapped axis."""
     updates, opt = ADAM.update(grads, opt)

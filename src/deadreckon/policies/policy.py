@@ -154,8 +154,8 @@ class Deployed(eqx.Module):
         if not isinstance(self.inner, TanhGaussian):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
         unit = self.view.to_unit(jnp.asarray(action))
-        spread = jnp.log(0.5 * (self.high - self.low)).sum()  # pyright: ignore[reportOptionalOperand]
-        return self.inner.log_prob(self.view.observe(jnp.asarray(observation)), unit) - spread
+        log_prob = self.inner.log_prob(self.view.observe(jnp.asarray(observation)), unit)
+        return log_prob if self.high is None or self.low is None else log_prob - jnp.log(0.5 * (self.high - self.low)).sum()
 
     def __call__(self, observations: Any) -> np.ndarray:
         """Greedy actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""

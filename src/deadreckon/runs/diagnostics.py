@@ -17,8 +17,10 @@ from deadreckon.tasks.task import Task
 SAMPLE = 1024  # logged rows that policies are compared on
 
 
-def two_sample_mmd(x: Float[Array, "n d"], y: Float[Array, "m d"], variance: Any) -> Float[Array, ""]:
+def two_sample_mmd(x: Float[Array | np.ndarray, "n d"], y: Float[Array | np.ndarray, "m d"], variance: Any) -> Float[Array, ""]:
     """Root of the unbiased Gaussian-kernel MMD^2 between two samples, zero where the estimate is negative (Gretton 2012)."""
+
+    x, y = jnp.asarray(x), jnp.asarray(y)
 
     def mean(a: Array, b: Array, same: bool) -> Array:
         squared = jnp.square(a).sum(-1)[:, None] + jnp.square(b).sum(-1)[None] - 2.0 * a @ b.T

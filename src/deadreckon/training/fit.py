@@ -110,16 +110,16 @@ class _Plan(NamedTuple):
     batch_size: int
     window: int
     initial: int
-    count: int
+    rows: int
     resident: bool
 
 
 def _draw(plan: _Plan, root: PRNGKeyArray, step: Int[Array, ""]) -> Int[Array, "b *w"]:
     """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
     key = jax.random.fold_in(jax.random.fold_in(root, DRAW), step)
-    index = jax.random.randint(key, (plan.batch_size,), 0, plan.count)
+    index = jax.random.randint(key, (plan.batch_size,), 0, plan.rows)
     if plan.window:
-        index = jnp.minimum(index[:, None] + jnp.arange(plan.window), plan.count - 1)
+        index = jnp.minimum(index[:, None] + jnp.arange(plan.window), plan.rows - 1)
     return index
 
 
