@@ -28,6 +28,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
         UserError: the folder cannot be made, or the disk is full or read-only. Nothing is left behind.
     """
     path = Path(path)
+    made = [folder for folder in path.absolute().parents if not folder.exists()]
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,6 +48,10 @@ def replacing(path: Path | str) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+        if not path.exists():
+            for folder in made:  # innermost first; one that others have filled meanwhile stays
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
 
 
 def reserve(path: Path, size: int) -> None:

@@ -173,14 +173,14 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, good):
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
         "from deadreckon.cli.main import main\n"
-        f"sys.exit(main(['data', 'collect', 'maze2d-umaze-v1', '--steps', '4000', '--out', {str(tmp_path / 'log.hdf5')!r}]))"
+        f"sys.exit(main(['data', 'collect', 'maze2d-umaze-v1', '--steps', '4000', '--out', {str(tmp_path / 'new' / 'log.hdf5')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     errors = [line for line in done.stderr.splitlines() if not line.startswith("collecting ")]
     assert done.returncode == 2, done.stderr
     assert len(errors) == 1, done.stderr
     assert "log.hdf5" in errors[0]
-    assert list(tmp_path.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir() if p.name != "home"] == []
 
 
 def test_debug_shows_the_traceback(good):
