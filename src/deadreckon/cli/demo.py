@@ -8,6 +8,8 @@ from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar
 
 TASK, LOG = "maze2d-umaze", "maze2d-umaze-v1"
+AGENTS = ("bc", "td3", "sac", "td3_bc", "bear")
+HIDDEN = (64, 64)  # small networks: the demo is to be seen within minutes on two cores
 
 
 @dataclass
@@ -18,7 +20,7 @@ class Demo:
     seed: int = 0  # of the log and the first of each agent's
     seeds: int = 2  # an agent
     log_steps: int = 200_000  # collected
-    steps: int = 15_000  # updates an agent
+    steps: int = 25_000  # updates an agent
 
 
 def demo(args: Sequence[str]) -> None:
@@ -27,7 +29,7 @@ def demo(args: Sequence[str]) -> None:
     from deadreckon.agents import agent_class
     from deadreckon.collect import collect
     from deadreckon.data.io import read
-    from deadreckon.report import table, write
+    from deadreckon.report import headline, table, write
     from deadreckon.runs.train import train
 
     out = Path(options.out)
@@ -38,23 +40,15 @@ def demo(args: Sequence[str]) -> None:
     log = read(path)
     print(f"{log}\n")
 
-    small = {"hidden": (64, 64)}
-    agents = {
-        "bc": small,
-        "td3": small,
-        "sac": small,
-        "td3_bc": small,
-        "bear": small,
-    }
     folders = []
-    for name, fields in agents.items():
+    for name in AGENTS:
         folder = out / name
         with Bar(f"{name:<7}", options.steps, "updates") as bar:
             train(
-                agent_class(name)(**fields), log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK,
+                agent_class(name)(hidden=HIDDEN), log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK,
                 out=folder, resume=folder.exists(), watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
             )  # fmt: skip
         folders.append(folder)
     page = write(folders, out / "report.html", title="From a log to a judged policy")
     print(table(folders))
-    print(f"\nreport: {page}")
+    print(f"\n{headline(folders)}\nreport: {page}")

@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args[0] not in COMMANDS:
             raise unknown("command", args[0], COMMANDS)
         module, function, _ = COMMANDS[args[0]]
-        _cache_compiled_programs()
+        cache_compiled_programs()
         getattr(importlib.import_module(f"deadreckon.cli.{module}"), function)(args[1:])
         return 0
     except UserError as error:
@@ -81,7 +81,7 @@ def _one_line(message, category, filename, lineno, file=None, line=None):
     print(f"deadreckon: warning: {message}", file=sys.stderr)
 
 
-def _cache_compiled_programs() -> None:
+def cache_compiled_programs() -> None:
     """Compiled programs outlive the command. By environment, so that no numerical library is loaded for `data info`.
 
     Only the command does this: the package, imported, leaves JAX's global settings alone.
