@@ -255,7 +255,7 @@ def report(rows: list[Row], shapes: dict[str, float], facts: dict[str, Any], cal
         "",
         f"`{facts['command']}`",
         "",
-        f"{facts['date']} · {facts['cpu']}, {arguments.cores} cores used · {platform.platform()}  ",
+        f"{facts['date']} · {facts['cpu']}, {arguments.cores} cores used · {platform.system()} {platform.machine()}  ",
         f"{versions} · commit {facts['commit']}",
         "",
         f"Batch {arguments.batch}, networks {arguments.width}x{arguments.width}, observations of 17 and actions of 6 "

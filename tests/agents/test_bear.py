@@ -123,7 +123,7 @@ def test_dual_step_ascends_clips_and_rests():
     assert float(frozen.dual_step(state, jnp.float32(9.0), jnp.int32(99))[0]) == 0.0
 
 
-def test_inverse_density_weights_have_mean_one_and_a_ceiling():
+def test_inverse_density_weights_have_a_ceiling():
     agent, state, batch = setup(density_weighting=True, density_clip=2.0)
     weight = np.asarray(agent.bellman_weight(state, batch))
     mean, log_std = numpy_gaussian(state.behavior, batch.observation)
@@ -131,9 +131,9 @@ def test_inverse_density_weights_have_mean_one_and_a_ceiling():
     log_density = (-0.5 * ((pre - mean) / np.exp(log_std)) ** 2 - log_std - 0.5 * np.log(2 * np.pi)
                    - np.log(1 - np.tanh(pre) ** 2)).sum(-1)  # fmt: skip
     raw = np.exp(-log_density)
-    raw = np.minimum(raw / raw.mean(), 2.0)
-    np.testing.assert_allclose(weight, raw / raw.mean(), rtol=1e-4)
-    assert abs(weight.mean() - 1) < 1e-5
+    np.testing.assert_allclose(weight, np.minimum(raw / raw.mean(), 2.0), rtol=1e-4)
+    one_dominates = batch._replace(action=jnp.asarray([[0.1], [0.1], [0.1], [0.1], [0.1], [1 - 1e-6]]))
+    assert np.asarray(agent.bellman_weight(state, one_dominates)).max() <= 2.0
 
 
 def test_kl_and_cross_entropy_constraints():
@@ -141,10 +141,10 @@ def test_kl_and_cross_entropy_constraints():
     d = dist.gaussian_head(state.actor(batch.observation))
     b = dist.gaussian_head(state.behavior(batch.observation))
     pre = dist.sample(d, jax.random.key(1), (2,))
-    np.testing.assert_allclose(agent.divergence(d, pre, state, batch.observation, jax.random.key(0)), dist.kl(d, b))
+    np.testing.assert_allclose(agent.divergence(d, pre, state, batch, jax.random.key(0)), dist.kl(d, b))
     agent, state, batch = setup(constraint="cross_entropy")
     assert agent.threshold == -2.0
-    got = agent.divergence(d, pre, state, batch.observation, jax.random.key(0))
+    got = agent.divergence(d, pre, state, batch, jax.random.key(0))
     np.testing.assert_allclose(got, -np.asarray(dist.log_prob(b, pre)).mean(0), rtol=1e-5)
 
 
@@ -246,3 +246,14 @@ def test_sac_base_adds_entropy():
     after, metrics = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(50), key=key))(state)
     assert float(after.log_temperature) != float(state.log_temperature)
     assert np.isfinite(list(metrics.values())).all()
+    warm, _ = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=key))(state)
+    assert float(warm.log_temperature) == float(state.log_temperature)  # it rests while the actor cannot answer
+
+
+def test_mmd_after_the_tanh_and_against_the_logged_action():
+    agent, state, batch = setup(mmd_actions="after_tanh", mmd_reference="logged", kernel="gaussian", policy_samples=3)
+    pre = jnp.asarray(np.random.default_rng(1).normal(size=(3, 6, 1)), jnp.float32)
+    got = agent.divergence(None, pre, state, batch, jax.random.key(0))
+    action = np.asarray(batch.action)
+    expected = [reference_mmd("gaussian", np.tanh(pre[:, s]), action[None, s], 20.0) for s in range(6)]
+    np.testing.assert_allclose(got, expected, rtol=5e-3)

@@ -79,6 +79,21 @@ def file_in_the_way(folder, good):
     return [*BC, good]
 
 
+def demonstrations(folder):
+    """Like the Adroit files: as many observations as rewards, actions beyond [-1, 1]."""
+    rng = np.random.default_rng(0)
+    path = folder / "door-v0_demos.pickle"
+    episode = {"observations": rng.normal(size=(9, 39)), "actions": rng.normal(size=(9, 28)), "rewards": rng.normal(size=9)}
+    episode["init_state_dict"] = {"qpos": np.zeros(3)}
+    path.write_bytes(pickle.dumps([episode, episode]))
+    return path
+
+
+def other_run(folder, good):
+    (folder / "run.json").write_text("{}")
+    return ["evaluate", folder]
+
+
 # name: (arguments, or a function of (folder, a good log) that makes them; words that the line must hold)
 CASES = {
     "truncated hdf5": (truncated, ["cut.hdf5"]),
@@ -113,6 +128,18 @@ CASES = {
     "hyperparameter of the wrong kind": (
         lambda f, g: ["train", "--agent", "bear", "--data", g, "--agent.kernel", "cosine"], ["kernel", "laplacian"]),
     "hyperparameter that is not finite": (lambda f, g: [*BC, g, "--agent.lr", "nan"], ["BC.lr", "finite"]),
+    "negative learning rate": (lambda f, g: [*BC, g, "--agent.lr", "-1"], ["BC.lr", ">= 0", "-1"]),
+    "discount above one": (
+        lambda f, g: ["train", "--agent", "td3", "--data", g, "--agent.discount", "1.5"], ["TD3.discount", "<= 1"]),
+    "no candidates to choose from": (
+        lambda f, g: ["train", "--agent", "bear", "--data", g, "--agent.test-samples", "0"], ["BEAR.test_samples", ">= 1"]),
+    "layers of no width": (lambda f, g: [*BC, g, "--agent.hidden", "0"], ["BC.hidden", "0"]),
+    "negative seed": (lambda f, g: [*BC, g, "--seed", "-1"], ["seed", "-1"]),
+    "two agents": (lambda f, g: [*BC, g, "--agent", "td3"], ["--agent is given twice"]),
+    "strict without a simulator": (
+        lambda f, g: [*BC, demonstrations(f), "--strict"], ["out of bounds", "--strict"]),
+    "run.json of something else": (other_run, ["run.json", "misses"]),
+    "demo of no steps": (lambda f, g: ["demo", "--steps", "0", "--out", "OUT"], [">= 1"]),
     "negative batch": (lambda f, g: [*BC, g, "--agent.batch-size", "-1"], ["batch_size"]),
     "densities of a VAE": (
         lambda f, g: ["train", "--agent", "bear", "--data", g, "--agent.behavior", "vae", "--agent.constraint", "kl"],
@@ -173,7 +200,8 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, good):
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
         "from deadreckon.cli.main import main\n"
-        f"sys.exit(main(['data', 'collect', 'maze2d-umaze-v1', '--steps', '4000', '--out', {str(tmp_path / 'new' / 'log.hdf5')!r}]))"
+        f"out = {str(tmp_path / 'new' / 'log.hdf5')!r}\n"
+        "sys.exit(main(['data', 'collect', 'maze2d-umaze-v1', '--steps', '4000', '--out', out]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     errors = [line for line in done.stderr.splitlines() if not line.startswith("collecting ")]

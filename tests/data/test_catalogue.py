@@ -5,6 +5,7 @@ from small_logs import make_log
 
 from deadreckon.data.catalogue import ENTRIES, cached_path, entry, load
 from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 
 
@@ -58,3 +59,15 @@ def test_a_file_is_loaded_by_its_path(tmp_path, log):
 def test_names_that_lead_out_of_the_cache_are_refused(name):
     with pytest.raises(UserError, match="not the name of a log"):
         cached_path(name)
+
+
+def test_strict_is_asked_of_what_is_loaded(tmp_path, home):
+    log = make_log(name="maze2d-umaze-v1@dr1").with_action_space(Box((-0.1, -0.1), (0.1, 0.1)))
+    for path in (tmp_path / "mine.hdf5", cached_path("maze2d-umaze-v1")):
+        write_hdf5(log, path)
+    for name in (tmp_path / "mine.hdf5", "maze2d-umaze-v1"):
+        assert "out of bounds" in load(name).warnings[0]
+        with pytest.raises(UserError, match="have actions out of bounds, first row"):
+            load(name, strict=True)
+    with pytest.raises(UserError, match="action names a column of a table"):
+        load("maze2d-umaze-v1", action="a")

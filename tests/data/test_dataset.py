@@ -162,3 +162,12 @@ def test_bounds_are_floats_whatever_was_given():
     assert repr(Box((-1,), (1,))) == repr(Box((-1.0,), (1.0,)))
     with pytest.raises(UserError, match="low < high"):
         Box((1,), (1,))
+
+
+def test_strict_refuses_actions_out_of_the_logs_own_bounds():
+    log = make_log().with_action_space(Box((-0.1, -0.1), (0.1, 0.1)))
+    assert log.with_action_space(log.action_space) is log
+    with pytest.raises(UserError, match=r"small: \d+ of 13 rows .* have actions out of bounds"):
+        log.with_action_space(log.action_space, strict=True)
+    fine = make_log()
+    assert fine.with_action_space(fine.action_space, strict=True) is fine

@@ -9,6 +9,7 @@ from small_logs import quick
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.frame import from_frame
+from deadreckon.data.info import warnings_for
 from deadreckon.data.io import read
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
@@ -168,7 +169,11 @@ def test_what_is_noticed():
         ({"action_1": [0, None, 0, 0, 0]}, {}, "column action_1 is empty in row 1"),
         ({"x": [1, 2, float("inf"), 4, 5]}, {}, "column x has inf in row 2"),
         ({"x": [None] * 5}, {}, "column x is empty; leave it out"),
-        ({"x": [dt.datetime(2026, 1, 1)] * 5}, {}, r"column x holds timestamp.* give it as time, or leave it out"),
+        (
+            {"x": [dt.datetime(2026, 1, 1)] * 5},
+            {"observations": "x"},
+            r"column x holds timestamp.* give it as time, or leave it out",
+        ),
         ({"x": [[1], [2], [3], [4], [5]]}, {}, r"column x holds list"),
         ({"x": [0.0, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 0 in row 0, a probability in .0, 1. is"),
         ({"x": [1.5, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 1.5 in row 0, a probability in .0, 1. is"),
@@ -206,3 +211,31 @@ def test_real_bandit_feedback(real_data):
     assert (log.extras["behavior_log_probs"] <= 0).all()
     with pytest.raises(UserError, match="no column observation or observation_0"):
         read(real_data / "open_bandit" / "bts_men.csv.gz")
+
+
+def test_prefixes_among_several_and_columns_to_ignore():
+    table = {"": [0, 1], "t": [dt.datetime(2026, 1, day) for day in (1, 2)], "u_0": [1.0, 2.0], "u_1": [3.0, 4.0], "v": [5, 6],
+             "a_0": [0.1, 0.2], "a_1": [0.3, 0.4], "b": [0.5, 0.6], "r": [0, 1]}  # fmt: skip
+    log = from_frame(table, action=["b", "a"], reward="r")
+    np.testing.assert_allclose(log.actions[0], [0.5, 0.1, 0.3], rtol=1e-6)
+    assert log.provenance.extra["observation_names"] == ["u_0", "u_1", "v"]
+    assert "timestamps are left out of the observations: t" in log.warnings
+    for options, names in (
+        ({"observations": ["v", "u"]}, ["v", "u_0", "u_1"]),
+        ({"observations": ["u_1", "u"]}, ["u_1", "u_0"]),
+        ({"ignore": ["u"]}, ["v"]),
+        ({"ignore": "v"}, ["u_0", "u_1"]),
+        ({"observations": ["u", "v"], "ignore": ["u_0"]}, ["u_1", "v"]),
+    ):
+        assert from_frame(table, action=["b", "a"], reward="r", **options).provenance.extra["observation_names"] == names
+    with pytest.raises(UserError, match="unknown column 'w'"):
+        from_frame(table, action="b", reward="r", ignore=["w"])
+
+
+def test_real_bandit_feedback_needs_two_names_only(real_data):
+    log = read(
+        real_data / "open_bandit" / "random_men.csv.gz", action="item_id", reward="click", ignore=("user-item_affinity",)
+    )
+    assert {"position", "propensity_score"} < set(log.provenance.extra["observation_names"])
+    assert len(log.warnings) == 2
+    assert not any("split by episodes" in line for line in warnings_for(log))

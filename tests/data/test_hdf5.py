@@ -1,12 +1,15 @@
 import h5py
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from small_logs import images, make_log, same
 
 from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.folder import write_folder
 from deadreckon.data.hdf5 import create, read_hdf5, write_hdf5
 from deadreckon.data.io import convert, read
 from deadreckon.data.spec import Box
+from deadreckon.data.tables import write_npz, write_parquet
 from deadreckon.errors import UserError
 
 
@@ -214,3 +217,76 @@ def test_strict_refuses_actions_out_of_bounds(tmp_path):
     assert "out of bounds" in read_hdf5(tmp_path / "log.hdf5").warnings[0]
     with pytest.raises(UserError, match=r"log.hdf5: 1 of 3 rows .* first row 1"):
         read_hdf5(tmp_path / "log.hdf5", strict=True)
+
+
+HEADERS = ["", "[1]", "3", "null", '{"deadreckon": "a"}', '{"deadreckon": true}', "[" * 100_000,
+           '{"deadreckon": 1, "name": 3, "action_space": null, "provenance": {}}',
+           '{"deadreckon": 1, "name": "x", "action_space": [], "provenance": {}}',
+           '{"deadreckon": 1, "name": "x", "action_space": null, "provenance": []}',
+           '{"deadreckon": 1, "name": "x", "action_space": null, "provenance": {"extra": 3}}']  # fmt: skip
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_damaged_headers_are_told_in_one_line_by_every_format(log, tmp_path, header):
+    for name in ("log.hdf5", "log.npz", "log.parquet", "log"):
+        convert_to = tmp_path / name
+        {"log.hdf5": write_hdf5, "log.npz": write_npz, "log.parquet": write_parquet, "log": write_folder}[name](log, convert_to)
+        spoil(convert_to, header)
+        with pytest.raises(UserError, match="its header is damaged") as caught:
+            read(convert_to)
+        assert str(caught.value).startswith(str(convert_to))
+        assert "\n" not in str(caught.value)
+
+
+def spoil(path, header):
+    if path.suffix == ".hdf5":
+        with h5py.File(path, "a") as file:
+            del file.attrs["deadreckon"]
+            file.attrs["deadreckon"] = header[:10_000]
+    elif path.suffix == ".npz":
+        with np.load(path) as file:
+            columns = dict(file)
+        np.savez(path, **{**columns, "deadreckon": np.array(header)})
+    elif path.suffix == ".parquet":
+        pq.write_table(pq.read_table(path).replace_schema_metadata({"deadreckon": header}), path)
+    else:
+        value = header.replace('{"deadreckon": 1,', '{"deadreckon": 1, "columns": ["observations", "actions", "rewards"],')
+        (path / "log.json").write_text(value)
+
+
+@pytest.mark.parametrize("key", ["name", "strict", "action_space", "provenance", "cls"])
+def test_columns_called_like_an_argument_are_renamed(log, tmp_path, key):
+    path, column = d4rl_file(tmp_path / "log.hdf5", log), np.arange(len(log))
+    with h5py.File(path, "a") as file:
+        file[key] = column
+    np.savez(tmp_path / "log.npz", observations=log.observations, actions=log.actions, rewards=log.rewards, **{key: column})
+    for found in (read(path), read(tmp_path / "log.npz")):
+        np.testing.assert_array_equal(found.extras[f"infos_{key}"], column)
+    with h5py.File(path, "a") as file:
+        file[f"infos/infos_{key}"] = column
+    with pytest.raises(UserError, match=rf"{path}: two columns would be called infos_{key}; rename one"):
+        read(path)
+
+
+def test_a_horizon_marks_the_time_limits_that_a_file_does_not(log, tmp_path):
+    path = d4rl_file(tmp_path / "log.hdf5", log, timeouts=False)  # terminals in rows 2 and 8 of 13
+    assert "time limits that are not marked would be crossed" in " ".join(read(path).warnings)
+    cut = read(path, horizon=2)
+    assert not any("time limits" in line for line in cut.warnings)
+    assert cut.lengths.tolist() == [2, 1, 2, 2, 2, 2, 2]
+    assert cut.dropped == int((~log.terminals[cut.ends]).sum())
+    np.testing.assert_array_equal(cut.terminals, log.terminals)
+    assert cut.provenance.extra["horizon"] == 2
+    assert convert(path, tmp_path / "ours.hdf5", horizon=2).fingerprint == cut.fingerprint
+    assert read(path, horizon=100).lengths.tolist() == read(path).lengths.tolist()
+    told = d4rl_file(tmp_path / "told.hdf5", log, following=True)
+    again = read(told, horizon=2)
+    assert (again.lengths <= 2).all()
+    assert again.dropped == 0  # what follows is known
+    assert not any("time limits" in line for line in (*read(told).warnings, *read(tmp_path / "ours.hdf5").warnings))
+    for file, words in ((tmp_path / "ours.hdf5", "final_observations tell where"), (path, "horizon must be >= 1")):
+        with pytest.raises(UserError, match=words):
+            read(file, horizon=0 if file == path else 3)
+    nowhere = d4rl_file(tmp_path / "following.hdf5", log, following=True, timeouts=False)
+    with pytest.raises(UserError, match="next_observations tell where episodes end"):
+        read(nowhere, horizon=3)

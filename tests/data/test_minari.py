@@ -1,3 +1,5 @@
+import json
+
 import h5py
 import minari
 import numpy as np
@@ -61,7 +63,7 @@ def test_minari_and_d4rl_files_of_the_same_data_agree(log, tmp_path, goals):
     with h5py.File(path, "w") as file:
         for key in ("observations", "next_observations", "actions", "rewards", "terminals", "timeouts"):
             file.create_dataset(key, data=getattr(log, key), compression="gzip")
-    theirs = read_minari("theirs/maze-v0")
+    theirs = read_minari("minari:theirs/maze-v0")
     d4rl = read_hdf5(path)
     assert set(theirs.extras) == {"qpos", "deep_flag", *(("desired_goal", "achieved_goal") if goals else ())}
     for key in ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations", "next_observations"):
@@ -79,7 +81,7 @@ def test_a_log_comes_back(root):
     log = make_log(goal=np.ones((13, 2), np.float32), name="mine@dr1")
     folder = write_minari(log, "minari:mine/deep/maze-v0")
     assert folder == root / "mine" / "deep" / "maze-v0"
-    for source in (folder, folder / "data", "mine/deep/maze-v0", "minari:mine/deep/maze-v0"):
+    for source in (folder, folder / "data", "minari:mine/deep/maze-v0"):
         again = read_minari(source)
         same(log, again)
     assert read("minari:mine/deep/maze-v0").fingerprint == read(folder).fingerprint == log.fingerprint
@@ -92,7 +94,7 @@ def test_a_log_comes_back(root):
 def test_discrete_actions_and_pictures_come_back():
     for log in (make_log(discrete=True), images()):
         write_minari(log, "mine/other-v0", force=True)
-        assert read_minari("mine/other-v0").fingerprint == log.fingerprint
+        assert read_minari("minari:mine/other-v0").fingerprint == log.fingerprint
 
 
 def test_actions_that_start_elsewhere_are_counted_from_zero():
@@ -104,7 +106,7 @@ def test_actions_that_start_elsewhere_are_counted_from_zero():
     minari.create_dataset_from_buffers(
         "theirs/start-v0", buffer=[buffer], observation_space=box, action_space=spaces.Discrete(3, start=3)
     )
-    log = read_minari("theirs/start-v0")
+    log = read_minari("minari:theirs/start-v0")
     assert log.actions.tolist() == [0, 2, 1]
     assert log.action_space == Discrete(3)
 
@@ -112,7 +114,7 @@ def test_actions_that_start_elsewhere_are_counted_from_zero():
 def test_rows_without_successor_are_left_out_when_written():
     log = make_log((3, 1, 2), terminal=(False,), finals=False)
     write_minari(log, "mine/short-v0")
-    again = read_minari("mine/short-v0")
+    again = read_minari("minari:mine/short-v0")
     assert again.lengths.tolist() == [2, 1]
     assert again.dropped == 0
     np.testing.assert_array_equal(again.final_observations, log.observations[log.ends[[0, 2]]])
@@ -120,10 +122,10 @@ def test_rows_without_successor_are_left_out_when_written():
 
 def test_what_cannot_be_read_or_written_is_told_in_one_line(log, root, tmp_path):
     with pytest.raises(UserError, match="holds none"):
-        read_minari("mine/maze-v0")
+        read_minari("minari:mine/maze-v0")
     write_minari(log, "mine/maze-v0")
     with pytest.raises(UserError, match="unknown Minari data set 'mine/mazes-v0': did you mean mine/maze-v0"):
-        read_minari("mine/mazes-v0")
+        read_minari("minari:mine/mazes-v0")
     with pytest.raises(UserError, match="exists already"):
         write_minari(log, "mine/maze-v0")
     (root / "mine" / "photos-v0").mkdir()
@@ -143,7 +145,7 @@ def test_what_cannot_be_read_or_written_is_told_in_one_line(log, root, tmp_path)
         read(main)
     main.write_bytes(main.read_bytes()[:500])
     with pytest.raises(UserError, match="damaged or cut short") as caught:
-        read_minari("mine/maze-v0")
+        read_minari("minari:mine/maze-v0")
     assert "\n" not in str(caught.value)
     (tmp_path / "empty").mkdir()
     with pytest.raises(UserError, match=r"no metadata\.json"):
@@ -160,4 +162,25 @@ def test_actions_that_are_neither_box_nor_discrete_are_refused():
         "theirs/multi-v0", buffer=[buffer], observation_space=box, action_space=spaces.MultiDiscrete([2, 2])
     )
     with pytest.raises(UserError, match="actions are MultiDiscrete; Box or Discrete is needed"):
-        read_minari("theirs/multi-v0")
+        read_minari("minari:theirs/multi-v0")
+
+
+def test_ids_stay_within_the_root_and_need_their_prefix(log, root, tmp_path):
+    folder = write_minari(log, "mine/maze-v0")
+    (tmp_path / "other").mkdir()
+    folder.rename(tmp_path / "other" / "ds-v0")
+    assert len(read_minari(tmp_path / "other" / "ds-v0")) == len(log)
+    for bad in ("../other/ds-v0", "../other/ds", str(tmp_path / "other" / "ds-v0"), "mine/../../other/ds-v0", "mine", ""):
+        with pytest.raises(UserError, match="is no Minari id"):
+            read(f"minari:{bad}")
+    with pytest.raises(UserError, match=r"mine/maze-v0: no metadata.json; .*minari:ID names one by id"):
+        read_minari("mine/maze-v0")
+
+
+@pytest.mark.parametrize("header", ["[1]", '"x"', '{"deadreckon": "a"}'])
+def test_a_damaged_header_of_ours(log, header):
+    meta = write_minari(log, "mine/maze-v0") / "data" / "metadata.json"
+    found = json.loads(meta.read_text())
+    meta.write_text(json.dumps({**found, "deadreckon": json.loads(header)}))
+    with pytest.raises(UserError, match="its header is damaged"):
+        read("minari:mine/maze-v0")

@@ -1,4 +1,5 @@
 import gzip
+import json
 
 import numpy as np
 import pyarrow as pa
@@ -81,9 +82,15 @@ def test_gzipped_csv_and_episodes_without_flags(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a,b\n1,2\n", "no column observation or observation_0; say which it is with --observations COLUMN .columns: a, b"),
-        ("observation_0,act,reward\n1,2,3\n", "no column action or action_0; say which it is with --action COLUMN"),
-        ("observation_0,action\n1,2\n", "no column reward or reward_0; say which it is with --reward COLUMN"),
+        (
+            "a,b\n1,2\n",
+            "no column observation or observation_0; name the columns: --action COLUMN --reward COLUMN .*columns: a, b.",
+        ),
+        (
+            "observation_0,act,reward\n1,2,3\n",
+            "no column action or action_0; name the columns: --action COLUMN --reward COLUMN ",
+        ),
+        ("observation_0,action\n1,2\n", "no column reward or reward_0; name the columns: --action COLUMN --reward COLUMN "),
         ("observation_0,action,reward\n1,0,1\nx,0,1\n", "column observation_0 holds string, numbers are needed; name"),
         ("observation_0,action,reward\n1,0,1\n2,0,\n", "column reward is empty in row 1"),
         ("observation_0,action,reward\n1,0,1\n2,0,nan\n", "column reward is empty in row 1"),
@@ -146,3 +153,46 @@ def test_damaged_files(log, tmp_path):
         read_npz(tmp_path / "less.npz")
     with pytest.raises(UserError, match="no such file"):
         read_csv(tmp_path / "nothing.csv")
+
+
+@pytest.mark.parametrize(
+    "columns", [3, [1], {"observations": 3}, {"observations": [[3], "f4", 1]}, {"observations": [["3"], "f4"]},
+                {"observations": [[4], "f4"]}, {"observations": [[3], "O"]}, {"observations": [[3], "nothing"]},
+                {"rewards": [[-1], "f4"]}, {"actions": [[2, 2], "f4"]}]
+)  # fmt: skip
+def test_wrong_shapes_in_a_header(log, tmp_path, columns):
+    path = tmp_path / "log.parquet"
+    write_parquet(log, path)
+    table = pa.parquet.read_table(path)
+    about = json.dumps({**json.loads(table.schema.metadata[b"deadreckon"]), "columns": columns})
+    pa.parquet.write_table(table.replace_schema_metadata({"deadreckon": about}), path)
+    with pytest.raises(UserError, match=f"^{path}: its header is damaged") as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_columns_of_a_table_are_told_whole(tmp_path):
+    names = [f"a_rather_long_name_of_column_{'x' * i}" for i in range(20)]
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(["", *names]) + "\n" + ",".join("1" * 21) + "\n")
+    with pytest.raises(UserError, match=r"name the columns: --action COLUMN --reward COLUMN .*columns: a_rather") as caught:
+        read(path)
+    told = str(caught.value).partition("(columns: ")[2].removesuffix(")").split(", ")
+    assert told[-1] == "..."
+    assert told[:-1] == names[: len(told) - 1]
+
+
+def test_a_table_of_our_names_can_be_cut_and_a_mapped_one_names_its_column(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("observation_0,action,reward\n" + "1,0,1\n" * 7)
+    assert read(path, horizon=3).lengths.tolist() == [3, 3, 1]
+    with pytest.raises(UserError, match="--timeout names the one that marks time limits"):
+        read(path, horizon=3, action="action", reward="reward")
+
+
+@pytest.mark.parametrize(("separator", "words"), [(";", "semicolons"), ("\t", "tabs")])
+def test_other_separators(tmp_path, separator, words):
+    path = tmp_path / "log.csv"
+    path.write_text(f"observation_0{separator}action{separator}reward\n1,5{separator}0{separator}1\n")
+    with pytest.raises(UserError, match=f"{path}: .*separated by {words}, a comma is needed as separator"):
+        read(path)

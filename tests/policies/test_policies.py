@@ -100,3 +100,14 @@ def test_broken_files_are_told_in_one_line(damage, tmp_path):
         store.load(path)
     assert "\n" not in str(error.value)
     assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"", b"\x89HDF\r\n\x1a\n", b"\x80\x04K\x01.", np.zeros(1).tobytes()])
+def test_files_of_other_kinds_are_told_apart(content, tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"^{path} is no policy file \(\.npz\)$"):
+        portable.read(path)
+    np.savez(tmp_path / "log.npz", observations=np.zeros(1))
+    with pytest.raises(ValueError, match=r"not a whole policy file: no policy.json in it"):
+        portable.read(tmp_path / "log.npz")

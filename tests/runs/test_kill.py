@@ -14,7 +14,6 @@ from deadreckon.collect import generate
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.files import read_json
 from deadreckon.runs.train import load
-from deadreckon.training.fit import latest_step
 
 KILLS, STEPS, CHUNK = 20, 3000, 50
 
@@ -23,6 +22,11 @@ def command(log, out):
     options = ["--steps", STEPS, "--chunk", CHUNK, "--seeds", 2, "--episodes", 2, "--evaluate-every", 500, "--resume"]
     agent = ["--agent", "td3_bc", "--agent.hidden", 16, 16, "--agent.batch-size", 64]
     return [sys.executable, "-m", "deadreckon.cli.main", "train", *map(str, [*agent, "--data", log, "--out", out, *options])]
+
+
+def latest_step(folder):
+    steps = [int(p.stem) for p in folder.glob("[0-9]*.npz")]
+    return max(steps, default=None)
 
 
 def same(a, b):

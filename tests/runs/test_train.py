@@ -146,6 +146,36 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+def test_a_kill_while_the_first_file_is_written_can_be_resumed(log, tmp_path):
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r" / ".run.json.abc.tmp").write_text("half")
+    run = dr.train("bc", log, steps=2, episodes=1, out=tmp_path / "r", resume=True)
+    assert not list(run.path.rglob("*.tmp"))
+
+
+def test_lanes_are_judged_by_their_own_settings(log, tmp_path):
+    lanes = [agent(discount=0.5), agent(discount=0.99)]
+    run = dr.train(lanes, log, out=tmp_path / "r", **(SETTINGS | {"steps": 2, "evaluate_every": 2}))
+    own = [evaluate(p, "maze2d-umaze", episodes=3, discount=d).discounted for p, d in zip(run.policies, (0.5, 0.99))]
+    np.testing.assert_allclose(run.evaluations["discounted_return"].to_numpy(), np.concatenate(own).ravel())
+
+
+def test_a_policy_of_another_size_is_refused(run):
+    from deadreckon.policies import Deployed
+    from deadreckon.policies.policy import Deterministic
+
+    narrow = Deployed.of(Deterministic(run.policies[0].inner.net), run.policies[0].view)
+    wide = evaluate(narrow, "maze2d-umaze", episodes=1)
+    assert wide.returns.shape == (1, 1)
+    from dataclasses import replace
+
+    other = replace(task("maze2d-umaze"), observation_shape=(7,))
+    with pytest.raises(dr.UserError, match=r"policy 0 does not take maze2d-umaze's observations of shape \(7,\)"):
+        evaluate(narrow, other, episodes=1)
+    with pytest.raises(dr.UserError, match="seed must be"):
+        evaluate(narrow, "maze2d-umaze", episodes=1, seed=-1)
+
+
 def test_evaluation_of_a_policy_does_not_depend_on_its_neighbours(run):
     together = evaluate([run.policies[0], run.policies[1]], "maze2d-umaze", episodes=4)
     alone = evaluate(run.policies[1], "maze2d-umaze", episodes=4)
@@ -159,7 +189,7 @@ def test_uniform_actions_score_about_zero_and_black_boxes_are_judged():
     assert result.returns.shape == (1, 60)
     assert result.trajectories.shape == (1, 2, 300, 4)
     assert "policy 0" in str(result)
-    with pytest.raises(dr.UserError, match="takes actions of size 2"):
+    with pytest.raises(dr.UserError, match=r"takes actions of shape \(2,\)"):
         evaluate(BlackBoxPolicy(lambda obs, rng: np.zeros((len(obs), 3))), "maze2d-umaze", episodes=2)
 
 

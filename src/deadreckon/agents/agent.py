@@ -1,7 +1,7 @@
 """What every agent is, and the steps that several share. One algorithm is one file beside this one."""
 
 import dataclasses
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -20,7 +20,14 @@ class Agent(eqx.Module):
     """Hyperparameters in, pure functions out. Float fields are traced, all others are marked static.
 
     The comment behind a field becomes its help on the command line.
+
+    Attributes:
+        discrete: whether it takes `Discrete` actions; continuous ones otherwise (class attribute).
+        images: whether it takes observations of any shape instead of flat ones (class attribute).
     """
+
+    discrete: ClassVar[bool] = False
+    images: ClassVar[bool] = False
 
     def needs(self, spec: Spec) -> Needs:
         """What every batch must hold."""
@@ -53,9 +60,10 @@ class Agent(eqx.Module):
             UserError: names the field and what it takes.
         """
         check_fields(self)
-        if spec.discrete:
-            raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
-        if len(spec.observation_shape) != 1:
+        if spec.discrete != self.discrete:
+            kind = "discrete" if self.discrete else "continuous"
+            raise UserError(f"{type(self).__name__} needs {kind} actions, {spec.name} has {spec.action}")
+        if len(spec.observation_shape) != 1 and not self.images:
             raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
         return self
 

@@ -58,6 +58,8 @@ class BEAR(Agent):
     behavior_hidden: tuple[int, ...] | None = static(None)  # its hidden layers; None: as `hidden`, for a VAE 750,750
     constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # KL forms need the gaussian behaviour model
     threshold: float | None = None  # epsilon; None is 0.05 (thesis), for cross_entropy -2 (official code)
+    mmd_actions: Literal["before_tanh", "after_tanh"] = static("before_tanh")  # before works better (A.4)
+    mmd_reference: Literal["model", "logged"] = static("model")  # the fitted model (works better, A.4), or the logged action
     kernel: Kernel = static("laplacian")  # see nets/mmd.py; "laplacian" works in all cases, "gaussian" on expert data (A.4)
     bandwidth: float = 20.0  # the Laplacian's scale, or the Gaussian's VARIANCE (20 in all settings, A.4)
     mixture: tuple[float, ...] = static((1.0, 10.0, 50.0))  # scales of the mixture kernel (A.4)
@@ -86,8 +88,6 @@ class BEAR(Agent):
         if (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian":
             name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
             raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
-        if min(self.critics, self.target_samples, self.actor_samples, self.policy_samples, self.behavior_samples) < 1:
-            raise UserError("BEAR's numbers of critics and samples must be >= 1")
         if self.actor_samples > self.policy_samples:
             raise UserError(f"BEAR.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
         return agent.replace(
@@ -130,24 +130,28 @@ class BEAR(Agent):
         return value.max(0)
 
     def bellman_weight(self, state, batch) -> Float[Array, "b"] | None:
-        """1 / beta(a|s) by the fitted model, clipped and of mean one over the batch (A.3)."""
+        """1 / beta(a|s) by the fitted model, scaled to mean one over the batch, then clipped (A.3)."""
         if not self.density_weighting:
             return None
         log_density = dist.log_prob(dist.gaussian_head(state.behavior(batch.observation)), jnp.arctanh(batch.action))
         weight = jax.nn.softmax(-log_density) * len(log_density)
-        weight = jnp.minimum(weight, self.density_clip)
-        return jax.lax.stop_gradient(weight / weight.mean())
+        return jax.lax.stop_gradient(jnp.minimum(weight, self.density_clip))
 
-    def divergence(self, d: dist.Gaussian, pre, state, observation, key) -> Float[Array, "b"]:
+    def divergence(self, d: dist.Gaussian, pre, state, batch, key) -> Float[Array, "b"]:
         """How far the policy `d`, with draws `pre` before the tanh, is from the behaviour model, for every state."""
+        observation = batch.observation
         if self.constraint == "kl":
             return dist.kl(d, dist.gaussian_head(state.behavior(observation)))
         if self.constraint == "cross_entropy":
             return -dist.log_prob(dist.gaussian_head(state.behavior(observation)), pre).mean(0)
-        # Before the tanh: after it, gradients all but vanish where actions saturate (A.4).
-        model = models.policy(state.behavior)
-        logged = model.pre_actions(observation, key, greedy=False, count=(self.behavior_samples,))
-        return mmd(pre, jax.lax.stop_gradient(logged), self.kernel, self.bandwidth, self.mixture)
+        if self.mmd_reference == "logged":
+            logged = jnp.arctanh(batch.action)[None]
+        else:
+            model = models.policy(state.behavior)
+            logged = model.pre_actions(observation, key, greedy=False, count=(self.behavior_samples,))
+        # Before the tanh by default: after it, gradients all but vanish where actions saturate (A.4).
+        squash = (lambda x: x) if self.mmd_actions == "before_tanh" else jnp.tanh
+        return mmd(squash(pre), squash(jax.lax.stop_gradient(logged)), self.kernel, self.bandwidth, self.mixture)
 
     def actor_loss(self, actor, state, batch, step, key):
         """The Lagrangian of eq. 4.1 for fixed multiplier: -E[Q] + alpha E_s[MMD]; at first the constraint alone.
@@ -158,7 +162,7 @@ class BEAR(Agent):
         k_policy, k_behavior = jax.random.split(key)
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
-        divergence = self.divergence(d, pre, state, batch.observation, k_behavior).mean()
+        divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
         drawn = pre[0] if self.actor_samples == 1 else pre[: self.actor_samples]
         q = q_values(state.critics, batch.observation, jnp.tanh(drawn))
         value = (q.min(0) if self.actor_value == "min" else q.mean(0)).mean()
@@ -176,9 +180,11 @@ class BEAR(Agent):
         slope = -jnp.exp(state.log_multiplier) * (divergence - self.threshold)
         value, opt = descend(state.log_multiplier, slope, state.opts["multiplier"], self.multiplier_lr)
         value = jnp.clip(value, self.multiplier_min, self.multiplier_max)
-        rest = step < self.warm_start
-        keep = lambda new, old: jax.tree.map(lambda n, o: jnp.where(rest, o, n), new, old)  # noqa: E731
-        return keep(value, state.log_multiplier), keep(opt, state.opts["multiplier"])
+        return self.after_warm_start((value, opt), (state.log_multiplier, state.opts["multiplier"]), step)
+
+    def after_warm_start(self, new, old, step):
+        """`new` once the warm start is over, until then `old`."""
+        return jax.tree.map(lambda n, o: jnp.where(step < self.warm_start, o, n), new, old)
 
     # ---- one update -------------------------------------------------------------------------------------------------
 
@@ -206,9 +212,10 @@ class BEAR(Agent):
         log_temperature = state.log_temperature
         if self.base == "sac":  # entropy held at minus the number of action dimensions, as in SAC
             slope = -(log_prob - batch.action.shape[-1])
-            log_temperature, opts["temperature"] = descend(
-                log_temperature, slope, opts["temperature"], self.temperature_lr
-            )
+            stepped = descend(log_temperature, slope, opts["temperature"], self.temperature_lr)
+            # It rests with the multiplier: in the warm start the actor follows the constraint and cannot answer it.
+            rested = (log_temperature, opts["temperature"])
+            log_temperature, opts["temperature"] = self.after_warm_start(stepped, rested, step)
 
         target_actor, target_critics = track(
             (state.target_actor, state.target_critics), (actor, critics), self.target_rate

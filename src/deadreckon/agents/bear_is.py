@@ -36,7 +36,8 @@ class ISBEAR(bear.BEAR):
 
     Line 8 of the algorithm prints no Q term and leaves delta undeclared: delta is a field, the set policy minimises the
     critics' disagreement, sqrt((1 - delta) / delta var_k E_a Q_k), under the MMD constraint. Targets are a MEAN over
-    samples (line 5). Base "td3" only; the constraint is always on the set policy.
+    samples (line 5). Line 9 takes the advantage instead of Q, see `weighted_loss`. Base "td3" only; the constraint is always
+    on the set policy, and `actor_samples` has no part.
     """
 
     delta: float = 0.5  # confidence of the bound on the critics' disagreement; the thesis leaves it undeclared
@@ -71,7 +72,7 @@ class ISBEAR(bear.BEAR):
         k_policy, k_behavior = jax.random.split(key)
         d = dist.gaussian_head(set_policy(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
-        divergence = self.divergence(d, pre, state, batch.observation, k_behavior).mean()
+        divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
         q = q_values(state.critics, batch.observation, jnp.tanh(pre)).mean(1)
         spread = jnp.sqrt((1.0 - self.delta) / self.delta * q.var(0) + 1e-6).mean()
         warm = step < self.warm_start
@@ -80,13 +81,17 @@ class ISBEAR(bear.BEAR):
         return loss, (divergence, spread)
 
     def weighted_loss(self, actor, state, batch, step, key):
-        """-E_{a ~ set}[clip(pi(a|s) / pi_set(a|s)) min_j Q_j(s, a)] (line 9); at first it imitates the set policy."""
+        """-E_{a ~ set}[clip(pi(a|s) / pi_set(a|s)) A(s, a)] (line 9); at first it imitates the set policy.
+
+        A is Q less its mean over the set policy's samples. The line has Q itself, whose level would matter: with clipped
+        ratios a large positive Q pushes every ratio up to the clip, whatever the action.
+        """
         proposal = dist.gaussian_head(state.set_policy(batch.observation))
         pre = jax.lax.stop_gradient(dist.sample(proposal, key, (self.policy_samples,)))
         log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), pre)
         ratio = jnp.exp(log_prob - jax.lax.stop_gradient(dist.log_prob(proposal, pre)))
-        q = q_values(state.critics, batch.observation, jnp.tanh(pre)).min(0)
-        # The state's mean is taken off: it moves no optimum, and without it a positive Q would only push ratios up.
+        q = q_values(state.critics, batch.observation, jnp.tanh(pre))
+        q = q.min(0) if self.actor_value == "min" else q.mean(0)
         gain = (jnp.clip(ratio, self.ratio_min, self.ratio_max) * (q - q.mean(0))).mean()
         return jnp.where(step < self.warm_start, -log_prob.mean(), -gain)
 

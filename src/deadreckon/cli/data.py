@@ -1,7 +1,9 @@
 """`deadreckon data list|collect|info|convert`."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -17,14 +19,19 @@ class List:
     """The logs that the package knows, and which of them are at hand."""
 
 
+_COLUMN = tyro.conf.arg(metavar="COLUMN")
+_COLUMNS = tyro.conf.arg(metavar="COLUMN [COLUMN ...]")
+
+
 @dataclass
 class Collect:
     """Make a known log again, offline, from its recipe."""
 
-    name: Annotated[str, tyro.conf.Positional]  # such as maze2d-umaze-v1
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # such as maze2d-umaze-v1
     steps: int | None = None  # rows; None: the full log
     seed: int = 0  # of everything random
-    out: str | None = None  # file; None: the cache, where `deadreckon train --data NAME` finds it
+    out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """.hdf5 file; None: the cache, where `deadreckon train --data NAME` finds it"""
     threads: int | None = None  # to simulate with; None: all cores. The log does not depend on it
 
 
@@ -32,31 +39,34 @@ class Collect:
 class Mapping:
     """Which columns of a table (CSV, Parquet) are what."""
 
-    action: tuple[str, ...] | None = None  # action columns, or a prefix such as `action`
-    reward: str | None = None  # reward column
-    observations: tuple[str, ...] | None = None  # observation columns; None: all others
-    episode: str | None = None  # column that tells episodes apart
-    time: str | None = None  # column that orders the steps of an episode
-    terminal: str | None = None  # column that marks true ends
-    timeout: str | None = None  # column that marks ends of recording
-    propensity: str | None = None  # column with the probability of the logged action
+    action: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # action columns, or a prefix: `a` stands for a_0, a_1, ...
+    reward: Annotated[str | None, _COLUMN] = None  # reward column
+    observations: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes; None: all others
+    ignore: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes that are no observations
+    episode: Annotated[str | None, _COLUMN] = None  # column that tells episodes apart
+    time: Annotated[str | None, _COLUMN] = None  # column that orders the steps of an episode
+    terminal: Annotated[str | None, _COLUMN] = None  # column that marks true ends
+    timeout: Annotated[str | None, _COLUMN] = None  # column that marks ends of recording
+    propensity: Annotated[str | None, _COLUMN] = None  # column with the probability of the logged action
 
 
 @dataclass
 class Info:
     """What is inside a log, with warnings worth having before anything is learned from it."""
 
-    file: Annotated[str, tyro.conf.Positional]  # a file, a folder or the name of a known log
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
+    horizon: int | None = None  # cut episodes after so many steps, where a file does not mark its time limits
 
 
 @dataclass
 class Convert:
     """A log in another format, told by the target's ending: .hdf5 .parquet .csv .npz, a folder, minari:ID."""
 
-    source: Annotated[str, tyro.conf.Positional]  # file or folder
-    target: Annotated[str, tyro.conf.Positional]  # file, folder or minari:ID
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder
+    target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
+    horizon: int | None = None  # cut episodes after so many steps, where a file does not mark its time limits
     force: bool = False  # overwrite
 
 
@@ -65,10 +75,7 @@ KINDS = {"list": List, "collect": Collect, "info": Info, "convert": Convert}
 
 def mapping_options(given: Mapping) -> dict[str, Any]:
     """Only what was given, as `deadreckon.read` takes it."""
-    out = {key: value for key, value in vars(given).items() if value is not None}
-    if "action" in out and len(out["action"]) == 1:
-        out["action"] = out["action"][0]
-    return out
+    return {key: value for key, value in vars(given).items() if value is not None}
 
 
 def data(args: Sequence[str]) -> None:
@@ -98,6 +105,10 @@ def _list(options: List) -> None:
 def _collect(options: Collect) -> None:
     from deadreckon.collect import collect, recipe
 
+    if options.out is not None and Path(options.out).suffix.lower() not in (".hdf5", ".h5"):
+        made = Path(options.out).with_suffix(".hdf5") if Path(options.out).name else "LOG.hdf5"
+        how = f"`--out {made}`, then `deadreckon data convert {made} {options.out}`"
+        raise UserError(f"--out {options.out}: logs are collected into .hdf5 files; {how}")
     steps = options.steps if options.steps is not None else recipe(options.name).steps
     with Bar(f"collecting {options.name}", steps, "steps") as bar:
         path = collect(
@@ -109,10 +120,8 @@ def _collect(options: Collect) -> None:
 def _info(options: Info) -> None:
     from deadreckon.data.catalogue import load
     from deadreckon.data.info import describe, render, warnings_for
-    from deadreckon.data.io import read
 
-    given = mapping_options(options.map)
-    log = read(options.file, **given) if given else load(options.file)
+    log = load(options.file, horizon=options.horizon, **mapping_options(options.map))
     info = describe(log)
     print(render(info, warnings_for(log, info)))
 
@@ -122,5 +131,8 @@ def _convert(options: Convert) -> None:
 
     if options.source == options.target:
         raise UserError("source and target are the same")
-    convert(options.source, options.target, force=options.force, **mapping_options(options.map))
+    given = mapping_options(options.map)
+    log = convert(options.source, options.target, force=options.force, horizon=options.horizon, **given)
+    for line in log.warnings:  # those that the new file no longer gives a reason for would not be told again
+        print(f"! {line}", file=sys.stderr)
     print(options.target)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar
+from deadreckon.errors import UserError
 
 TASK, LOG = "maze2d-umaze", "maze2d-umaze-v1"
 AGENTS = ("bc", "td3", "sac", "td3_bc", "bear")
@@ -32,6 +33,8 @@ def demo(args: Sequence[str]) -> None:
     from deadreckon.report import headline, table, write
     from deadreckon.runs.train import train
 
+    if min(options.steps, options.seeds, options.log_steps) < 1 or options.seed < 0:
+        raise UserError("steps, seeds and log_steps must be >= 1, seed >= 0")
     out = Path(options.out)
     path = out / f"{LOG}-{options.log_steps}-seed{options.seed}.hdf5"
     if not path.exists():
@@ -44,9 +47,10 @@ def demo(args: Sequence[str]) -> None:
     for name in AGENTS:
         folder = out / name
         with Bar(f"{name:<7}", options.steps, "updates") as bar:
+            agent = agent_class(name)().replace(hidden=HIDDEN)
             train(
-                agent_class(name)(hidden=HIDDEN), log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK,
-                out=folder, resume=folder.exists(), watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
+                agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK, out=folder,
+                resume=folder.exists(), watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
             )  # fmt: skip
         folders.append(folder)
     page = write(folders, out / "report.html", title="From a log to a judged policy")

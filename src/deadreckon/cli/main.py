@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line.
 
     Returns:
-        The exit code: 0, 2 for bad input, 130 when interrupted.
+        The exit code: 0, 1 for a failed run or a mistake of ours, 2 for bad input, 130 when interrupted.
     """
     args = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in args
@@ -75,6 +75,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("deadreckon: interrupted; a training run goes on with --resume", file=sys.stderr)
         return 130
+    except Exception as error:  # our mistake, not the user's: told shortly, and in full with --debug
+        if debug:
+            raise
+        what = " ".join(str(error).split())[:300]
+        print(f"deadreckon: internal error, {type(error).__name__}: {what} (--debug shows where)", file=sys.stderr)
+        return 1
 
 
 def _one_line(message, category, filename, lineno, file=None, line=None):

@@ -13,6 +13,9 @@ import tyro
 from deadreckon.errors import UserError
 
 T = TypeVar("T")
+_NOT_A_NUMBER = re.compile(
+    r"Error parsing (--[\w.-]+): .*(?:could not convert|invalid literal|no type matching).*'([^']*)'[^']*$"
+)
 
 
 def parse(kind: type[T], args: Sequence[str], command: str) -> T:
@@ -47,10 +50,22 @@ def _line(kind: type, box: str, prog: str) -> str:
     message = parts[1] if len(parts) > 1 else " ".join(parts)
     unknown = re.match(r"Unrecognized options: (--[\w.-]+)", message)
     if unknown:
-        near = difflib.get_close_matches(unknown[1], _options(kind), n=2, cutoff=0.6)
+        near = _nearest(unknown[1], _options(kind))
         return f"unknown option {unknown[1]}" + (f": did you mean {' or '.join(near)}?" if near else f" (see {prog} --help)")
     message = re.sub(rf"Missing from {prog}:", "missing", message)
+    if number := _NOT_A_NUMBER.match(message):
+        return f"{number[1]} takes a number, got {number[2]!r}"
     return message[:1].lower() + message[1:]
+
+
+def _nearest(given: str, known: list[str]) -> list[str]:
+    """Options like the given one; behind a dot, the part before it is taken as right."""
+    prefix, dot, last = given.rpartition(".")
+    inside = {k.rpartition(".")[2]: k for k in known if dot and k.startswith(f"{prefix}.")}
+    if inside:
+        holding = [k for last_part, k in inside.items() if last in last_part]
+        return holding[:2] or [inside[k] for k in difflib.get_close_matches(last, inside, n=2, cutoff=0.5)]
+    return difflib.get_close_matches(given, known, n=2, cutoff=0.6)
 
 
 def _options(kind: type) -> list[str]:

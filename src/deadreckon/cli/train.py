@@ -18,6 +18,7 @@ class Train:
 
     data: str  # the name of a known log, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
+    horizon: int | None = None  # steps after which an episode was cut, for logs that do not mark it
     steps: int = 100_000  # updates
     seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
     seed: int = 0  # the first
@@ -42,6 +43,8 @@ def _agent_argument(args: Sequence[str]) -> tuple[str | None, list[str]]:
         if a.startswith("--agent="):
             name, rest = a.removeprefix("--agent="), rest[:i] + rest[i + 1 :]
             break
+    if any(a == "--agent" or a.startswith("--agent=") for a in rest):
+        raise UserError("--agent is given twice; one agent a run")
     return name, rest
 
 
@@ -52,27 +55,33 @@ def train(args: Sequence[str]) -> None:
     name, rest = _agent_argument(args)
     if name is None and not any(a in ("-h", "--help") for a in rest):
         raise UserError(f"missing --agent, one of {', '.join(AGENTS)}")
-    fields = [("agent", agent_class(name), dataclasses.field(default_factory=agent_class(name)))] if name else []
-    kind = dataclasses.make_dataclass("TrainAgent", fields, bases=(Train,))
+    # The run's options stay a class of their own: tyro finds the comments behind its fields there.
+    fields: list[tuple] = [("run", Annotated[Train, tyro.conf.arg(name="")])]
+    if name:
+        fields.append(("agent", agent_class(name), dataclasses.field(default_factory=agent_class(name))))
+    kind = dataclasses.make_dataclass("TrainAgent", fields)
     kind.__doc__ = Train.__doc__ if name else f"{Train.__doc__} Agents: {', '.join(AGENTS)}."
-    options = parse(kind, rest, "train")
+    parsed = parse(kind, rest, "train")
+    options: Train = parsed.run
 
     from deadreckon.data.catalogue import load
-    from deadreckon.data.io import read
     from deadreckon.runs.train import train as run_training
 
-    given = mapping_options(options.map)
-    log = read(options.data, mmap=options.mmap, **given) if given else load(options.data, mmap=options.mmap)
+    log = load(
+        options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon, **mapping_options(options.map)
+    )
     for text in log.warnings:
         print(f"{log.name}: {text}")
     with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
         run = run_training(
-            options.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
+            parsed.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
             out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
             resume=options.resume, stream=options.stream, strict=options.strict,
             watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
         )  # fmt: skip
     print(summary(run))
+    if all(run.failures):
+        raise SystemExit(1)
 
 
 def _note(progress) -> str:

@@ -64,7 +64,7 @@ class Rows:
 
     Attributes:
         view: the coordinates that the columns are in.
-        count: rows to draw from (those whose successor is known).
+        count: rows to draw from; where successors are asked for, those whose successor is known.
         fields: per column its shape and dtype, as `take` gives it.
         initial: (episodes, *shape) initial observations, or None.
     """
@@ -79,8 +79,13 @@ class Rows:
             raise UserError(
                 f"batch_size and n_step must be >= 1 and window >= 0, got {needs.batch_size}, {needs.n_step}, {needs.window}"
             )
-        # Windows are runs of rows of the log itself, so all rows stay; single rows without successor go.
-        self._index = None if needs.window or log.usable.all() else np.flatnonzero(log.usable)
+        if log.successors is not None and (needs.n_step > 1 or needs.window):
+            raise UserError(f"{log.name}: its rows do not follow each other, so n-step rows and windows cannot be cut from it")
+        # Whoever looks at successors is not shown rows without one. Windows are runs of the log itself, so all rows stay.
+        looks_ahead = "next_observation" in needs.columns
+        usable = log.usable[self.last(np.arange(len(log)))] if looks_ahead else np.ones(len(log), bool)
+        self._index = None if needs.window or usable.all() else np.flatnonzero(usable)
+        self._blind = looks_ahead & ~log.usable[log.ends]  # (episodes,) whose last row has no known successor
         self.count = len(log) if self._index is None else len(self._index)
         if self.count == 0:
             raise UserError(f"{log.name}: no row has a known successor")
@@ -99,7 +104,7 @@ class Rows:
         rows = flat if self._index is None else self._index[flat]
         columns = {name: _COLUMNS[name](self, rows) for name in self.needs.columns}
         if self.needs.window:
-            columns["_left"] = self._left[rows].astype(np.float32)
+            columns["_left"] = (self._left[rows] - self._blind[self.log.episode_of[rows]]).astype(np.float32)
         return {name: column.reshape(*index.shape, *column.shape[1:]) for name, column in columns.items()}
 
     @cached_property

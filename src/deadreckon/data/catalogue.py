@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.io import read
@@ -87,25 +88,27 @@ def cached_path(name: str) -> Path:
     return home() / "data" / f"{name}.hdf5"
 
 
-def load(name: Path | str, mmap: bool = False) -> Dataset:
+def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: Any) -> Dataset:
     """The log `name` from the cache, or the log in the file `name`.
 
     Args:
         name: from the catalogue, or an existing file or folder, or `minari:` and an id.
         mmap: memory-map the columns.
+        strict: refuse actions out of bounds instead of warning.
+        **options: more that `read` takes.
 
     Raises:
         UserError: one line: no such name, or how the log can be had.
     """
     text = str(name)
     if text.startswith("minari:") or Path(name).exists():
-        return read(name, mmap=mmap)
+        return read(name, mmap=mmap, strict=strict, **options)
     looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl", ".gz")
     if isinstance(name, Path) or looks_like_a_file:
         raise UserError(f"no file {text}")
     path = cached_path(text)
     if path.exists():
-        return read(path, mmap=mmap)
+        return read(path, mmap=mmap, strict=strict, **options)
     found = entry(text)
     how = f"`deadreckon data collect {found.recipe}` makes it offline ({found.rows:,} steps)"
     raise UserError(f"{found.name} is not here yet: {how}")

@@ -328,10 +328,16 @@ class Dataset:
         return self.select(np.sort(order[:cut])), self.select(np.sort(order[cut:]))
 
     def with_action_space(self, space: Box | Discrete, strict: bool = False) -> "Dataset":
-        """The same log under other bounds, such as those of the environment that it will be judged in."""
+        """The same log under other bounds, such as those of the environment that it will be judged in.
+
+        Raises:
+            UserError: other kinds of actions; or, where `strict`, actions out of bounds, also of the log's own.
+        """
         if space.size != self.action_space.size or type(space) is not type(self.action_space):
             raise UserError(f"{self.name}: actions are {self.action_space}, {space} was asked for")
         if space == self.action_space:
+            if strict:
+                _bounds_warnings(self.name, self.actions, space, strict)
             return self
         warnings = _bounds_warnings(self.name, self.actions, space, strict)
         return replace(self, action_space=space, warnings=(*self.warnings, *warnings))

@@ -30,12 +30,15 @@ class Encoder:
         self.warnings: list[str] = []
         self.extra: dict[str, Any] = {}
 
-    def without_index(self, names: list[str]) -> list[str]:
-        """`names` less a leading row number that a table library wrote into the file."""
+    def plausible(self, names: list[str]) -> list[str]:
+        """`names` less a leading row number that a table library wrote into the file, and less timestamps."""
         index = [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
         if index:
             self.warnings.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
-        return [column for column in names if column not in index]
+        moments = [column for column in names if pa.types.is_temporal(self.table.column(column).type)]
+        if moments:
+            self.warnings.append(f"timestamps are left out of the observations: {', '.join(moments)}")
+        return [column for column in names if column not in index and column not in moments]
 
     def observations(self, names: list[str]) -> np.ndarray:
         """(rows, size) float32 of the columns `names`; what each dimension is goes to `extra`.

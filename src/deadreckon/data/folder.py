@@ -1,44 +1,60 @@
 """A log as a folder of .npy columns and a log.json: plain, memory-mappable, for logs larger than memory."""
 
+import contextlib
 import json
+import os
 import shutil
 import tempfile
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.layout import build, columns_of, header_of, reading
+from deadreckon.data.layout import build, columns_of, damaged, header_of, parse_header, reading
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
 
 HEADER = "log.json"
 
 
-def write_folder(log: Dataset, path: Path | str) -> None:
-    """Writes `log` to a new folder that `read_folder` reads back exactly. The folder appears only when complete.
+def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None:
+    """Writes `log` to a folder that `read_folder` reads back exactly. The folder appears only when complete.
+
+    Args:
+        log: to be written.
+        path: of the new folder.
+        force: replace what is there; it goes only when the new log is complete.
 
     Raises:
-        UserError: `path` exists, or cannot be written.
+        UserError: `path` exists, or cannot be written. Nothing is left behind, and what was there stays.
     """
     path = Path(path)
-    if path.exists():
+    if path.exists() and not force:
         raise UserError(f"{path} exists already")
+    made = [folder for folder in path.absolute().parents if not folder.exists()]
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
         columns = columns_of(log)
         for key, column in columns.items():
-            np.save(temporary / f"{key}.npy", column, allow_pickle=False)
-        (temporary / HEADER).write_text(json.dumps({**header_of(log), "columns": list(columns)}, indent=1) + "\n")
+            with open(temporary / f"{key}.npy", "wb") as file:
+                np.save(file, column, allow_pickle=False)
+                _sync(file)
+        with open(temporary / HEADER, "w") as file:
+            file.write(json.dumps({**header_of(log), "columns": list(columns)}, indent=1) + "\n")
+            _sync(file)
         temporary.chmod(0o755)
-        temporary.rename(path)
+        _put(temporary, path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+        if not path.exists():
+            for folder in made:  # innermost first; one that others have filled meanwhile stays
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
 
 
 def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, name: str | None = None) -> Dataset:
@@ -48,14 +64,45 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
         UserError: one line that names the file that is missing or damaged.
     """
     path = Path(path)
-    about = read_json(path / HEADER)
-    if not isinstance(about, dict) or not isinstance(about.get("columns"), list):
-        raise UserError(f"{path / HEADER}: no list of columns; is this a log that deadreckon wrote?")
+    with reading(path / HEADER, "a header", UnicodeDecodeError):
+        text = (path / HEADER).read_text()
+    about = parse_header(path / HEADER, text)
+    keys = about.get("columns")
+    if not isinstance(keys, list) or not all(isinstance(key, str) for key in keys):
+        raise damaged(path / HEADER, "no list of columns")
     columns = {}
-    for key in about["columns"]:
+    for key in keys:
         file = path / f"{key}.npy"
         if Path(key).name != key or not file.is_file():
             raise UserError(f"{path}: column file {key}.npy is missing")
         with reading(file, "a .npy column", ValueError, EOFError):
             columns[key] = np.load(file, mmap_mode="r" if mmap else None, allow_pickle=False)
     return build(path, columns, about, name=name, strict=strict)
+
+
+def _put(folder: Path, path: Path) -> None:
+    """Renames `folder` to `path`; what was there comes back if that fails. Memory maps of it stay readable."""
+    if not path.exists():
+        folder.rename(path)
+        return
+    aside = path.with_name(f".{path.name}.old")
+    _remove(aside)
+    path.rename(aside)
+    try:
+        folder.rename(path)
+    except BaseException:
+        aside.rename(path)
+        raise
+    _remove(aside)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _sync(file: IO[Any]) -> None:
+    file.flush()
+    os.fsync(file.fileno())

@@ -22,6 +22,7 @@ def from_frame(
     episode: str | None = None,
     time: str | None = None,
     observations: str | Sequence[str] | None = None,
+    ignore: str | Sequence[str] = (),
     terminal: str | None = None,
     timeout: str | None = None,
     propensity: str | None = None,
@@ -37,14 +38,16 @@ def from_frame(
     Args:
         frame: a pandas, polars or pyarrow table, or a mapping of column names to sequences of `rows` values.
         action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
-            `action` that stands for action_0, action_1, ...
+            `action` that stands for action_0, action_1, ..., also among several.
         reward: column of numbers.
         episode: column that is equal within an episode. Absent: see `time`.
         time: column of numbers or timestamps that orders the rows of an episode, and the episodes by their first; rows
             are taken to be in order if absent. With neither `episode`, `time`, `terminal` nor `timeout`, each row is
             an episode of one terminal step (a bandit); otherwise, without `episode`, all rows are one stream that
             `terminal` and `timeout` cut.
-        observations: columns, or a prefix; all that have no other part to play if absent.
+        observations: columns, or prefixes; if absent, all that have no other part to play, are not row numbers without
+            a name and hold no timestamps.
+        ignore: columns, or prefixes, that are no observations.
         terminal: column of truth values: the task ended here.
         timeout: column of truth values: only the recording ended here. The last row of an episode that is not a
             terminal is always one.
@@ -62,7 +65,8 @@ def from_frame(
     if rows == 0:
         raise UserError(f"{name}: the table has no rows")
     encoder = Encoder(name, table)
-    action_names = columns_like(table, action, name) if isinstance(action, str) else list(action)
+    action_names = _columns_like(table, action, name)
+    ignored = set(_columns_like(table, ignore, name))
     single = {"reward": reward, "episode": episode, "time": time, "terminal": terminal, "timeout": timeout,
               "propensity": propensity}  # fmt: skip
     for column in (*action_names, *single.values()):
@@ -70,14 +74,10 @@ def from_frame(
             check_column(table, column, name)
     if observations is None:
         taken = {*action_names, *single.values()}
-        observation_names = [column for column in table.column_names if column not in taken]
-        observation_names = encoder.without_index(observation_names)
-    elif isinstance(observations, str):
-        observation_names = columns_like(table, observations, name)
+        observation_names = [column for column in table.column_names if column not in taken | ignored]
+        observation_names = encoder.plausible(observation_names)
     else:
-        observation_names = list(observations)
-    for column in observation_names:
-        check_column(table, column, name)
+        observation_names = [column for column in _columns_like(table, observations, name) if column not in ignored]
     if not observation_names:
         raise UserError(f"{name}: no column is left to be an observation; name them with observations")
 
@@ -149,6 +149,12 @@ def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:
     if not found:
         check_column(table, prefix, name)
     return found
+
+
+def _columns_like(table: pa.Table, given: str | Sequence[str], name: str) -> list[str]:
+    """The columns of one name or prefix, or of several, each once."""
+    several = [given] if isinstance(given, str) else given
+    return list(dict.fromkeys(column for prefix in several for column in columns_like(table, prefix, name)))
 
 
 def numbered(names: Sequence[str], prefix: str) -> list[str]:

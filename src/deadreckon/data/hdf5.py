@@ -19,6 +19,7 @@ from deadreckon.data.layout import (
     extra_name,
     header,
     header_of,
+    parse_header,
     reading,
     refuse_mmap,
 )
@@ -39,6 +40,7 @@ def read_hdf5(
     mmap: bool = False,
     strict: bool = False,
     name: str | None = None,
+    horizon: int | None = None,
     scratch: Path | str | None = None,
 ) -> Dataset:
     """Reads a D4RL-layout hdf5 file, ours or anybody's.
@@ -52,6 +54,7 @@ def read_hdf5(
         mmap: memory-map the columns; needs contiguous uncompressed float32, which is what `write_hdf5` writes.
         strict: refuse actions out of bounds.
         name: of the log; what the file says, else the file's name, if absent.
+        horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
         scratch: a folder that takes copies of columns that cannot be memory-mapped, block by block, so that any file is
             read without being in memory as a whole.
 
@@ -79,7 +82,7 @@ def read_hdf5(
                 columns[extra or extra_name(key, columns)] = _load(path, key, dataset, mmap, scratch)
     found = {"metadata": metadata, "left_out": left_out}
     extra = {key: value for key, value in found.items() if value}
-    return build(path, columns, about, source="d4rl-hdf5", name=name, extra=extra, strict=strict)
+    return build(path, columns, about, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon)
 
 
 def write_hdf5(log: Dataset, path: Path | str) -> None:
@@ -252,9 +255,4 @@ def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:
 
 
 def _header(path: Path | str, file: h5py.File) -> dict[str, Any] | None:
-    if _HEADER not in file.attrs:
-        return None
-    try:
-        return json.loads(str(file.attrs[_HEADER]))
-    except json.JSONDecodeError as error:
-        raise UserError(f"{path}: its header is damaged ({error})") from error
+    return parse_header(path, str(file.attrs[_HEADER])) if _HEADER in file.attrs else None

@@ -208,7 +208,7 @@ def _columns(info: Info) -> list[str]:
         out.append(f"{text}: log-probabilities of tanh policies are uncertain there; check that the bounds are right")
     if info.unused_actions:
         out.append(f"{info.unused_actions} of the actions never occur in the log: nothing is known about them")
-    if info.duplicate_rows > 0.01 * info.sampled:
+    if info.duplicate_rows > 0.01 * info.sampled and info.lengths[-1] > 1:
         text = f"{info.duplicate_rows:,} of {info.sampled:,} rows repeat an earlier one"
         out.append(f"{text}: a split by rows would leak; split by episodes")
     return out

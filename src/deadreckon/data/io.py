@@ -2,7 +2,6 @@
 
 import gzip
 import pickle
-import shutil
 import tempfile
 import zlib
 from collections.abc import Callable
@@ -19,7 +18,15 @@ FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of dea
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")
 
 
-def read(path: Path | str, *, mmap: bool = False, strict: bool = False, name: str | None = None, **mapping: Any) -> Dataset:
+def read(
+    path: Path | str,
+    *,
+    mmap: bool = False,
+    strict: bool = False,
+    name: str | None = None,
+    horizon: int | None = None,
+    **mapping: Any,
+) -> Dataset:
     """Reads a log; the format is told by content, not by name.
 
     Args:
@@ -28,6 +35,7 @@ def read(path: Path | str, *, mmap: bool = False, strict: bool = False, name: st
         mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
+        horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
         **mapping: for tables, which column is what: see `Dataset.from_frame`.
 
     Raises:
@@ -38,10 +46,13 @@ def read(path: Path | str, *, mmap: bool = False, strict: bool = False, name: st
     if mmap and kind not in ("hdf5", "folder"):
         raise refuse_mmap(path, f"{kind} is not stored column by column")
     options: dict[str, Any] = {"strict": strict, "name": name}
+    if kind in ("folder", "minari") and horizon is not None:
+        raise UserError(f"{path}: {kind} says where episodes end; a horizon is for files that do not say")
     if kind == "folder":
         return folders.read_folder(path, mmap=mmap, **options)
     if kind == "minari":
         return minaris.read_minari(path, **options)
+    options["horizon"] = horizon
     if kind == "hdf5":
         from deadreckon.data.hdf5 import read_hdf5
 
@@ -94,12 +105,24 @@ def sniff(path: Path | str) -> str:
             return kind
     if _is_pickle(head):
         return "pickle"
-    if b"\0" not in head and b"," in head.partition(b"\n")[0]:
+    line = head.partition(b"\n")[0].strip()
+    if b"\0" not in head and b"," in line:
         return "csv"
+    for separator, words in ((b";", "semicolons"), (b"\t", "tabs")):
+        if b"\0" not in head and separator in line[:-1]:
+            raise UserError(f"{path}: not CSV: its columns are separated by {words}, a comma is needed as separator")
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
 
 
-def convert(source: Path | str, target: Path | str, *, force: bool = False, strict: bool = False, **mapping: Any) -> Dataset:
+def convert(
+    source: Path | str,
+    target: Path | str,
+    *,
+    force: bool = False,
+    strict: bool = False,
+    horizon: int | None = None,
+    **mapping: Any,
+) -> Dataset:
     """Reads `source` and writes it as `target`; gives the log.
 
     Args:
@@ -108,6 +131,7 @@ def convert(source: Path | str, target: Path | str, *, force: bool = False, stri
             in a slash.
         force: replace `target` if it exists.
         strict: refuse actions out of bounds.
+        horizon: as for `read`.
         **mapping: as for `read`.
 
     Raises:
@@ -123,8 +147,9 @@ def convert(source: Path | str, target: Path | str, *, force: bool = False, stri
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
     kind = sniff(source)
+    _no_mapping(source, kind, mapping)
     if kind != "hdf5":
-        log = read(source, mmap=kind == "folder", strict=strict, **mapping)
+        log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)
         write(log, target, force)
         return log
     from deadreckon.data.hdf5 import read_hdf5
@@ -139,8 +164,7 @@ def convert(source: Path | str, target: Path | str, *, force: bool = False, stri
     except OSError as error:
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
     with scratch as folder:
-        _no_mapping(source, kind, mapping)
-        log = read_hdf5(source, mmap=True, strict=strict, name=mapping.get("name"), scratch=folder)
+        log = read_hdf5(source, mmap=True, strict=strict, name=mapping.get("name"), horizon=horizon, scratch=folder)
         write(log, target, force)
     return log
 
@@ -151,7 +175,7 @@ def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
         return lambda log, path, force: minaris.write_minari(log, str(path), force=force)
     ending = Path(target).suffix.lower()
     if str(target).endswith("/") or not ending:
-        return _write_folder
+        return lambda log, path, force: folders.write_folder(log, path, force=force)
     if ending in (".hdf5", ".h5"):
         from deadreckon.data.hdf5 import write_hdf5
 
@@ -163,25 +187,6 @@ def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
         return lambda log, path, force: writers[ending](log, path)
     known = ", ".join(_ENDINGS)
     raise UserError(f"{target}: unknown ending {ending}; known: {known}, none (a folder), minari:ns/name-v0")
-
-
-def _write_folder(log: Dataset, path: Path | str, force: bool) -> None:
-    path = Path(path)
-    if not (force and path.exists()):
-        folders.write_folder(log, path)
-        return
-    # The old log goes only when the new one is complete; pages of it that are memory-mapped stay readable.
-    aside = path.with_name(f".{path.name}.old")
-    shutil.rmtree(aside, ignore_errors=True)
-    fresh = path.with_name(f".{path.name}.new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    folders.write_folder(log, fresh)
-    try:
-        path.rename(aside)
-        fresh.rename(path)
-        shutil.rmtree(aside)
-    except OSError as error:
-        raise UserError(f"cannot replace {path}: {error.strerror or error}") from error
 
 
 def _no_mapping(path: Path | str, kind: str, mapping: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.layout import build, extra_name, header_of, naming, reading
+from deadreckon.data.layout import build, checked_header, extra_name, header_of, naming, reading
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_json
@@ -30,7 +30,7 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
     infos become extras. Terminations are terminals, truncations timeouts.
 
     Args:
-        source: its folder, or its id such as `D4RL/pointmaze/umaze-v2` (`minari:` before it is allowed).
+        source: its folder, or its id after `minari:`, such as `minari:D4RL/pointmaze/umaze-v2`.
         strict: refuse actions out of bounds.
         name: of the log; what the data set says, else the id without its namespace, if absent.
 
@@ -56,6 +56,7 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
         columns = _joined(parts)
     columns["actions"] = columns["actions"] - start if isinstance(space, Discrete) else columns["actions"]
     about = metadata.get("deadreckon")
+    about = None if about is None else checked_header(folder / _METADATA, about)
     extra = {key: metadata[key] for key in _KEPT if key in metadata}
     name = name or (about or {}).get("name") or str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
     return build(folder, columns, about, source="minari", name=name, action_space=space, extra=extra, strict=strict)
@@ -76,15 +77,8 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
         UserError: the id is not one, or exists; or the log has next observations of its own.
     """
     from minari import create_dataset_from_buffers
-    from minari.dataset.minari_dataset import parse_dataset_id
 
-    dataset_id = dataset_id.removeprefix(PREFIX)
-    try:
-        parse_dataset_id(dataset_id)
-    except (ValueError, TypeError) as error:  # TypeError is what an id without a version makes of it
-        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0") from error
-    if ".." in dataset_id.split("/") or dataset_id.startswith("/"):
-        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
+    dataset_id = _checked_id(dataset_id.removeprefix(PREFIX))
     if log.successors is not None:
         raise UserError(f"{log.name}: its next observations are not the following rows; Minari cannot store it, write .hdf5")
     target = _root() / dataset_id
@@ -122,22 +116,37 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
 
 
 def find(source: Path | str) -> Path:
-    """The folder with `metadata.json` of a data set given by folder or id.
+    """The folder with `metadata.json` of a data set given by folder, or by `minari:` and an id.
 
     Raises:
-        UserError: there is none, with the nearest ids that are there.
+        UserError: there is none, with the nearest ids that are there; or the id is not one.
     """
     text = str(source)
-    for folder in (Path(text), _root() / text.removeprefix(PREFIX)):
-        for inner in (folder / "data", folder):
-            if (inner / _METADATA).is_file():
-                return inner
-    if Path(text).is_dir():
-        raise UserError(f"{text}: no {_METADATA}; a Minari data set has one in its data folder")
+    by_id = text.startswith(PREFIX)
+    folder = _root() / _checked_id(text.removeprefix(PREFIX)) if by_id else Path(text)
+    for inner in (folder / "data", folder):
+        if (inner / _METADATA).is_file():
+            return inner
+    if not by_id:
+        raise UserError(f"{text}: no {_METADATA}; a Minari data set has one in its data folder ({PREFIX}ID names one by id)")
     there = [str(file.parent.parent.relative_to(_root())) for file in _root().glob(f"**/data/{_METADATA}")]
     if not there:
         raise UserError(f"no Minari data set {text.removeprefix(PREFIX)!r}: {_root()} ({_ROOT}) holds none")
     raise unknown("Minari data set", text.removeprefix(PREFIX), there)
+
+
+def _checked_id(dataset_id: str) -> str:
+    """`dataset_id`, refused if it is none or would lead out of Minari's folder."""
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        parse_dataset_id(dataset_id)
+        good = "\0" not in dataset_id and not dataset_id.startswith("/") and ".." not in dataset_id.split("/")
+    except (ValueError, TypeError):  # TypeError is what an id without a version makes of it
+        good = False
+    if not good:
+        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
+    return dataset_id
 
 
 def _root() -> Path:

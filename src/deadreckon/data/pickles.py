@@ -37,7 +37,7 @@ def load_pickle(path: Path | str) -> Any:
         return _plain(_Unpickler(data).load(), {})
 
 
-def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None) -> Dataset:
+def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
     """Reads a pickled log: a dict of D4RL's columns, or a list of such dicts, one an episode.
 
     The human demonstrations of Adroit (dicts with `init_state_dict`, which is not kept) have T observations for T
@@ -50,7 +50,7 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
     value = load_pickle(path)
     if isinstance(value, Mapping):
         columns = {str(key): column for key, column in value.items() if isinstance(column, np.ndarray)}
-        return build(path, columns, source="pickle", name=name, strict=strict)
+        return build(path, columns, source="pickle", name=name, strict=strict, horizon=horizon)
     if not isinstance(value, list) or not value or not all(isinstance(episode, Mapping) for episode in value):
         raise UserError(f"{path}: a list of episodes (dicts of arrays) is needed, found {type(value).__name__}")
     columns = _joined(path, value)
@@ -64,7 +64,7 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
         task, _, rest = name.partition("-v0_")
         name = f"{task}-human" if adroit and rest == "demos" else name
     source = "adroit-demonstrations" if adroit else "pickle"
-    return build(path, columns, source=source, name=name, action_space=space, strict=strict)
+    return build(path, columns, source=source, name=name, action_space=space, strict=strict, horizon=horizon)
 
 
 def _joined(path: Path | str, episodes: list[Mapping[str, Any]]) -> dict[str, np.ndarray]:

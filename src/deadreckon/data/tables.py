@@ -6,6 +6,7 @@ in the last row of an episode alone. CSV keeps neither action bounds nor name; t
 
 import gzip
 import json
+import math
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from pyarrow import csv, parquet
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.encode import numbers
 from deadreckon.data.frame import from_frame, numbered
-from deadreckon.data.layout import build, columns_of, header_of, naming, reading, stem
+from deadreckon.data.layout import build, columns_of, damaged, header_of, naming, parse_header, reading, stem
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import replacing
 
@@ -28,16 +29,19 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
              "timeouts": "timeout", "next_observations": "next_observation",
              "final_observations": "final_observation"}  # fmt: skip
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
-MAPPING = ("episode", "time", "action", "reward", "observations", "terminal", "timeout", "propensity")
+MAPPING = ("episode", "time", "action", "reward", "observations", "ignore", "terminal", "timeout", "propensity")
 
 
-def read_parquet(path: Path | str, *, strict: bool = False, name: str | None = None, **mapping: Any) -> Dataset:
+def read_parquet(
+    path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
+) -> Dataset:
     """Reads a Parquet file: one that `write_parquet` wrote, one with our column names, or any, given a mapping.
 
     Args:
         path: of the file.
         strict: refuse actions out of bounds.
         name: of the log; the file's if absent.
+        horizon: steps after which an episode is cut by a timeout, for files of our names that mark no time limits.
         **mapping: which column is what, as for `from_frame`.
 
     Raises:
@@ -45,11 +49,14 @@ def read_parquet(path: Path | str, *, strict: bool = False, name: str | None = N
     """
     with reading(path, "Parquet", pa.ArrowException):
         table = parquet.read_table(path)
-    about = (table.schema.metadata or {}).get(_HEADER.encode())
-    return _from_table(path, table, None if about is None else json.loads(about), "parquet", strict, name, mapping)
+    text = (table.schema.metadata or {}).get(_HEADER.encode())
+    about = None if text is None else parse_header(path, text)
+    return _from_table(path, table, about, "parquet", strict, name, horizon, mapping)
 
 
-def read_csv(path: Path | str, *, strict: bool = False, name: str | None = None, **mapping: Any) -> Dataset:
+def read_csv(
+    path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
+) -> Dataset:
     """Reads a CSV file with a line of names, plain or gzipped; see `read_parquet`."""
     with reading(path, "CSV", pa.ArrowException, EOFError), open(path, "rb") as file:
         packed = file.read(2) == b"\x1f\x8b"
@@ -57,10 +64,10 @@ def read_csv(path: Path | str, *, strict: bool = False, name: str | None = None,
         # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
         source = gzip.GzipFile(fileobj=file) if packed else file
         table = csv.read_csv(source)
-    return _from_table(path, table, None, "csv", strict, name, mapping)
+    return _from_table(path, table, None, "csv", strict, name, horizon, mapping)
 
 
-def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None) -> Dataset:
+def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
     """Reads an npz file with columns by `Dataset.from_arrays` names (D4RL's).
 
     Raises:
@@ -71,8 +78,9 @@ def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None)
         np.load(path, allow_pickle=False) as file,
     ):
         columns = {key: file[key] for key in file.files}
-        about = columns.pop(_HEADER, None)
-        return build(path, columns, None if about is None else json.loads(str(about)), source="npz", name=name, strict=strict)
+    text = columns.pop(_HEADER, None)
+    about = None if text is None else parse_header(path, str(text))
+    return build(path, columns, about, source="npz", name=name, strict=strict, horizon=horizon)
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
@@ -138,6 +146,7 @@ def _from_table(
     source: str,
     strict: bool,
     name: str | None,
+    horizon: int | None,
     mapping: dict,
 ) -> Dataset:
     given = {key: value for key, value in mapping.items() if value is not None}
@@ -147,26 +156,48 @@ def _from_table(
     if given:
         for key in ("action", "reward"):
             if key not in given:
-                names = ", ".join(table.column_names)
-                raise UserError(f"{path}: say which column is the {key}: --{key} COLUMN (columns: {names[:200]})")
+                raise UserError(f"{path}: say which column is the {key}: --{key} COLUMN ({_listed(table.column_names)})")
+        if horizon is not None:
+            raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
         with naming(path, name or stem(path)):
             log = from_frame(table, name=name or stem(path), strict=strict, source=source, **given)
         return replace(log, provenance=replace(log.provenance, path=str(path)))
     for key in ("observation", "action", "reward"):
         if key not in table.column_names and not numbered(table.column_names, key):
-            option = {"observation": "observations"}.get(key, key)
-            names = ", ".join(table.column_names)
             raise UserError(
-                f"{path}: no column {key} or {key}_0; say which it is with --{option} COLUMN (columns: {names[:200]})"
+                f"{path}: no column {key} or {key}_0; name the columns: --action COLUMN --reward COLUMN "
+                "[--observations COLUMN ...] [--episode, --time, --propensity ...]; all others become observations "
+                f"({_listed(table.column_names)})"
             )
-    return build(path, _columns(path, table, about), about, source=source, name=name, strict=strict)
+    columns = _columns(path, table, _shapes(path, about))
+    return build(path, columns, about, source=source, name=name, strict=strict, horizon=horizon)
 
 
-def _columns(path: Path | str, table: pa.Table, about: dict[str, Any] | None) -> dict[str, np.ndarray]:
+def _listed(names: list[str], width: int = 200) -> str:
+    """The names, as many as fit."""
+    names = [name for name in names if name]
+    shown = [*names]
+    while len(shown) > 1 and len(", ".join(shown)) > width:
+        shown.pop()
+    return f"columns: {', '.join(shown)}{', ...' if len(shown) < len(names) else ''}"
+
+
+def _shapes(path: Path | str, about: dict[str, Any] | None) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """{column: (shape of a row, dtype)} as the header says."""
+    try:
+        shapes = {key: (tuple(shape), np.dtype(dtype)) for key, (shape, dtype) in (about or {}).get("columns", {}).items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise damaged(path, f"columns: {error}") from error
+    for key, (shape, dtype) in shapes.items():
+        if not all(type(size) is int and size >= 0 for size in shape) or dtype.kind not in "fiub":
+            raise damaged(path, f"column {key} of shape {list(shape)}, {dtype}")
+    return shapes
+
+
+def _columns(path: Path | str, table: pa.Table, shapes: dict[str, tuple[tuple[int, ...], np.dtype]]) -> dict[str, np.ndarray]:
     """The columns of a table that has our names, by `from_arrays` names."""
     if not table.num_rows:
         raise UserError(f"{path}: the log has no rows")
-    shapes = (about or {}).get("columns", {})
     columns: dict[str, np.ndarray] = {}
     for name, parts in _groups(table.column_names, shapes).items():
         key = _PLURAL.get(name, name)
@@ -178,6 +209,8 @@ def _columns(path: Path | str, table: pa.Table, about: dict[str, Any] | None) ->
             column = column.astype(np.float32)  # action_0 alone is a vector of one, even where CSV shows 1, 0, 1
         if key in shapes:
             shape, dtype = shapes[key]
+            if column[:1].size != math.prod(shape):
+                raise damaged(path, f"column {key} of shape {list(shape)} has {column[:1].size} numbers a row")
             column = column.reshape(len(column), *shape).astype(dtype, copy=False)
         columns[key] = column
     rows = table.num_rows
@@ -220,7 +253,7 @@ def _groups(names: list[str], shapes: dict[str, Any]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for column in names:
         prefix, _, number = column.rpartition("_")
-        together = number.isdigit() and prefix and column not in scalars
+        together = number.isdecimal() and prefix and column not in scalars
         groups.setdefault(prefix if together else column, []).append(column)
     return {key: parts if parts == [key] else numbered(parts, key) for key, parts in groups.items()}
 

@@ -59,13 +59,4 @@ class View:
     @property
     def log_scale(self) -> float:
         """What to subtract from a log-density over [-1, 1] to have it over the environment's actions."""
-        return 0.0 if self.low is None else float(np.log(0.5 * (self.high - self.low)).sum())
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain JSON values; `View.from_json` reads them back."""
-        return {k: None if v is None else np.asarray(v).tolist() for k, v in vars(self).items()}
-
-    @classmethod
-    def from_json(cls, value: dict[str, Any]) -> "View":
-        """The inverse of `to_json`."""
-        return cls(**{k: None if v is None else np.asarray(v, np.float32) for k, v in value.items()})
+        return 0.0 if self.low is None or self.high is None else float(np.log(0.5 * np.subtract(self.high, self.low)).sum())

@@ -81,8 +81,3 @@ def q_values(
         return net.after_first(pre)[..., 0]
 
     return jax.vmap(one)(critics)
-
-
-def state_values(critics: MLP, observation: Float[Array, "*b o"]) -> Float[Array, "k *b n"]:
-    """All outputs of every network of an ensemble: Q of each discrete action, or a value with n = 1."""
-    return jax.vmap(lambda net: net(observation))(critics)

@@ -40,9 +40,21 @@ class Policy(Protocol):
 
 
 class Inner(eqx.Module):
-    """A memoryless policy in a method's coordinates: observations as trained on, actions BEFORE the tanh."""
+    """A policy in a method's coordinates: observations as trained on, actions in [-1, 1] or indices.
+
+    Memoryless continuous ones implement `pre_actions` alone; those that remember, or choose among discrete actions,
+    override `start` and `act`.
+    """
 
     has_log_prob = False
+
+    def start(self, n: int) -> Any:
+        """The carry before the first step of `n` environments."""
+        return ()
+
+    def act(self, step: Step, carry: Any, key: PRNGKeyArray, *, greedy: bool) -> tuple[Array, Any]:
+        """Actions in [-1, 1] (or indices) and the next carry."""
+        return jnp.tanh(self.pre_actions(step.observation, key, greedy=greedy)), carry
 
     def pre_actions(
         self, observation: Float[Array, "n o"], key: PRNGKeyArray, *, greedy: bool, count: tuple[int, ...] = ()
@@ -140,35 +152,38 @@ class Deployed(eqx.Module):
         """Whether `log_prob` is defined."""
         return self.inner.has_log_prob
 
-    def start(self, n: int) -> tuple[()]:
-        """Nothing is carried."""
-        return ()
+    def start(self, n: int) -> Any:
+        """The inner policy's carry."""
+        return self.inner.start(n)
 
     def act(self, step: Step, carry: Any, key: PRNGKeyArray, *, greedy: bool) -> tuple[Array, Any]:
         """Actions in the environment's bounds."""
-        pre = self.inner.pre_actions(self.view.observe(step.observation), key, greedy=greedy)
-        return self.view.from_unit(jnp.tanh(pre)), carry
+        seen = step._replace(observation=self.view.observe(step.observation))
+        action, carry = self.inner.act(seen, carry, key, greedy=greedy)
+        return self.view.from_unit(action), carry
 
     def log_prob(self, observation: Any, action: Any) -> Array:
         """Log-density of environment actions (n, size) at raw observations (n, *shape)."""
         if not isinstance(self.inner, TanhGaussian):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
-        unit = self.view.to_unit(jnp.asarray(action))
-        log_prob = self.inner.log_prob(self.view.observe(jnp.asarray(observation)), unit)
-        return log_prob if self.high is None or self.low is None else log_prob - jnp.log(0.5 * (self.high - self.low)).sum()
+        view = self.view
+        log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), view.to_unit(jnp.asarray(action)))
+        return log_prob - view.log_scale
 
     def __call__(self, observations: Any) -> np.ndarray:
-        """Greedy actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
+        """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
         x = np.asarray(observations, np.float32)
         single = x.ndim == 1
-        actions = _greedy(self, jnp.asarray(x[None] if single else x))
+        actions = first_actions(self, jnp.asarray(x[None] if single else x), jax.random.key(0), True)
         return np.asarray(actions[0] if single else actions)
 
 
 @eqx.filter_jit
-def _greedy(policy: Deployed, observations: Array) -> Array:
-    step = Step(observations, jnp.zeros(len(observations)), jnp.zeros(len(observations), bool))
-    return policy.act(step, (), jax.random.key(0), greedy=True)[0]
+def first_actions(policy: Deployed, observations: Array, key: PRNGKeyArray, greedy: bool) -> Array:
+    """What the policy does at raw observations (n, *shape) as the first of an episode, (n, size)."""
+    n = len(observations)
+    step = Step(observations, jnp.zeros(n), jnp.ones(n, bool))
+    return policy.act(step, policy.start(n), key, greedy=greedy)[0]
 
 
 class BlackBoxPolicy:

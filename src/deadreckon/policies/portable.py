@@ -27,8 +27,17 @@ _LATENT_CLIP = 0.5
 def read(path):
     """The JSON tree and the arrays of a policy file; ValueError in one line if it is none."""
     try:
+        with open(path, "rb") as file:
+            archive = file.read(4) == b"PK\x03\x04"
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
+    if not archive:
+        raise ValueError(f"{path} is no policy file (.npz)")
+    try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+        if "policy.json" not in arrays:
+            raise ValueError("no policy.json in it")
         tree = json.loads(arrays.pop("policy.json").tobytes())
         if tree["format"] != FORMAT:
             raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")

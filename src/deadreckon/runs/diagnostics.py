@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
-from deadreckon.policies.policy import Deployed, Step
+from deadreckon.policies.policy import Deployed, first_actions
+from deadreckon.runs.evaluate import action_key
 from deadreckon.tasks.task import Task
 
 SAMPLE = 1024  # logged rows that policies are compared on
@@ -50,21 +51,27 @@ class LogProbe:
         states = (self.observations - statistics.mean) / (statistics.std + 1e-6)
         self.states = states.reshape(len(rows), -1).astype(np.float32)
         self.range = log.spec.actions.min - 1e-5, log.spec.actions.max + 1e-5
-        span = np.maximum(log.spec.actions.max - log.spec.actions.min, 1e-6)
-        self.scale = lambda a: ((a - log.spec.actions.min) / span * 2.0 - 1.0).astype(np.float32)
-        half = len(rows) // 2
-        self.logged = np.concatenate([self.states, self.scale(np.asarray(log.actions[rows]))], -1)[:half]
+        self.discrete = log.spec.action.size if log.spec.discrete else 0
+        self.half = half = len(rows) // 2
+        self.logged = np.concatenate([self.states, self._scaled(np.asarray(log.actions[rows]))], -1)[:half]
         pairs = np.square(self.logged[: half // 2] - self.logged[half // 2 : 2 * (half // 2)]).sum(-1)
         self.variance = float(np.median(pairs)) if len(pairs) else 1.0
-        self.half = half
 
     def __call__(self, policy: Deployed, seed: int = 0) -> dict[str, float]:
         """The two measures of one policy, its actions drawn, not greedy."""
-        actions = np.asarray(_draw(policy, jnp.asarray(self.observations), jnp.uint32(seed)))
-        outside = ((actions < self.range[0]) | (actions > self.range[1])).any(1).mean()
-        drawn = np.concatenate([self.states, self.scale(actions)], -1)[self.half :]
-        return {"mmd_to_data": float(two_sample_mmd(self.logged, drawn, max(self.variance, 1e-6))),
-                "outside_range": float(outside)}  # fmt: skip
+        actions = np.asarray(first_actions(policy, jnp.asarray(self.observations), jax.random.key(seed), False))
+        outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
+        drawn = np.concatenate([self.states, self._scaled(actions)], -1)[self.half :]
+        # Two rows a side are the fewest that the estimate is defined for.
+        distance = two_sample_mmd(self.logged, drawn, max(self.variance, 1e-6)) if self.half >= 2 else np.nan
+        return {"mmd_to_data": float(distance), "outside_range": float(outside)}
+
+    def _scaled(self, actions: np.ndarray) -> np.ndarray:
+        """Actions to compare: one-hot, or scaled so that the log's range is [-1, 1]."""
+        if self.discrete:
+            return np.eye(self.discrete, dtype=np.float32)[actions]
+        low, high = self.range
+        return ((actions - low) / np.maximum(high - low, 1e-6) * 2.0 - 1.0).astype(np.float32)
 
 
 def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
@@ -98,26 +105,25 @@ def log_segments(log: Dataset, count: int = 16, length: int = 300) -> np.ndarray
 
 
 @eqx.filter_jit
-def _draw(policy: Deployed, observations: Array, seed: Array) -> Array:
-    step = Step(observations, jnp.zeros(len(observations)), jnp.zeros(len(observations), bool))
-    return policy.act(step, (), jax.random.key(seed), greedy=False)[0]
+def _q(agents: Agent, states: Any, observations: Array, actions: Array) -> Array | None:
+    return eqx.filter_vmap(lambda agent, state, o, a: agent.q_value(state, o, a))(agents, states, observations, actions)
 
 
-@eqx.filter_jit
-def _q(agent: Agent, states: Any, observations: Array, actions: Array) -> Array | None:
-    return eqx.filter_vmap(lambda state, o, a: agent.q_value(state, o, a), in_axes=(0, 0, 0))(states, observations, actions)
+def estimated_values(agents: Agent, states: Any, rows: Rows, policies: list[Deployed], starts: np.ndarray) -> np.ndarray | None:
+    """(lanes, episodes) each lane's Q at initial observations and its policy's own actions; None without a critic.
 
+    The actions are those that `evaluate` with seed 0 takes first at these starts. Q looks through timeouts, a return in the
+    simulator stops at the horizon: at discount 0.99 and 300 steps up to 0.99^300 = 5 % of the value lies between them.
 
-def estimated_values(agent: Agent, states: Any, rows: Rows, policies: list[Deployed], starts: np.ndarray) -> np.ndarray | None:
-    """(lanes, episodes) the agent's Q at initial observations and its policies' own actions; None if it has no critic."""
+    Args:
+        agents: lifted, one a lane.
+        states: (lanes, ...).
+        rows: whose view the agents have.
+        policies: one a lane.
+        starts: (episodes, *shape) raw initial observations.
+    """
     raw = jnp.asarray(starts)
-    actions = jnp.stack([_draw_greedy(policy, raw) for policy in policies])
+    actions = jnp.stack([first_actions(policy, raw, action_key(0, 0), True) for policy in policies])
     seen = jnp.broadcast_to(rows.view.observe(raw), (len(policies), *raw.shape))
-    q = _q(agent, states, seen, rows.view.to_unit(actions))
+    q = _q(agents, states, seen, rows.view.to_unit(actions))
     return None if q is None else np.asarray(q)
-
-
-@eqx.filter_jit
-def _draw_greedy(policy: Deployed, observations: Array) -> Array:
-    step = Step(observations, jnp.zeros(len(observations)), jnp.ones(len(observations), bool))
-    return policy.act(step, (), jax.random.fold_in(jax.random.key(0), 0), greedy=True)[0]

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Deployed, Policy, Step
+from deadreckon.policies.policy import Deployed, Policy, Step, first_actions
 from deadreckon.policies.store import load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Simulator, Task
@@ -68,16 +69,16 @@ class Evaluation:
         returns: (policies, episodes) undiscounted.
         discounted: (policies, episodes) with `discount`.
         lengths: (policies, episodes) steps.
-        discount: of `discounted`.
+        discount: of `discounted`, one a policy.
         names: one a policy.
-        trajectories: (policies, recorded, horizon + 1, *shape) observations of the first episodes; NaN after an end.
+        trajectories: (policies, recorded, steps, *shape) observations acted on in the first episodes; NaN after an end.
     """
 
     task: Task
     returns: np.ndarray
     discounted: np.ndarray
     lengths: np.ndarray
-    discount: float
+    discount: tuple[float, ...]
     names: tuple[str, ...]
     trajectories: np.ndarray | None = field(default=None, repr=False)
 
@@ -105,11 +106,15 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     return [int(np.random.SeedSequence([seed, i]).generate_state(1)[0]) for i in range(episodes)]
 
 
+def action_key(seed: Any, t: Any) -> jax.Array:
+    """The key of all policies' draws at step `t`: what one draws does not depend on how many are judged beside it."""
+    return jax.random.fold_in(jax.random.key(seed), t)
+
+
 @eqx.filter_jit
-def _act(stacked: Deployed, step: Step, seed: jax.Array, t: jax.Array, greedy: bool) -> jax.Array:
-    # Every policy gets the same key: what one policy draws does not depend on how many are judged beside it.
-    key = jax.random.fold_in(jax.random.key(seed), t)
-    return jax.vmap(lambda p, s: p.act(s, (), key, greedy=greedy)[0])(stacked, step)
+def _act(stacked: Deployed, step: Step, carry: Any, seed: jax.Array, t: jax.Array, greedy: bool) -> tuple[jax.Array, Any]:
+    key = action_key(seed, t)
+    return jax.vmap(lambda p, s, c: p.act(s, c, key, greedy=greedy))(stacked, step, carry)
 
 
 class _Actors:
@@ -118,6 +123,7 @@ class _Actors:
     def __init__(self, policies: Sequence[Any], n: int, seed: int, greedy: bool):
         self.policies, self.seed, self.greedy = policies, seed, greedy
         self.groups: list[tuple[list[int], Any]] = []
+        self.carries: list[Any] = []
         self.others: dict[int, Any] = {}
         alike: dict[Any, list[int]] = {}
         for i, policy in enumerate(policies):
@@ -129,18 +135,24 @@ class _Actors:
         for members in alike.values():
             stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policies[i] for i in members))
             self.groups.append((members, stacked))
+            starts = [policies[i].start(n) for i in members]
+            self.carries.append(jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts))
 
     def __call__(self, step: Step, t: int) -> np.ndarray:
         actions: dict[int, np.ndarray] = {}
-        for members, stacked in self.groups:
+        for g, (members, stacked) in enumerate(self.groups):
             part = Step(*(np.asarray(x)[members] for x in step))
-            out = np.asarray(_act(stacked, part, jnp.uint32(self.seed), jnp.int32(t), self.greedy))
-            actions |= dict(zip(members, out))
+            when = jnp.uint32(self.seed), jnp.int32(t)
+            out, self.carries[g] = _act(stacked, part, self.carries[g], *when, self.greedy)
+            actions |= dict(zip(members, np.asarray(out)))
         for i, carry in self.others.items():
             own = Step(*(np.asarray(x)[i] for x in step))
             key = np.random.default_rng([self.seed, t])
             out, self.others[i] = self.policies[i].act(own, carry, key, greedy=self.greedy)
             actions[i] = np.asarray(out)
+        shapes = {actions[i].shape for i in range(len(self.policies))}
+        if len(shapes) > 1:
+            raise UserError(f"the policies give actions of different shapes: {', '.join(map(str, sorted(shapes)))}")
         return np.stack([actions[i] for i in range(len(self.policies))])
 
 
@@ -151,7 +163,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     greedy: bool = True,
-    discount: float = 0.99,
+    discount: float | Sequence[float] = 0.99,
     names: Sequence[str] | None = None,
     record: int = 0,
 ) -> Evaluation:
@@ -163,7 +175,7 @@ def evaluate(
         episodes: for each policy; all policies get the same starts.
         seed: of starts and draws.
         greedy: each policy's best guess instead of draws.
-        discount: for the discounted returns.
+        discount: for the discounted returns, one for all policies or one each.
         names: shown for the policies.
         record: episodes of which observations are kept, for pictures.
 
@@ -173,9 +185,15 @@ def evaluate(
     task = find_task(task) if isinstance(task, str) else task
     if episodes < 1:
         raise UserError(f"episodes must be >= 1, got {episodes}")
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
     found = list(_policies(policies))
     if not found:
         raise UserError("no policy to evaluate")
+    discounts = np.broadcast_to(np.asarray(discount, np.float64), (len(found),))
+    names = tuple(names) if names else tuple(f"policy {i}" for i in range(len(found)))
+    for name, policy in zip(names, found):
+        _check_fit(policy, task, name)
     count, copies = len(found), len(found) * episodes
     simulator: Simulator = task.simulate(episode_seeds(seed, episodes) * count)
     actors = _Actors(found, episodes, seed, greedy)
@@ -189,19 +207,29 @@ def evaluate(
         if recorded is not None:
             recorded.append(np.where(alive[:, :record, *[None] * (seen.ndim - 2)], seen[:, :record], np.nan))
         actions = actors(Step(seen, rewards, first), t)
-        if t == 0 and actions.shape != (*shape, task.action_space.size):
-            raise UserError(f"{task.name} takes actions of size {task.action_space.size}, the policy gave {actions.shape[2:]}")
-        observations, reward, terminal, timeout = simulator.step(actions.reshape(copies, -1))
+        wanted = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
+        if t == 0 and actions.shape != (*shape, *wanted):
+            raise UserError(f"{task.name} takes actions of shape {wanted}, the policy gave {actions.shape[2:]}")
+        observations, reward, terminal, timeout = simulator.step(actions.reshape(copies, *wanted))
         rewards, first = reward.reshape(shape), np.zeros(shape, bool)
         returns += alive * rewards
-        discounted += alive * rewards * discount**t
+        discounted += alive * rewards * discounts[:, None] ** t
         lengths += alive
         alive &= ~(terminal | timeout).reshape(shape)
         if not alive.any():
             break
     trajectories = None if recorded is None else np.stack(recorded, 2).astype(np.float32)
-    labels = tuple(names) if names else tuple(f"policy {i}" for i in range(count))
-    return Evaluation(task, returns, discounted, lengths, discount, labels, trajectories)
+    return Evaluation(task, returns, discounted, lengths, tuple(discounts.tolist()), names, trajectories)
+
+
+def _check_fit(policy: Any, task: Task, name: str) -> None:
+    """Tries a policy of our own on one observation, so that a wrong one is told before the simulator starts."""
+    if not isinstance(policy, Deployed):
+        return
+    try:
+        jax.eval_shape(lambda: first_actions(policy, jnp.zeros((1, *task.observation_shape)), jax.random.key(0), True))
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{name} does not take {task.name}'s observations of shape {task.observation_shape}") from error
 
 
 def _policies(given: Any) -> Sequence[Any]:

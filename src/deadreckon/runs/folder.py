@@ -108,7 +108,8 @@ class Folder:
             UserError: the folder holds a run already, another run, or something else.
         """
         if not self.config.exists():
-            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            # A run killed while it wrote its first file leaves that file's temporary twin and nothing else.
+            if self.path.exists() and not (self.path.is_dir() and all(p.suffix == ".tmp" for p in self.path.iterdir())):
                 raise UserError(f"{self.path} exists and is not a run; choose another --out")
             write_json(self.config, config)
             return []

@@ -110,17 +110,18 @@ def train(
     """
     if steps < 1 or seeds < 1 or chunk < 1 or episodes < 1:
         raise UserError(f"steps, seeds, chunk and episodes must be >= 1, got {steps}, {seeds}, {chunk}, {episodes}")
+    if not 0 <= seed <= 2**32 - seeds:
+        raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
     if evaluate_every is not None and evaluate_every < 1:
         raise UserError(f"evaluate_every must be >= 1, got {evaluate_every}")
-    log = data if isinstance(data, Dataset) else catalogue.load(data)
+    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
     judge = _judge(task, log)
-    if judge is not None:
-        if judge.observation_shape != log.spec.observation_shape:
-            raise UserError(
-                f"{judge.name} shows observations of shape {judge.observation_shape}, "
-                f"{log.name} has {log.spec.observation_shape}"
-            )
-        log = log.with_action_space(judge.action_space, strict)
+    if judge is not None and judge.observation_shape != log.spec.observation_shape:
+        raise UserError(
+            f"{judge.name} shows observations of shape {judge.observation_shape}, "
+            f"{log.name} has {log.spec.observation_shape}"
+        )
+    log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
     lanes = [agent_class(agent)()] * seeds if isinstance(agent, str) else agent
     lanes = [lanes] * seeds if isinstance(lanes, Agent) else list(lanes)
     if len(lanes) != seeds:
@@ -150,7 +151,7 @@ def train(
     job.resume()
     folder.drop_after(job.step)
 
-    recorder = _Recorder(folder, lanes[0], job, judge, log, every, episodes)
+    recorder = _Recorder(folder, job, judge, log, every, episodes)
     try:
         recorder.picture(log)
         recorder.catch_up()
@@ -173,10 +174,14 @@ def load(path: Path | str) -> Run:
     if not folder.config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
     config = read_json(folder.config)
+    if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
+        raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
     missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
     if missing:
         raise UserError(f"{path} is not finished; `deadreckon train ... --out {path} --resume` goes on with it")
     status = read_json(folder.path / "status.json")
+    if not isinstance(status, dict) or "failures" not in status:
+        raise UserError(f"{folder.path / 'status.json'} is not a run's: it misses failures")
     policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
     failures = [None if f is None else Failure(*f) for f in status["failures"]]
     return Run(folder.path, config, config["seeds"], policies, failures)
@@ -189,10 +194,10 @@ class _Recorder:
     judges are on disk first: an evaluation that a kill interrupts is done again from them.
     """
 
-    def __init__(self, folder: Folder, agent: Agent, job: Fit, judge: Task | None, log: Dataset, every: int, episodes: int):
-        self.folder, self.agent, self.job, self.judge = folder, agent, job, judge
+    def __init__(self, folder: Folder, job: Fit, judge: Task | None, log: Dataset, every: int, episodes: int):
+        self.folder, self.job, self.judge = folder, job, judge
         self.every, self.episodes = every, episodes
-        self.discount = float(getattr(agent, "discount", 0.99))
+        self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.probe = LogProbe(log)
         self.pool = ThreadPoolExecutor(1)
         self.pending: list[Future] = []
@@ -203,7 +208,7 @@ class _Recorder:
         view = self.job.rows.view
         lanes = range(len(self.job.seeds))
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
-        return [Deployed.of(self.agent.policy(state), view) for state in states]
+        return [Deployed.of(agent.policy(state), view) for agent, state in zip(self.job.learners, states)]
 
     def picture(self, log: Dataset) -> None:
         """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
@@ -223,10 +228,13 @@ class _Recorder:
     def record(self, progress: Progress) -> None:
         """Called after every chunk, before its checkpoint is written."""
         seeds = self.job.seeds
-        healthy = [f is None or f.step >= progress.step for f in progress.failures]
+        done = [future for future in self.pending if future.done()]
+        self.pending = [future for future in self.pending if not future.done()]
+        for future in done:
+            future.result()  # what went wrong in the background is told at the next chunk, not hours later
         columns: dict[str, Any] = {"step": np.full(len(seeds), progress.step), "seed": np.asarray(seeds)}
         self.folder.write_part("metrics", progress.step, columns | progress.metrics)
-        if progress.step % self.every == 0 or progress.step == self.job.steps or not any(healthy):
+        if progress.step % self.every == 0 or progress.step == self.job.steps or all(progress.failures):
             self._keep(progress.step)
             self._submit(progress.step)
         self._status(progress.step, finished=False)
@@ -235,9 +243,9 @@ class _Recorder:
         policies = self.policies()
         values = None
         if self.starts is not None:
-            values = estimated_values(self.agent, self.job.states, self.job.rows, policies, self.starts)
+            values = estimated_values(self.job.learner, self.job.states, self.job.rows, policies, self.starts)
         for i, (seed, policy) in enumerate(zip(self.job.seeds, policies)):
-            meta = {"agent": agent_name(self.agent), "seed": seed, "step": step}
+            meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step}
             if values is not None:
                 meta["estimated_values"] = [float(v) for v in values[i]]
             store.save(self.folder.policy(seed, step), policy, meta)
@@ -261,7 +269,7 @@ class _Recorder:
         if self.judge is not None:
             last = step == self.job.steps
             result = evaluate(
-                policies, self.judge, episodes=count, discount=self.discount, record=min(RECORDED, count) if last else 0
+                policies, self.judge, episodes=count, discount=self.discounts, record=min(RECORDED, count) if last else 0
             )
             columns |= {
                 "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
@@ -285,7 +293,7 @@ class _Recorder:
             future.result()
         for seed, policy in zip(self.job.seeds, self.policies()):
             if not self.folder.policy(seed).exists():
-                store.save(self.folder.policy(seed), policy, {"agent": agent_name(self.agent), "seed": seed})
+                store.save(self.folder.policy(seed), policy, {"agent": agent_name(self.job.learners[0]), "seed": seed})
         self._status(self.job.step, finished=True)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from deadreckon.errors import UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
 
-INIT, DRAW, UPDATE, PREPARE = range(4)  # purposes of randomness
+INIT, DRAW, UPDATE, PREPARE, STARTS = range(5)  # purposes of randomness
 KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk lies about having written it
 RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
 
@@ -34,6 +34,10 @@ class Failure(NamedTuple):
 
     metric: str
     step: int
+
+
+class _PhaseFailed(Exception):
+    """A learner trained in another's `prepare` met bad numbers; the argument is the metric."""
 
 
 class Progress(NamedTuple):
@@ -135,7 +139,7 @@ def _batch(plan: _Plan, taken: dict[str, Array], initial: Array | None, root: PR
         left = fields.pop("_left")[:, :1]
         fields["mask"] = (jnp.arange(plan.window) <= left).astype(jnp.float32)
     if initial is not None:
-        key = jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(root, DRAW), step), 1)
+        key = jax.random.fold_in(jax.random.fold_in(root, STARTS), step)
         fields["initial_observation"] = initial[jax.random.randint(key, (plan.initial,), 0, initial.shape[0])]
     # Keeps the compiler from fusing the fetch into the update, whose bits then do not depend on where rows come from.
     return jax.lax.optimization_barrier(Batch(**fields))
@@ -227,15 +231,15 @@ class _Source:
         self.pool = None if plan.resident else ThreadPoolExecutor(1)
         self.ahead: tuple[int, Future] | None = None
 
-    def get(self, roots: PRNGKeyArray, start: int, steps: int) -> dict[str, Any]:
+    def get(self, roots: PRNGKeyArray, start: int, following: int | None) -> dict[str, Any]:
+        """Data of the chunk that begins at `start`; the fetch of the one that begins at `following` is set going."""
         if self.resident is not None or self.pool is None:
             return self.resident or {}
         if self.ahead is not None and self.ahead[0] == start:
             data = self.ahead[1].result()
         else:
             data = self._fetch(roots, start)
-        following = start + self.chunk
-        self.ahead = (following, self.pool.submit(self._fetch, roots, following)) if following < steps else None
+        self.ahead = None if following is None else (following, self.pool.submit(self._fetch, roots, following))
         return data
 
     def _fetch(self, roots: PRNGKeyArray, start: int) -> dict[str, Any]:
@@ -262,12 +266,6 @@ def _checkpoints(folder: Path) -> list[tuple[int, Path]]:
     return sorted((int(m[1]), p) for m, p in found if m)
 
 
-def latest_step(folder: Path) -> int | None:
-    """Updates done by the newest checkpoint in `folder`, or None."""
-    found = _checkpoints(folder)
-    return found[-1][0] if found else None
-
-
 @dataclass
 class Fit:
     """A fit that can be walked chunk by chunk, stopped anywhere and taken up again.
@@ -279,7 +277,6 @@ class Fit:
         steps: updates in all.
         chunk: most updates between two looks from outside; also what a kill can lose.
         folder: of the checkpoints; None keeps nothing on disk.
-        meta: JSON values stored in each checkpoint.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
         stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
     """
@@ -290,7 +287,6 @@ class Fit:
     steps: int
     chunk: int = 1000
     folder: Path | None = None
-    meta: dict[str, Any] = field(default_factory=dict)
     stream: bool | None = None
     stops: int = 0
 
@@ -332,12 +328,13 @@ class Fit:
             raise problem
 
     def chunks(self) -> Iterator[Progress]:
-        """Walks to the end, giving `Progress` after every chunk. The checkpoint follows when the caller comes back,
+        """Walks to the end, giving `Progress` after every chunk.
 
-        so whatever the caller wrote for this chunk is on disk before it; after a kill it is written again, the same.
+        The checkpoint is written when the caller comes back for more, so what the caller wrote for a chunk is on disk
+        before it; after a kill in between, the chunk is computed and written again, the same.
         """
         source = _Source(self.rows, self.plan, self.chunk)
-        refresh = getattr(self.learners[0], "refresh", 0)
+        refresh = self._refresh
         prepares = hasattr(self.learners[0], "prepare")
         try:
             if self.step == 0:
@@ -345,11 +342,8 @@ class Fit:
             while self.step < self.steps and not all(self.failures):
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
-                stop = min(self.step + self.chunk, self.steps)
-                for period in (self.stops, refresh):
-                    if period:
-                        stop = min(stop, (self.step // period + 1) * period)
-                data = source.get(self.roots, self.step, self.steps)
+                stop = self._stop(self.step)
+                data = source.get(self.roots, self.step, stop if stop < self.steps else None)
                 bounds = jnp.int32(self.step), jnp.int32(stop)
                 new, means, bad = _advance(self.learner, self.plan, self.states, data, self.initial, self.roots, *bounds)
                 metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
@@ -358,6 +352,15 @@ class Fit:
                 self._save()
         finally:
             source.close()
+
+    @property
+    def _refresh(self) -> int:
+        return getattr(self.learners[0], "refresh", 0)
+
+    def _stop(self, step: int) -> int:
+        """Where the chunk that begins at `step` ends."""
+        ends = [(step // period + 1) * period for period in (self.stops, self._refresh) if period]
+        return min([step + self.chunk, self.steps, *ends])
 
     def _accept(self, new: Any, means: dict[str, Any], bad: dict[str, Any], stop: int) -> dict[str, np.ndarray]:
         """Takes the new states of the healthy lanes; a failed lane keeps the state from before the chunk."""
@@ -379,22 +382,31 @@ class Fit:
 
     def _prepare(self) -> None:
         def inner(learner: Any, steps: int, key: PRNGKeyArray) -> Any:
-            seed = int(jax.random.bits(key, dtype=jnp.uint32))
-            rows = Rows(self.rows.log, learner.needs(self.rows.log.spec))
-            return fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream).lane(0)
+            seed, spec = int(jax.random.bits(key, dtype=jnp.uint32)), self.rows.log.spec
+            learner = learner.resolve(spec, steps) if hasattr(learner, "resolve") else learner
+            rows = Rows(self.rows.log, learner.needs(spec))
+            result = fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream)
+            if result.failures[0] is not None:
+                raise _PhaseFailed(result.failures[0].metric)
+            return result.lane(0)
 
-        lanes = []
+        lanes, failures = [], list(self.failures)
         for i, learner in enumerate(self.learners):
             key = jax.random.fold_in(jax.random.fold_in(self.roots[i], PREPARE), self.step)
             state = jax.tree.map(lambda leaf, i=i: leaf[i], self.states)
-            lanes.append(learner.prepare(state, self.rows, key, inner) if self.failures[i] is None else state)
+            if failures[i] is None:
+                try:
+                    state = learner.prepare(state, self.rows, key, inner)
+                except _PhaseFailed as error:
+                    failures[i] = Failure(f"{error} (while preparing)", self.step)
+            lanes.append(state)
+        self.failures = tuple(failures)
         self.states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
 
     def _save(self) -> None:
         if self.folder is None:
             return
-        meta = self.meta | {"step": self.step, "failures": self.failures}
-        save_tree(self.folder / f"{self.step:010d}.npz", self.states, meta)
+        save_tree(self.folder / f"{self.step:010d}.npz", self.states, {"step": self.step, "failures": self.failures})
         for _, path in _checkpoints(self.folder)[:-KEPT]:
             path.unlink()
 

@@ -1,6 +1,7 @@
 """What `fit` trains: a pair of pure functions with hyperparameters, and how several of them share one program."""
 
 import dataclasses
+import math
 import typing
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar
@@ -44,8 +45,34 @@ def static(default: Any) -> Any:
     return eqx.field(static=True, default=default)
 
 
+# What hyperparameters may be, by name or by the end of it: names are the field's own, so one table serves every learner.
+_RANGES: dict[str, tuple[float, float]] = {
+    "lr": (0.0, math.inf), "discount": (0.0, 1.0), "target_rate": (0.0, 1.0), "min_weight": (0.0, 1.0),
+    "noise": (0.0, math.inf), "noise_clip": (0.0, math.inf), "alpha": (0.0, math.inf), "multiplier": (0.0, math.inf),
+    "temperature": (1e-30, math.inf), "bandwidth": (1e-30, math.inf), "density_clip": (1.0, math.inf),
+    "delta": (1e-6, 1.0), "ratio_min": (0.0, math.inf), "ratio_max": (0.0, math.inf),
+    "warm_start": (0, math.inf), "refresh": (0, math.inf),
+}  # fmt: skip
+
+
+def _range(name: str, kind: type) -> tuple[float, float]:
+    found = _RANGES.get(name) or _RANGES.get(name.rpartition("_")[2])
+    return found or ((1, math.inf) if kind is int else (-math.inf, math.inf))
+
+
+def _check(name: str, field: str, value: Any, kind: Any) -> None:
+    if kind not in (int, float):
+        return
+    low, high = _range(field, kind)
+    what = "a whole number" if kind is int else "a finite number"
+    right = isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if not right or not low <= value <= high:
+        bounds = (f" >= {low:g}" if low > -math.inf else "") + (f" and <= {high:g}" if high < math.inf else "")
+        raise UserError(f"{name} takes {what}{bounds}, got {value!r}")
+
+
 def check_fields(learner: eqx.Module) -> None:
-    """Refuses hyperparameters of the wrong type or sign before anything is compiled.
+    """Refuses hyperparameters of the wrong type or size before anything is compiled. None passes where it is allowed.
 
     Raises:
         UserError: names the field and what it takes.
@@ -54,12 +81,23 @@ def check_fields(learner: eqx.Module) -> None:
     for f in dataclasses.fields(learner):
         value, hint = getattr(learner, f.name), hints[f.name]
         name = f"{type(learner).__name__}.{f.name}"
-        if hint is float and (isinstance(value, bool) or not isinstance(value, (int, float)) or not jnp.isfinite(value)):
-            raise UserError(f"{name} takes a finite number, got {value!r}")
-        if hint is int and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
-            raise UserError(f"{name} takes a whole number >= 0, got {value!r}")
-        if typing.get_origin(hint) is typing.Literal and value not in typing.get_args(hint):
-            raise UserError(f"{name} takes {' or '.join(map(repr, typing.get_args(hint)))}, got {value!r}")
+        arguments = typing.get_args(hint)
+        if type(None) in arguments:
+            if value is None:
+                continue
+            hint = next(a for a in arguments if a is not type(None))
+            arguments = typing.get_args(hint)
+        if typing.get_origin(hint) is typing.Literal and value not in arguments:
+            raise UserError(f"{name} takes {' or '.join(map(repr, arguments))}, got {value!r}")
+        if typing.get_origin(hint) is tuple:
+            if not isinstance(value, tuple):
+                raise UserError(f"{name} takes a tuple of numbers, got {value!r}")
+            for entry in value:
+                _check(name, f.name, entry, arguments[0])
+                if entry <= 0:
+                    raise UserError(f"{name} takes numbers above 0, got {value!r}")
+        else:
+            _check(name, f.name, value, hint)
 
 
 def lift(learners: Sequence[L]) -> L:

@@ -1,0 +1,110 @@
+"""TD3, TD3+BC and SAC against numpy written from their equations, on fixed numbers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from deadreckon.agents import SAC, TD3, TD3BC
+from deadreckon.data.batch import Batch
+from tests.agents.test_bear import lane, numpy_gaussian
+from tests.agents.worlds import corridor
+from tests.nets.test_mlp import numpy_mlp
+
+SPEC = corridor().spec
+KEY = jax.random.key(5)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    rng = np.random.default_rng(0)
+    return Batch(
+        observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32), action=jnp.asarray(rng.uniform(-0.9, 0.9, (6, 1))),
+        reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
+        terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
+    )  # fmt: skip
+
+
+def q(critics, j, observation, action):
+    return numpy_mlp(lane(critics, j), np.concatenate([observation, action], -1))[:, 0]
+
+
+def log_prob(mean, log_std, pre):
+    normal = -0.5 * ((pre - mean) / np.exp(log_std)) ** 2 - log_std - 0.5 * np.log(2 * np.pi)
+    return (normal - np.log(1 - np.tanh(pre) ** 2)).sum(-1)
+
+
+def test_td3_target_is_smoothed_clipped_masked_and_the_smaller(batch):
+    agent = TD3(hidden=(16, 16), discount=0.9, noise=0.4, noise_clip=0.5).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    noise = np.clip(0.4 * np.asarray(jax.random.normal(KEY, (6, 1))), -0.5, 0.5)
+    action = np.clip(np.tanh(numpy_mlp(state.target_actor, np.asarray(batch.next_observation))) + noise, -1, 1)
+    least = np.minimum(*(q(state.target_critics, j, batch.next_observation, action) for j in range(2)))
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * least
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+
+
+def test_td3_actor_follows_the_first_critic_and_moves_every_other_update(batch):
+    agent = TD3(hidden=(16, 16)).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    action = np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation)))
+    loss = agent.actor_loss(state.actor, state, batch)
+    np.testing.assert_allclose(loss, -q(state.critics, 0, batch.observation, action).mean(), atol=1e-5)
+    update = jax.jit(lambda s, step: agent.update(s, batch, step=step, key=KEY))
+    even, _ = update(state, jnp.int32(0))
+    odd, metrics = update(state, jnp.int32(1))
+    assert not np.array_equal(even.actor.weights[0], state.actor.weights[0])
+    expected = 0.995 * np.asarray(state.target_critics.weights[0]) + 0.005 * np.asarray(even.critics.weights[0])
+    np.testing.assert_allclose(even.target_critics.weights[0], expected, rtol=1e-5, atol=1e-7)
+    assert float(metrics["actor_loss"]) == 0.0
+    np.testing.assert_array_equal(odd.actor.weights[0], state.actor.weights[0])
+    np.testing.assert_array_equal(odd.target_critics.weights[0], state.target_critics.weights[0])
+    assert not np.array_equal(odd.critics.weights[0], state.critics.weights[0])
+
+
+def test_td3_bc_weight_has_no_gradient(batch):
+    agent = TD3BC(hidden=(16, 16), alpha=2.5).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    action = np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation)))
+    values = q(state.critics, 0, batch.observation, action)
+    weight = 2.5 / np.abs(values).mean()
+    expected = -weight * values.mean() + ((action - np.asarray(batch.action)) ** 2).mean()
+    np.testing.assert_allclose(agent.actor_loss(state.actor, state, batch), expected, rtol=1e-4)
+
+    def fixed_weight(actor):
+        a = jnp.tanh(actor(batch.observation))
+        net = lane(state.critics, 0)
+        value = net(jnp.concatenate([batch.observation, a], -1))[:, 0]
+        return -float(weight) * value.mean() + jnp.square(a - batch.action).mean()
+
+    got = jax.grad(lambda actor: agent.actor_loss(actor, state, batch))(state.actor)
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(jax.grad(fixed_weight)(state.actor)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-5)
+    assert agent.needs(SPEC).standardise
+
+
+def test_sac_target_and_actor_loss(batch):
+    agent = SAC(hidden=(16, 16), discount=0.9, temperature=0.3).resolve(SPEC, 10)
+    assert agent.target_entropy == -1.0
+    state = agent.init(SPEC, jax.random.key(0))
+    noise = np.asarray(jax.random.normal(KEY, (6, 1)))
+    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
+    pre = mean + np.exp(log_std) * noise
+    least = np.minimum(*(q(state.target_critics, j, batch.next_observation, np.tanh(pre)) for j in range(2)))
+    soft = least - 0.3 * log_prob(mean, log_std, pre)
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * soft
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+    mean, log_std = numpy_gaussian(state.actor, batch.observation)
+    pre = mean + np.exp(log_std) * noise
+    least = np.minimum(*(q(state.critics, j, batch.observation, np.tanh(pre)) for j in range(2)))
+    loss, mean_log_prob = agent.actor_loss(state.actor, state, batch, KEY)
+    np.testing.assert_allclose(mean_log_prob, log_prob(mean, log_std, pre).mean(), rtol=1e-4)
+    np.testing.assert_allclose(loss, (0.3 * log_prob(mean, log_std, pre) - least).mean(), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("target", "rises"), [(-50.0, False), (50.0, True)])
+def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, target, rises):
+    agent = SAC(hidden=(16, 16), target_entropy=target).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    after, _ = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
+    assert (float(after.log_temperature) > float(state.log_temperature)) is rises
