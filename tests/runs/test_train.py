@@ -239,3 +239,60 @@ def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(l
     assert probe(far)["mmd_to_data"] > 0.02
     copy = two_sample_mmd(probe.logged, probe.logged[::-1], probe.variance)
     assert float(copy) < 0.05
+
+
+def test_a_policy_that_remembers_is_given_its_carry_back():
+    import jax.numpy as jnp
+
+    from deadreckon.data.view import View
+    from deadreckon.policies import Deployed
+    from deadreckon.policies.policy import Inner
+
+    class Counter(Inner):
+        """Pushes along x for its first `length` steps, then never again."""
+
+        length: float = 5.0
+
+        def start(self, n):
+            return jnp.zeros(n)
+
+        def act(self, step, carry, key, *, greedy):
+            push = jnp.where(carry < self.length, 1.0, 0.0)
+            return jnp.stack([push, jnp.zeros_like(push)], -1), carry + 1.0
+
+    view = View(None, None, np.array([-1.0, -1.0], "f4"), np.array([1.0, 1.0], "f4"))
+    short, long = (evaluate(Deployed.of(Counter(n), view), "maze2d-umaze", episodes=3, record=3) for n in (2.0, 8.0))
+    both = evaluate([Deployed.of(Counter(n), view) for n in (2.0, 8.0)], "maze2d-umaze", episodes=3, record=3)
+    np.testing.assert_array_equal(short.trajectories[:, :, :3], long.trajectories[:, :, :3])
+    assert (short.trajectories[:, :, 4, 2] < long.trajectories[:, :, 4, 2]).all()
+    np.testing.assert_allclose(both.trajectories[1], long.trajectories[0], atol=1e-6)
+
+
+def test_discrete_logs_are_drawn_probed_and_acted_on():
+    import jax.numpy as jnp
+
+    from deadreckon.data.batch import Needs, Rows
+    from deadreckon.policies import Deployed
+    from deadreckon.policies.policy import Inner
+
+    rng = np.random.default_rng(0)
+    s = rng.normal(size=(400, 2)).astype("f4")
+    choice = (s[:, 0] > 0).astype(int) + 1
+    log = dr.Dataset.from_arrays(observations=s, actions=choice, rewards=np.zeros(400), terminals=np.ones(400))
+    rows = Rows(log, Needs())
+    assert rows.take(np.arange(3))["action"].dtype == np.int32
+
+    class Rule(Inner):
+        """Action 1 or 2 by the sign of the first number, or the other way round."""
+
+        swap: float = 0.0
+
+        def act(self, step, carry, key, *, greedy):
+            right = jnp.where(step.observation[:, 0] > 0, 2, 1)
+            return jnp.where(self.swap > 0, 3 - right, right), carry
+
+    probe = LogProbe(log)
+    same, other = (Deployed.of(Rule(swap), rows.view) for swap in (0.0, 1.0))
+    np.testing.assert_array_equal(same(s[:5]), log.actions[:5])
+    assert probe(same)["mmd_to_data"] < 0.1 < probe(other)["mmd_to_data"]
+    assert probe(same)["outside_range"] == 0.0

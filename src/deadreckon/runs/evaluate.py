@@ -121,6 +121,8 @@ class _Actors:
     """Several policies as one function of (policies, n, *shape) observations; alike networks act as one program."""
 
     def __init__(self, policies: Sequence[Any], n: int, seed: int, greedy: bool):
+        # A policy's own floats become arrays too, so that policies that differ in them still act as one program.
+        policies = [jax.tree.map(jnp.asarray, p) if isinstance(p, Deployed) else p for p in policies]
         self.policies, self.seed, self.greedy = policies, seed, greedy
         self.groups: list[tuple[list[int], Any]] = []
         self.carries: list[Any] = []
