@@ -1,0 +1,40 @@
+"""How small BEAR's constraint can get on a log: the MMD between two sets of draws of ONE policy, a clone of the log.
+
+    deadreckon demo
+    python examples/mmd_floor.py runs/demo/bc runs/demo/maze2d-umaze-v1-200000-seed0.hdf5
+
+A threshold below this floor cannot be met by any policy with the clone's spread, and the multiplier climbs to its cap.
+"""
+
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+import deadreckon as dr
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mmd import mmd
+
+
+def main(run: Annotated[str, tyro.conf.Positional], log: Annotated[str, tyro.conf.Positional]) -> None:
+    """Prints the floor before and after the tanh, by kernel and number of draws.
+
+    Args:
+        run: folder of a finished `bc` run.
+        log: what it was learned from.
+    """
+    policy, data = dr.load_run(run).policy, dr.read(log)
+    rows = np.linspace(0, len(data) - 1, 500).astype(int)
+    d = dist.gaussian_head(policy.inner.net(policy.view.observe(jnp.asarray(data.observations[rows]))))  # pyright: ignore
+    print(f"mean standard deviation before the tanh: {jnp.exp(d.log_std).mean():.1f}")
+    for n in (4, 10, 100):
+        x, y = (dist.sample(d, jax.random.key(seed), (n,)) for seed in (0, 1))
+        for name, squash in (("before", lambda a: a), ("after", jnp.tanh)):
+            values = {k: float(mmd(squash(x), squash(y), k).mean()) for k in ("laplacian", "laplacian_l1", "gaussian")}
+            print(f"n = m = {n:<3}  {name:<6} the tanh  " + "  ".join(f"{k} {v:.2f}" for k, v in values.items()))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
