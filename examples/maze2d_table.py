@@ -1,6 +1,6 @@
 """A table of results on one maze: collect the full log, train every agent, judge, report. Resumes where it was stopped.
 
-    python examples/maze2d_table.py --steps 20000 --seeds 3 --out runs/maze2d-umaze           (CPU budget: about an hour)
+    python examples/maze2d_table.py --steps 20000 --seeds 3 --out runs/maze2d-umaze           (CPU budget)
     python examples/maze2d_table.py --steps 500000 --seeds 8 --episodes 100 --out runs/maze2d-umaze-full        (a GPU)
 """
 

@@ -168,10 +168,12 @@ class BEAR(Agent):
         value = (q.min(0) if self.actor_value == "min" else q.mean(0)).mean()
         log_prob = dist.log_prob(d, drawn).mean() if self.base == "sac" else jnp.zeros(())
         objective = value - jnp.exp(state.log_temperature) * log_prob if self.base == "sac" else value
-        alpha = jnp.exp(state.log_multiplier)
+        return self.lagrangian(-objective, divergence, state, step), (divergence, log_prob, value)
+
+    def lagrangian(self, loss, divergence, state, step):
+        """`loss` plus the multiplier times the divergence; during the warm start the divergence alone."""
         warm = step < self.warm_start
-        loss = jnp.where(warm, 0.0, -objective) + jnp.where(warm, 1.0, alpha) * divergence
-        return loss, (divergence, log_prob, value)
+        return jnp.where(warm, 0.0, loss) + jnp.where(warm, 1.0, jnp.exp(state.log_multiplier)) * divergence
 
     def dual_step(self, state, divergence, step):
         """Gradient ascent of alpha (E[MMD] - threshold) in log alpha, clipped (A.4); rests during the warm start."""
@@ -188,22 +190,24 @@ class BEAR(Agent):
 
     # ---- one update -------------------------------------------------------------------------------------------------
 
-    def update(self, state, batch, *, step, key) -> tuple[Any, Metrics]:
-        """Behaviour model, critics, actor, multipliers, targets (Algorithm 1)."""
-        k_model, k_future, k_actor = jax.random.split(key, 3)
+    def learn_values(self, state, batch, k_model, k_future) -> tuple[Any, Metrics]:
+        """One step of the behaviour model and of the critics, whose weights use the model from before it."""
         opts = dict(state.opts)
-
         grads, model_metrics = jax.grad(models.loss, has_aux=True)(
             state.behavior, batch.observation, batch.action, k_model
         )
         model, opts["behavior"] = descend(state.behavior, grads, opts["behavior"], self.behavior_lr)
-
         target = backup(batch, self.discount, self.future(state, batch, k_future))
-        grads, metrics = jax.grad(bellman_loss, has_aux=True)(
-            state.critics, batch, target, self.bellman_weight(state, batch)
-        )
+        weight = self.bellman_weight(state, batch)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target, weight)
         critics, opts["critics"] = descend(state.critics, grads, opts["critics"], self.critic_lr)
-        state = state._replace(critics=critics, behavior=model)
+        return state._replace(critics=critics, behavior=model, opts=opts), metrics | model_metrics
+
+    def update(self, state, batch, *, step, key) -> tuple[Any, Metrics]:
+        """Behaviour model, critics, actor, multipliers, targets (Algorithm 1)."""
+        k_model, k_future, k_actor = jax.random.split(key, 3)
+        state, metrics = self.learn_values(state, batch, k_model, k_future)
+        opts = dict(state.opts)
 
         grad = jax.value_and_grad(self.actor_loss, has_aux=True)
         (loss, (divergence, log_prob, value)), grads = grad(state.actor, state, batch, step, k_actor)
@@ -217,13 +221,15 @@ class BEAR(Agent):
             rested = (log_temperature, opts["temperature"])
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, rested, step)
 
-        target_actor, target_critics = track(
-            (state.target_actor, state.target_critics), (actor, critics), self.target_rate
-        )
-        metrics |= model_metrics | {
+        targets = track((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+        metrics |= {
             "actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_multiplier),
         }  # fmt: skip
-        return State(actor, critics, model, log_multiplier, log_temperature, target_actor, target_critics, opts), metrics
+        state = state._replace(
+            actor=actor, log_multiplier=log_multiplier, log_temperature=log_temperature, target_actor=targets[0],
+            target_critics=targets[1], opts=opts,
+        )  # fmt: skip
+        return state, metrics
 
     # ---- acting -----------------------------------------------------------------------------------------------------
 

@@ -8,13 +8,11 @@ import optax
 from jaxtyping import Array
 
 from deadreckon.agents import bear
-from deadreckon.agents.agent import backup, bellman_loss
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
-from deadreckon.policies import behavior as models
 from deadreckon.training.learner import static
 
 
@@ -75,10 +73,7 @@ class ISBEAR(bear.BEAR):
         divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
         q = q_values(state.critics, batch.observation, jnp.tanh(pre)).mean(1)
         spread = jnp.sqrt((1.0 - self.delta) / self.delta * q.var(0) + 1e-6).mean()
-        warm = step < self.warm_start
-        alpha = jnp.exp(state.log_multiplier)
-        loss = jnp.where(warm, 0.0, spread) + jnp.where(warm, 1.0, alpha) * divergence
-        return loss, (divergence, spread)
+        return self.lagrangian(spread, divergence, state, step), (divergence, spread)
 
     def weighted_loss(self, actor, state, batch, step, key):
         """-E_{a ~ set}[clip(pi(a|s) / pi_set(a|s)) A(s, a)] (line 9); at first it imitates the set policy.
@@ -98,16 +93,8 @@ class ISBEAR(bear.BEAR):
     def update(self, state, batch, *, step, key):
         """Behaviour model, critics, set policy and multiplier, actor, targets (Algorithm 5)."""
         k_model, k_future, k_set, k_actor = jax.random.split(key, 4)
+        state, metrics = self.learn_values(state, batch, k_model, k_future)
         opts = dict(state.opts)
-        grads, model_metrics = jax.grad(models.loss, has_aux=True)(
-            state.behavior, batch.observation, batch.action, k_model
-        )
-        model, opts["behavior"] = descend(state.behavior, grads, opts["behavior"], self.behavior_lr)
-        target = backup(batch, self.discount, self.future(state, batch, k_future))
-        weight = self.bellman_weight(state, batch)
-        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target, weight)
-        critics, opts["critics"] = descend(state.critics, grads, opts["critics"], self.critic_lr)
-        state = state._replace(critics=critics, behavior=model)
 
         grads, (divergence, spread) = jax.grad(self.set_loss, has_aux=True)(state.set_policy, state, batch, step, k_set)
         set_policy, opts["set_policy"] = descend(state.set_policy, grads, opts["set_policy"], self.actor_lr)
@@ -116,9 +103,12 @@ class ISBEAR(bear.BEAR):
         loss, grads = jax.value_and_grad(self.weighted_loss)(state.actor, state, batch, step, k_actor)
         actor, opts["actor"] = descend(state.actor, grads, opts["actor"], self.actor_lr)
 
-        targets = track((state.target_actor, state.target_critics), (actor, critics), self.target_rate)
-        metrics |= model_metrics | {
+        targets = track((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+        metrics |= {
             "actor_loss": loss, "critic_spread": spread, self.constraint: divergence,
             "multiplier": jnp.exp(log_multiplier),
         }  # fmt: skip
-        return State(actor, set_policy, critics, model, log_multiplier, targets[0], targets[1], opts), metrics
+        state = state._replace(
+            actor=actor, log_multiplier=log_multiplier, target_actor=targets[0], target_critics=targets[1], opts=opts
+        )
+        return state, metrics

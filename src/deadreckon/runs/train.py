@@ -22,7 +22,7 @@ from deadreckon.files import read_json, replacing, write_json
 from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments, logged_value
-from deadreckon.runs.evaluate import Evaluation, episode_seeds, evaluate
+from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder, versions
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -317,5 +317,3 @@ def _fields(lanes: Sequence[Agent]) -> dict[str, Any]:
         out[f.name] = values[0] if all(v == values[0] for v in values) else values
     return out
 
-
-__all__ = ["Evaluation", "Run", "load", "train"]

@@ -159,7 +159,7 @@ def _advance(
     """Updates `start` .. `stop` - 1 of all lanes as one program.
 
     The log is an argument, never a closure (that would be compiled in). Nothing is donated: the states from before the
-    chunk are what a failed lane falls back to, and one copy a chunk costs nothing.
+    chunk are what a failed lane falls back to, for one copy of the states a chunk.
 
     Returns:
         The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none).
