@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from deadreckon.data.catalogue import load
     from deadreckon.data.dataset import Dataset
     from deadreckon.data.io import read
+    from deadreckon.policies.library import load_policies
     from deadreckon.runs.evaluate import evaluate
+    from deadreckon.runs.online import train_online
     from deadreckon.runs.train import Run, train
     from deadreckon.runs.train import load as load_run
 
@@ -31,14 +33,16 @@ _HOMES = {
     "collect_log": ("collect.recipes", "collect"),
     "evaluate": ("runs.evaluate", "evaluate"),
     "load": ("data.catalogue", "load"),
+    "load_policies": ("policies.library", "load_policies"),
     "load_run": ("runs.train", "load"),
     "read": ("data.io", "read"),
     "train": ("runs.train", "train"),
+    "train_online": ("runs.online", "train_online"),
 }
 _PACKAGES = ("agents", "collect", "data", "policies", "report", "runs", "tasks")
 __all__ = [
     "Dataset", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "evaluate", "load",
-    "load_run", "policies", "read", "report", "runs", "tasks", "train",
+    "load_policies", "load_run", "policies", "read", "report", "runs", "tasks", "train", "train_online",
 ]  # fmt: skip
 
 

@@ -153,6 +153,17 @@ CASES = {
     "empty file": (text("a.csv", ""), ["empty"]),
     "no log at all": (text("a.bin", "\x00\x01\x02"), ["a.bin"]),
     "unknown recipe": (lambda f, g: ["data", "collect", "maze2d-umaz-v1"], ["did you mean maze2d-umaze-v1"]),
+    "unknown log to download": (lambda f, g: ["data", "get", "hopper-meduim-v2"], ["did you mean hopper-medium-v2"]),
+    "unknown place to download from": (
+        lambda f, g: ["data", "get", "hopper-medium-v2", "--source", "hub"], ["--source", "hub", "minari"]),
+    "no twin to download": (
+        lambda f, g: ["data", "get", "hopper-random-v2", "--source", "minari"],
+        ["no Minari twin", "--source d4rl", "deadreckon data collect hopper-random-v2"]),
+    "checksum that is none": (
+        lambda f, g: ["data", "get", "hopper-medium-v2", "--sha256", "123"], ["64 hexadecimal digits", "123"]),
+    "collected log to download": (
+        lambda f, g: ["data", "get", "hopper-medium-v2@dr1"], ["hopper-medium-v2@dr1", "leave @dr1 out"]),
+    "unknown version of a log": (lambda f, g: [*BC, "hopper-medium-v2@dr7"], ["unknown version 'dr7'", "hopper-medium-v2@d4rl"]),
     "negative rows to collect": (
         lambda f, g: ["data", "collect", "maze2d-umaze-v1", "--steps", "-1", "--out", "OUT/x.hdf5"], ["steps", "-1"]),
     "no run to evaluate": (lambda f, g: ["evaluate", f], ["no run"]),

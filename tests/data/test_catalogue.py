@@ -10,7 +10,7 @@ from deadreckon.errors import UserError
 
 
 def test_the_entries():
-    assert len(ENTRIES) == 12  # three sizes, sparse and dense, and the evaluation mazes
+    assert sum(e.domain == "maze2d" for e in ENTRIES.values()) == 12  # three sizes, sparse and dense, and the evaluation mazes
     found = entry("maze2d-umaze-v1")
     assert (found.task, found.rows, found.recipe) == ("maze2d-umaze", 1_000_000, "maze2d-umaze-v1")
     assert found.original == "maze2d/maze2d-umaze-sparse-v1.hdf5"
@@ -21,9 +21,24 @@ def test_the_entries():
     assert entry("maze2d-medium-v1").rows == 2_000_000
 
 
+def test_the_gym_entries():
+    robots = ("hopper", "halfcheetah", "walker2d", "ant")
+    policies = ("random", "medium", "expert", "medium-replay", "medium-expert")
+    for name in [f"{robot}-{policy}-v2" for robot in robots for policy in policies]:
+        found = entry(name)
+        assert (found.domain, found.task, found.recipe) == ("gym", name.split("-")[0], name)
+        assert found.sources == (("d4rl", "minari") if name.split("-")[1:-1] in (["medium"], ["expert"]) else ("d4rl",))
+        assert found.sha256 is None
+    assert entry("walker2d-expert-v2").minari == "mujoco/walker2d/expert-v0"
+    assert entry("ant-medium-replay-v2").original == "gym_mujoco_v2/ant_medium_replay-v2.hdf5"
+    rows = {policy: entry(f"hopper-{policy}-v2").rows for policy in policies}
+    assert list(rows.values()) == [1_000_000, 1_000_000, 1_000_000, 200_920, 2_000_000]
+
+
 def test_the_originals_are_those_of_d4rl(real_data):
     files = json.loads((real_data / "d4rl" / "d4rl_dataset_files.json").read_text())
-    assert {name: found.original for name, found in ENTRIES.items()} == {name: files[name] for name in ENTRIES}
+    originals = {name: found.original for name, found in ENTRIES.items() if found.original is not None}
+    assert originals == {name: files[name] for name in originals}
 
 
 def test_wrong_names_are_told_the_nearest():
@@ -31,6 +46,20 @@ def test_wrong_names_are_told_the_nearest():
         load("maze2d-umaze-v2")
     with pytest.raises(UserError, match=r"unknown version 'dr9' of maze2d-umaze-v1: .* maze2d-umaze-v1@dr1"):
         load("maze2d-umaze-v1@dr9")
+    known = r"known are hopper-random-v2@dr1 \(collected\), hopper-random-v2@d4rl \(downloaded\)$"
+    with pytest.raises(UserError, match=f"unknown version 'minari' of hopper-random-v2: {known}"):
+        load("hopper-random-v2@minari")
+
+
+@pytest.mark.parametrize(("name", "how"), [
+    ("hopper-medium-v2", "collect hopper-medium-v2` makes it offline, or `deadreckon data get hopper-medium-v2 --source d4rl` downl"),
+    ("hopper-medium-v2@dr1", "collect hopper-medium-v2` makes it offline$"),
+    ("hopper-medium-v2@d4rl", "get hopper-medium-v2 --source d4rl` downloads the original, or .* makes hopper-medium-v2@dr1 offline$"),
+    ("hopper-medium-v2@minari", "get hopper-medium-v2 --source minari` downloads a twin, or .* makes hopper-medium-v2@dr1 offline$"),
+])  # fmt: skip
+def test_how_a_log_can_be_had(name, how):
+    with pytest.raises(UserError, match=f"^{name} is not here yet: `deadreckon data {how}"):
+        load(name)
 
 
 def test_the_cache(home):

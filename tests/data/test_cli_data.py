@@ -1,8 +1,12 @@
+import socket
+
 import numpy as np
 import pytest
 from small_logs import make_log
 
+from deadreckon.cli import progress
 from deadreckon.cli.data import Mapping, data, mapping_options
+from deadreckon.cli.main import main
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.data.io import read
 from deadreckon.errors import UserError
@@ -40,3 +44,31 @@ def test_a_horizon(tmp_path, capsys):
     data(["convert", str(plain), str(tmp_path / "cut.hdf5"), "--horizon", "4"])
     assert read(tmp_path / "cut.hdf5").lengths.tolist() == [4, 4, 4]
     assert "2 of 12 rows have no known successor" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("source", ["d4rl", "minari"])
+def test_a_server_that_is_gone_names_the_recipe_that_always_works(monkeypatch, capsys, home, source):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        monkeypatch.setenv("no_proxy", "127.0.0.1")
+        monkeypatch.setenv(f"DEADRECKON_{source.upper()}_URL", f"http://127.0.0.1:{free.getsockname()[1]}")
+        assert main(["data", "get", "hopper-medium-v2", "--source", source]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("deadreckon: http://127.0.0.1:")
+    assert err.endswith(": connection refused; `deadreckon data collect hopper-medium-v2` makes it offline\n")
+    assert not (home / "data").exists()
+
+
+def test_progress_in_bytes(monkeypatch, capsys):
+    clock = iter([0.0, 100.0, 116.0, 132.0, 133.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock, 133.0))
+    with progress.Bar("downloading x", None, "bytes") as bar:
+        bar(1_000_000, None)
+        bar(9_000_000, None)
+        bar(17_000_000, 34_000_000)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "downloading x: 1.0 MB, 0.1 MB/s" or lines[0].startswith("downloading x: ")
+    assert lines[-1].startswith("downloading x: 17.0 MB of 34.0 MB, ")
+    assert lines[-1].endswith(" s left")

@@ -24,9 +24,11 @@ class Agent(eqx.Module):
     Attributes:
         discrete: whether it takes `Discrete` actions; continuous ones otherwise (class attribute).
         images: whether it takes observations of any shape instead of flat ones (class attribute).
+        online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
     """
 
     discrete: ClassVar[bool] = False
+    online: ClassVar[bool] = False
     images: ClassVar[bool] = False
 
     def needs(self, spec: Spec) -> Needs:

@@ -1,6 +1,6 @@
 """Soft actor-critic (Haarnoja et al. 2018) with automatic temperature; on a fixed log it is the thesis's SAC-off."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,8 @@ class State(NamedTuple):
 
 class SAC(Agent):
     """Twin critics, tanh-Gaussian actor, entropy held at a target."""
+
+    online: ClassVar[bool] = True
 
     actor_lr: float = 3e-4  # learning rate of the actor
     critic_lr: float = 3e-4  # learning rate of the critics

@@ -1,10 +1,10 @@
-"""`deadreckon data list|collect|info|convert`."""
+"""`deadreckon data list|collect|get|info|convert`."""
 
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -33,6 +33,17 @@ class Collect:
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """.hdf5 file; None: the cache, where `deadreckon train --data NAME` finds it"""
     threads: int | None = None  # to simulate with; None: all cores. The log does not depend on it
+
+
+@dataclass
+class Get:
+    """Download a known log, the original or its Minari twin, with checksum and resume."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # such as hopper-medium-v2
+    source: Literal["d4rl", "minari"] = "d4rl"  # the original, or its twin on Minari, which others collected
+    sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
+    """that the file must have; for minari that of main_data.hdf5"""
+    force: bool = False  # download it again
 
 
 @dataclass
@@ -70,7 +81,7 @@ class Convert:
     force: bool = False  # overwrite
 
 
-KINDS = {"list": List, "collect": Collect, "info": Info, "convert": Convert}
+KINDS = {"list": List, "collect": Collect, "get": Get, "info": Info, "convert": Convert}
 
 
 def mapping_options(given: Mapping) -> dict[str, Any]:
@@ -88,18 +99,19 @@ def data(args: Sequence[str]) -> None:
     if args[0] not in KINDS:
         raise unknown("data command", args[0], KINDS)
     options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
-    {"list": _list, "collect": _collect, "info": _info, "convert": _convert}[args[0]](options)
+    {"list": _list, "collect": _collect, "get": _get, "info": _info, "convert": _convert}[args[0]](options)
 
 
 def _list(options: List) -> None:
-    from deadreckon.data.catalogue import ENTRIES, cached_path
+    from deadreckon.data.catalogue import ENTRIES, at_hand
 
     rows = [["log", "steps", "task", "at hand", "original (D4RL)", "Minari twin"]]
     for e in ENTRIES.values():
-        at_hand = "yes" if cached_path(e.collected).exists() else "-"
-        rows.append([e.name, f"{e.rows:,}", e.task, at_hand, e.original, e.minari or "-"])
+        copies = ", ".join(at_hand(e)) or "-"
+        rows.append([e.name, f"{e.rows:,}", e.task, copies, e.original or "-", e.minari or "-"])
     print(table(rows, right=(1,)))
     print("\n`deadreckon data collect NAME` makes one, offline; it is named NAME@dr1, never the original.")
+    print("`deadreckon data get NAME --source d4rl|minari` downloads the original, NAME@d4rl, or its twin, NAME@minari.")
 
 
 def _collect(options: Collect) -> None:
@@ -115,6 +127,19 @@ def _collect(options: Collect) -> None:
             options.name, steps=options.steps, seed=options.seed, out=options.out, threads=options.threads, progress=bar
         )
     print(path)
+
+
+def _get(options: Get) -> None:
+    from deadreckon.data.download import get
+
+    with Bar(f"downloading {options.name} from {options.source}", None, "bytes") as bar:
+        got = get(options.name, options.source, sha256=options.sha256, force=options.force, progress=bar)
+    if not got.new:
+        print(f"! {got.name} is there already; --force downloads it again", file=sys.stderr)
+    elif got.vouched is None:
+        known = f"nobody says what this file's checksum should be; its sha256 is {got.sha256}"
+        print(f"! {known}, and --sha256 checks another copy against it", file=sys.stderr)
+    print(got.path)
 
 
 def _info(options: Info) -> None:

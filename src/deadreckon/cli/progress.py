@@ -13,11 +13,11 @@ class Bar:
 
     Args:
         label: what is going on.
-        total: how much there is to do.
-        unit: of the rate.
+        total: how much there is to do; None where that is not known before the first call, or ever.
+        unit: of the rate; `bytes` are shown in MB.
     """
 
-    def __init__(self, label: str, total: int, unit: str):
+    def __init__(self, label: str, total: int | None, unit: str):
         self.label, self.total, self.unit = label, total, unit
         self.begun = self.told = time.monotonic()
         self.first: int | None = None
@@ -43,14 +43,19 @@ class Bar:
         now = time.monotonic()
         elapsed = now - self.begun
         rate = (done - self.first) / elapsed if elapsed > 0 else 0.0
-        text = f"{rate:,.0f} {self.unit}/s" if rate else ""
+        total = total or self.total
+        text = f"{self._amount(rate)}{'' if self.unit == 'bytes' else f' {self.unit}'}/s" if rate else ""
         if self.bar is not None:
-            self.bar.update(self.task, completed=done, total=total or self.total, rate=text, note=note)
-        elif now - self.told > PLAIN_EVERY or done >= (total or self.total):
+            self.bar.update(self.task, completed=done, total=total, rate=text, note=note)
+        elif now - self.told > PLAIN_EVERY or (total is not None and done >= total):
             self.told = now
-            left = f", {((total or self.total) - done) / rate:,.0f} s left" if rate and done < (total or self.total) else ""
-            line = f"{self.label}: {done:,} of {total or self.total:,}" + (f", {text}{left}" if text else "")
+            left = f", {(total - done) / rate:,.0f} s left" if rate and total is not None and done < total else ""
+            of = "" if total is None else f" of {self._amount(total)}"
+            line = f"{self.label}: {self._amount(done)}{of}" + (f", {text}{left}" if text else "")
             print(f"{line}{'  ' + note if note else ''}", file=sys.stderr, flush=True)
+
+    def _amount(self, number: float) -> str:
+        return f"{number / 1e6:,.1f} MB" if self.unit == "bytes" else f"{number:,.0f}"
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self.bar is not None:

@@ -13,8 +13,28 @@ from deadreckon.errors import UserError
 
 
 @dataclasses.dataclass
+class TrainOnline:
+    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
+
+    task: str  # simulator to learn in
+    steps: int = 1_000_000  # environment steps, the random ones at the beginning included
+    seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
+    seed: int = 0  # the first
+    out: str | None = None  # run folder; None: runs/AGENT-TASK-online
+    copies: int = 8  # environments a seed, stepped together
+    explore: int = 10_000  # environment steps of uniform actions before the first update
+    updates_per_step: float = 1.0  # updates an environment step after that
+    block: int = 64  # environment steps between two blocks of updates
+    evaluate_every: int | None = None  # environment steps between evaluations; None: a fiftieth of the run
+    episodes: int = 10  # an evaluation
+    chunk: int = 2000  # updates between checkpoints: what a kill can lose
+    resume: bool = False  # go on with the run in OUT, also with more STEPS than before
+    threads: int | None = None  # to simulate with; None: all cores
+
+
+@dataclasses.dataclass
 class Train:
-    """Learn a policy from a log; --agent NAME chooses the algorithm."""
+    """Learn a policy from a log; --agent NAME chooses the algorithm, --online one that acts in a simulator instead."""
 
     data: str  # the name of a known log, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
@@ -55,13 +75,39 @@ def train(args: Sequence[str]) -> None:
     name, rest = _agent_argument(args)
     if name is None and not any(a in ("-h", "--help") for a in rest):
         raise UserError(f"missing --agent, one of {', '.join(AGENTS)}")
+    online = "--online" in rest
+    rest = [a for a in rest if a != "--online"]
+    run = TrainOnline if online else Train
     # The run's options stay a class of their own: tyro finds the comments behind its fields there.
-    fields: list[tuple] = [("run", Annotated[Train, tyro.conf.arg(name="")])]
+    fields: list[tuple] = [("run", Annotated[run, tyro.conf.arg(name="")])]
     if name:
         fields.append(("agent", agent_class(name), dataclasses.field(default_factory=agent_class(name))))
     kind = dataclasses.make_dataclass("TrainAgent", fields)
-    kind.__doc__ = Train.__doc__ if name else f"{Train.__doc__} Agents: {', '.join(AGENTS)}."
-    parsed = parse(kind, rest, "train")
+    kind.__doc__ = run.__doc__ if name else f"{run.__doc__} Agents: {', '.join(AGENTS)}."
+    parsed = parse(kind, rest, "train --online" if online else "train")
+    finished = _train_online(name, parsed) if online else _train(name, parsed)
+    print(summary(finished))
+    if all(finished.failures):
+        raise SystemExit(1)
+
+
+def _train_online(name, parsed):
+    from deadreckon.collect.online import Online
+    from deadreckon.runs.online import train_online
+
+    options: TrainOnline = parsed.run
+    settings = Online(options.copies, options.explore, options.updates_per_step, options.block)
+    updates = settings.updates(options.steps)
+    with Bar(f"{name} in {options.task}", updates, "updates") as bar:
+        return train_online(
+            parsed.agent, options.task, steps=options.steps, seeds=options.seeds, seed=options.seed, settings=settings,
+            out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
+            resume=options.resume, threads=options.threads,
+            watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
+        )  # fmt: skip
+
+
+def _train(name, parsed):
     options: Train = parsed.run
 
     from deadreckon.data.catalogue import load
@@ -73,15 +119,12 @@ def train(args: Sequence[str]) -> None:
     for text in log.warnings:
         print(f"{log.name}: {text}")
     with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
-        run = run_training(
+        return run_training(
             parsed.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
             out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
             resume=options.resume, stream=options.stream, strict=options.strict,
             watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
         )  # fmt: skip
-    print(summary(run))
-    if all(run.failures):
-        raise SystemExit(1)
 
 
 def _note(progress) -> str:
@@ -108,8 +151,9 @@ def summary(run) -> str:
     evaluations = run.evaluations.to_pydict()
     if evaluations:
         last = np.asarray(evaluations["step"]) == max(evaluations["step"])
-        distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
-        lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
+        if "mmd_to_data" in evaluations:
+            distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
+            lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
         if "score" in evaluations:
             from deadreckon.runs.evaluate import bootstrap
 

@@ -1,5 +1,7 @@
 """The recipes by name. A domain adds its own with `register`."""
 
+import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,17 +10,25 @@ from typing import Protocol
 from deadreckon.data.catalogue import VERSION, cached_path, entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import registry
-from deadreckon.tasks.maze2d import TASKS, Maze2D
+from deadreckon.policies.library import about, library_tasks
+from deadreckon.tasks import gym_mujoco, maze2d, registry
+from deadreckon.tasks.gym_mujoco import GymMujoco
+from deadreckon.tasks.maze2d import Maze2D
 
 Progress = Callable[[int, int], None]  # rows done, rows in all
 
 
 class Maker(Protocol):
-    """What makes a recipe's log; see `collect_maze2d`."""
+    """What makes a recipe's log; see `collect_maze2d` and `collect_gym`."""
 
-    def __call__(self, *, name: str, steps: int, seed: int, threads: int | None, progress: Progress | None) -> Dataset:
-        """Collects `steps` rows; they must not depend on `threads`."""
+    def __call__(
+        self, *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
+        """Collects `steps` rows; they must not depend on `threads`.
+
+        What takes long keeps what it has in the folder `scratch`, and goes on with what it finds there. The log's columns
+        may lie there too.
+        """
         ...
 
 
@@ -80,13 +90,20 @@ def generate(
         threads: to simulate with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and the rows in all.
     """
-    found = recipe(name)
+    with tempfile.TemporaryDirectory() as scratch:
+        made = _make(recipe(name), steps, seed, threads, Path(scratch), progress)
+        return made.loaded()
+
+
+def _make(
+    found: Recipe, steps: int | None, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+) -> Dataset:
     steps = found.steps if steps is None else steps
     if steps < 1:
         raise UserError(f"{found.name}: steps must be 1 or more, got {steps}")
     if seed < 0:
         raise UserError(f"{found.name}: seed must be 0 or more, got {seed}")
-    return found.make(name=found.name, steps=steps, seed=seed, threads=threads, progress=progress)
+    return found.make(name=found.name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress)
 
 
 def collect(
@@ -99,6 +116,9 @@ def collect(
     progress: Progress | None = None,
 ) -> Path:
     """Makes a log and writes it as an HDF5 file with D4RL's column names.
+
+    Recipes that take long keep what they have in a hidden folder beside the file, so that after a kill the same command
+    goes on where it was.
 
     Args:
         name: of the recipe, such as `maze2d-umaze-v1`.
@@ -115,7 +135,9 @@ def collect(
 
     found = recipe(name)
     path = Path(out) if out is not None else default_path(found, steps, seed)
-    write_hdf5(generate(name, steps=steps, seed=seed, threads=threads, progress=progress), path)
+    scratch = path.parent / f".{path.name}.part"
+    write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
+    shutil.rmtree(scratch, ignore_errors=True)
     return path
 
 
@@ -130,7 +152,9 @@ def default_path(found: Recipe, steps: int | None, seed: int) -> Path:
 
 
 def _maze2d(task: Maze2D) -> Recipe:
-    def make(*, name: str, steps: int, seed: int, threads: int | None, progress: Progress | None) -> Dataset:
+    def make(
+        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
         from deadreckon.collect.maze2d import collect_maze2d
 
         return collect_maze2d(task, name=name, steps=steps, seed=seed, threads=threads, progress=progress)
@@ -139,6 +163,40 @@ def _maze2d(task: Maze2D) -> Recipe:
     return Recipe(known.recipe, task.name, known.rows, make, "waypoints of a planner to random targets, PD control")
 
 
-for _task in TASKS:
+for _task in maze2d.TASKS:
     assert registry.task(_task.name) is _task
     register(_maze2d(_task))
+
+
+# ---- Gym-MuJoCo -------------------------------------------------------------------------------------------------------
+
+_GYM = {
+    "random": "a randomly initialised policy",
+    "uniform": "actions drawn uniformly between the bounds",
+    "medium": "SAC, stopped early",
+    "expert": "SAC, the best of its run",
+    "medium-expert": "first medium, then expert",
+    "uniform-expert": "first uniform actions, then expert",
+    "medium-replay": "all that SAC did until medium, by training again",
+}
+
+
+def _gym(task: GymMujoco, kind: str, summary: str) -> Recipe:
+    def make(
+        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
+        from deadreckon.collect.gym import collect_gym, collect_replay
+
+        options = {"name": name, "steps": steps, "seed": seed, "threads": threads, "scratch": scratch, "progress": progress}
+        return collect_replay(task, **options) if kind == "medium-replay" else collect_gym(task, kind, **options)
+
+    known = entry(f"{task.name}-{kind}-v2")
+    # The replay buffer is as long as our own run took to get to medium, whatever the original's length.
+    ours = kind == "medium-replay" and task.name in library_tasks()
+    rows = about(task.name)["medium_replay"]["environment_steps"] if ours else known.rows
+    return Recipe(known.recipe, task.name, rows, make, summary)
+
+
+for _task in gym_mujoco.TASKS:
+    for _kind, _summary in _GYM.items():
+        register(_gym(_task, _kind, _summary))

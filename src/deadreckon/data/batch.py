@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Spec
 from deadreckon.data.view import View
 from deadreckon.errors import UserError, unknown
 
@@ -92,6 +93,11 @@ class Rows:
         self.initial = self.view.observe(np.asarray(log.observations[log.starts])) if needs.initial else None
         probe = self.take(np.zeros(1, np.int64))
         self.fields = {name: (column.shape[1:], column.dtype) for name, column in probe.items()}
+
+    @property
+    def spec(self) -> Spec:
+        """The log's."""
+        return self.log.spec
 
     @property
     def nbytes(self) -> int:

@@ -1,15 +1,16 @@
 """What is known of every named log: task, original file, Minari twin, our recipe. Pure data and look-up."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.io import read
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import home
+from deadreckon.files import home, read_json
 
 VERSION = "dr1"  # of our recipes; a log that we collected carries it in its name, so that none passes for the original
+ORIGINAL, TWIN = "d4rl", "minari"  # stand where the version would in the names of downloaded logs
 
 
 @dataclass(frozen=True)
@@ -21,10 +22,12 @@ class Entry:
         domain: such as `maze2d`.
         task: where policies learned from it are judged.
         recipe: name that `deadreckon data collect` takes.
-        rows: steps in the full log.
-        original: path of D4RL's file below its download root.
+        rows: steps in the original, as the thesis' Table D.1 has them; our recipe may take another number. Table D.1 counts the
+            v0 files where it says medium-replay, and does not have Ant's, for which this is a round number.
+        original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
+        sha256: of the original file, in hexadecimal; D4RL never published any.
     """
 
     name: str
@@ -32,14 +35,21 @@ class Entry:
     task: str
     recipe: str
     rows: int
-    original: str
+    original: str | None
     minari: str | None
     version: str = VERSION
+    sha256: str | None = None
 
     @property
     def collected(self) -> str:
         """The name of the log as our recipe collects it."""
         return f"{self.name}@{self.version}"
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Where it can be downloaded from: `d4rl`, `minari`, both or neither."""
+        known = ((ORIGINAL, self.original), (TWIN, self.minari))
+        return tuple(source for source, place in known if place is not None)
 
 
 def _maze2d(size: str, rows: int, dense: bool) -> Entry:
@@ -56,23 +66,43 @@ _MAZES = tuple(
     for split in ("", "eval-")
     for size, rows in (("umaze", 1_000_000), ("medium", 2_000_000), ("large", 4_000_000))
 )
+_ROBOTS = {"hopper": 200_920, "halfcheetah": 101_000, "walker2d": 100_930, "ant": 100_000}  # rows of medium-replay
+_POLICIES = ("random", "medium", "expert", "medium-replay", "medium-expert")
+_OURS = ("uniform", "uniform-expert")  # kinds that the thesis speaks of (A.4, 7.3) and D4RL has no files of
+
+
+def _gym(robot: str, policy: str) -> Entry:
+    name = f"{robot}-{policy}-v2"
+    rows = _ROBOTS[robot] if policy == "medium-replay" else 2_000_000 if policy.endswith("-expert") else 1_000_000
+    file = None if policy in _OURS else f"gym_mujoco_v2/{robot}_{policy.replace('-', '_')}-v2.hdf5"
+    # Minari's `simple` logs are those of a weak policy, not of a random one.
+    twin = f"mujoco/{robot}/{policy}-v0" if policy in ("medium", "expert") else None
+    return Entry(name, "gym", robot, name, rows, file, twin)
+
+
 ENTRIES: dict[str, Entry] = {
-    entry.name: entry for dense in (False, True) for size, rows in _MAZES for entry in (_maze2d(size, rows, dense),)
+    entry.name: entry
+    for entry in (
+        *(_maze2d(size, rows, dense) for dense in (False, True) for size, rows in _MAZES),
+        *(_gym(robot, policy) for robot in _ROBOTS for policy in (*_POLICIES, *_OURS)),
+    )
 }
 
 
 def entry(name: str) -> Entry:
-    """The entry of a log, by D4RL's name or the collected one (`maze2d-umaze-v1@dr1`).
+    """The entry of a log, by D4RL's name or that of a copy (`maze2d-umaze-v1@dr1`, `@d4rl`, `@minari`).
 
     Raises:
-        UserError: no such name, with the nearest.
+        UserError: no such name, with the nearest; or no such copy.
     """
     base, _, version = name.partition("@")
     if base not in ENTRIES:
         raise unknown("data set", base, ENTRIES)
-    if version and version != ENTRIES[base].version:
-        raise UserError(f"unknown version {version!r} of {base}: this deadreckon collects {ENTRIES[base].collected}")
-    return ENTRIES[base]
+    found = ENTRIES[base]
+    if version and version not in (found.version, *found.sources):
+        downloads = "".join(f", {base}@{source} (downloaded)" for source in found.sources)
+        raise UserError(f"unknown version {version!r} of {base}: known are {found.collected} (collected){downloads}")
+    return found
 
 
 def cached_path(name: str) -> Path:
@@ -88,8 +118,22 @@ def cached_path(name: str) -> Path:
     return home() / "data" / f"{name}.hdf5"
 
 
+def record_path(path: Path) -> Path:
+    """Where it is recorded what the original at `path`, which is kept byte for byte, was downloaded from."""
+    return path.with_suffix(".json")
+
+
+def at_hand(found: Entry) -> list[str]:
+    """Which copies of a log are in the cache, in the order in which `load` takes them: collected, original, twin."""
+    return [kind for kind in (found.version, *found.sources) if cached_path(f"{found.name}@{kind}").exists()]
+
+
 def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: Any) -> Dataset:
     """The log `name` from the cache, or the log in the file `name`.
+
+    A plain name such as `hopper-medium-v2` means the first that is there of the log collected by our recipe
+    (`hopper-medium-v2@dr1`), the downloaded original (`@d4rl`) and the downloaded Minari twin (`@minari`); what is given
+    says in its name which it is. The longer names mean that one copy.
 
     Args:
         name: from the catalogue, or an existing file or folder, or `minari:` and an id.
@@ -106,9 +150,35 @@ def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: 
     looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl", ".gz")
     if isinstance(name, Path) or looks_like_a_file:
         raise UserError(f"no file {text}")
+    if text in ENTRIES and (there := at_hand(ENTRIES[text])):
+        text = f"{text}@{there[0]}"
     path = cached_path(text)
-    if path.exists():
+    if not path.exists():
+        raise UserError(_how(entry(text), text.partition("@")[2]))
+    if not text.endswith(f"@{ORIGINAL}"):
         return read(path, mmap=mmap, strict=strict, **options)
-    found = entry(text)
-    how = f"`deadreckon data collect {found.recipe}` makes it offline ({found.rows:,} steps)"
-    raise UserError(f"{found.name} is not here yet: {how}")
+    return _with_record(read(path, mmap=mmap, strict=strict, **{"name": text, **options}), path)
+
+
+def _how(found: Entry, version: str) -> str:
+    """What can be done about a log that is not there: any copy of it, or the one of that version."""
+    gets = [
+        f"`deadreckon data get {found.name} --source {source}` downloads {'the original' if source == ORIGINAL else 'a twin'}"
+        for source in found.sources
+        if version in ("", source)
+    ][:1]
+    collect = f"`deadreckon data collect {found.recipe}` makes"
+    if version in found.sources:
+        return f"{found.name}@{version} is not here yet: {gets[0]}, or {collect} {found.collected} offline"
+    name = f"{found.name}@{version}" if version else found.name
+    return f"{name} is not here yet: {', or '.join([f'{collect} it offline', *gets])}"
+
+
+def _with_record(log: Dataset, path: Path) -> Dataset:
+    """The original read from `path`, with what was recorded when it was downloaded."""
+    record = record_path(path)
+    about = read_json(record) if record.exists() else None
+    if not isinstance(about, dict) or about.get("bytes") != path.stat().st_size:
+        text = f"where it came from is not recorded: no {record.name} that fits the file"
+        return replace(log, warnings=(*log.warnings, text))
+    return replace(log, provenance=replace(log.provenance, extra={**log.provenance.extra, **about}))

@@ -289,6 +289,16 @@ class Dataset:
 
     # ---- parts ----------------------------------------------------------------------------------------------------
 
+    def loaded(self) -> "Dataset":
+        """The same log with its memory-mapped columns read into memory, so that their files may go."""
+        read = lambda column: np.array(column) if isinstance(column, np.memmap) else column  # noqa: E731
+        fields = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations", "final_known")
+        return replace(
+            self,
+            **{name: read(getattr(self, name)) for name in (*fields, "successors")},
+            extras={key: read(value) for key, value in self.extras.items()},
+        )
+
     def select(self, episodes: Sequence[int] | np.ndarray, name: str | None = None) -> "Dataset":
         """The log with only these episodes, in this order."""
         episodes = np.asarray(episodes)

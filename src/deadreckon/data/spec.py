@@ -95,6 +95,13 @@ class Spec:
     longest: int
     name: str
 
+    @classmethod
+    def empty(cls, observation_shape: tuple[int, ...], action: Box | Discrete, name: str) -> "Spec":
+        """The spec of a log that has yet to be collected; its statistics say nothing (mean 0, deviation 1)."""
+        nothing = lambda shape: Statistics(np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape))  # noqa: E731
+        actions = nothing(() if isinstance(action, Discrete) else (action.size,))
+        return cls(observation_shape, "float32", action, nothing(observation_shape), actions, nothing(()), 0, 0, 0, name)
+
     @property
     def observation_size(self) -> int:
         """Numbers in one observation."""

@@ -168,7 +168,8 @@ class Deployed(eqx.Module):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
         view = self.view
         log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), view.to_unit(jnp.asarray(action)))
-        return log_prob - view.log_scale
+        # As `View.log_scale`, but also where the bounds are traced.
+        return log_prob if self.low is None or self.high is None else log_prob - jnp.log(0.5 * (self.high - self.low)).sum()
 
     def __call__(self, observations: Any) -> np.ndarray:
         """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""

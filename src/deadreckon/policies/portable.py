@@ -1,6 +1,6 @@
 """Policy files that need numpy alone: this module imports nothing else, so it can be copied to wherever actions are needed.
 
-A file is an npz archive of float32 arrays and one JSON text, `policy.json`. Nothing is pickled. The JSON is a tree:
+A file is an npz archive of float32 or float16 arrays and one JSON text, `policy.json`. Nothing is pickled. The JSON is a tree:
 `{"kind": "Deployed", "inner": {...}, "mean": array, ...}`, where an array is the string `"@name"` of an archive member.
 `deadreckon.policies.save` writes it, `deadreckon.policies.load` reads it back into the package.
 
@@ -35,7 +35,7 @@ def read(path):
         raise ValueError(f"{path} is no policy file (.npz)")
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+            arrays = {name: _single(file[name]) for name in file.files}
         if "policy.json" not in arrays:
             raise ValueError("no policy.json in it")
         tree = json.loads(arrays.pop("policy.json").tobytes())
@@ -44,6 +44,11 @@ def read(path):
         return tree, arrays
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is not a whole policy file: {error}") from error
+
+
+def _single(array):
+    """Weights may be stored as float16; one acts with float32."""
+    return array.astype(np.float32) if array.dtype == np.float16 else array
 
 
 def load(path):

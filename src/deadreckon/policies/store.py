@@ -19,13 +19,14 @@ from deadreckon.policies.policy import Deployed, Deterministic, GreedyQ, TanhGau
 _KINDS = {kind.__name__: kind for kind in (Deployed, Deterministic, TanhGaussian, VAEDecoder, GreedyQ, MLP, VAE)}
 
 
-def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None) -> None:
+def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:
     """Writes a policy as arrays and JSON, atomically.
 
     Args:
         path: ends in `.npz`.
         policy: as an agent gives it.
         meta: JSON values to keep beside it (agent, data, scores, ...).
+        half: store the networks as float16 and compress them, a third of the size; read back, they are float32 again.
     """
     arrays: dict[str, np.ndarray] = {}
 
@@ -36,14 +37,15 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None)
         if isinstance(value, tuple):
             return [encode(v, f"{name}.{i}") for i, v in enumerate(value)]
         if hasattr(value, "shape"):
-            arrays[name] = np.asarray(value)
+            arrays[name] = np.asarray(value, np.float16 if half and name.startswith("policy.inner.") else None)
             return f"@{name}"
         return value
 
     tree = {"format": portable.FORMAT, "meta": meta or {}, "policy": encode(policy, "policy")}
     text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
     with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **{"policy.json": text}, **arrays)  # pyright: ignore[reportArgumentType]
+        write = np.savez_compressed if half else np.savez
+        write(file, **{"policy.json": text}, **arrays)  # pyright: ignore[reportArgumentType]
 
 
 def load(path: Path | str) -> Deployed:

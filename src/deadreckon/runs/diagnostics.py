@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent
-from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.view import View
 from deadreckon.policies.policy import Deployed, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.tasks.task import Task
@@ -109,7 +109,7 @@ def _q(agents: Agent, states: Any, observations: Array, actions: Array) -> Array
     return eqx.filter_vmap(lambda agent, state, o, a: agent.q_value(state, o, a))(agents, states, observations, actions)
 
 
-def estimated_values(agents: Agent, states: Any, rows: Rows, policies: list[Deployed], starts: np.ndarray) -> np.ndarray | None:
+def estimated_values(agents: Agent, states: Any, view: View, policies: list[Deployed], starts: np.ndarray) -> np.ndarray | None:
     """(lanes, episodes) each lane's Q at initial observations and its policy's own actions; None without a critic.
 
     The actions are those that `evaluate` with seed 0 takes first at these starts. Q looks through timeouts, a return in the
@@ -118,12 +118,12 @@ def estimated_values(agents: Agent, states: Any, rows: Rows, policies: list[Depl
     Args:
         agents: lifted, one a lane.
         states: (lanes, ...).
-        rows: whose view the agents have.
+        view: that the agents have.
         policies: one a lane.
         starts: (episodes, *shape) raw initial observations.
     """
     raw = jnp.asarray(starts)
     actions = jnp.stack([first_actions(policy, raw, action_key(0, 0), True) for policy in policies])
-    seen = jnp.broadcast_to(rows.view.observe(raw), (len(policies), *raw.shape))
-    q = _q(agents, states, seen, rows.view.to_unit(actions))
+    seen = jnp.broadcast_to(view.observe(raw), (len(policies), *raw.shape))
+    q = _q(agents, states, seen, view.to_unit(actions))
     return None if q is None else np.asarray(q)

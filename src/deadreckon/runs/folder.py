@@ -7,6 +7,7 @@
     policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
     log.npz             stretches of the log, for pictures
     evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
+    replay/seedS.bin    online: every environment step, see `collect.online`; the newest checkpoint says how many count
 """
 
 import contextlib
@@ -69,6 +70,10 @@ class Folder:
     def log(self) -> Path:
         """Stretches of the log, for pictures."""
         return self.path / "log.npz"
+
+    def replay(self, seed: int) -> Path:
+        """Every environment step of an online run's seed."""
+        return self.path / "replay" / f"seed{seed}.bin"
 
     @property
     def trajectories(self) -> Path:

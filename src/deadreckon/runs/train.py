@@ -4,12 +4,9 @@ import dataclasses
 import json
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import jax
-import numpy as np
 import pyarrow as pa
 
 from deadreckon.agents import agent_class, agent_name
@@ -18,18 +15,16 @@ from deadreckon.data import catalogue
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, replacing, write_json
+from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
-from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments, logged_value
-from deadreckon.runs.evaluate import episode_seeds, evaluate
+from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder, versions
+from deadreckon.runs.recorder import Recorder
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Failure, Fit, Progress
 
-RECORDED = 8  # episodes a policy whose observations are kept for pictures
-PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 Watcher = Callable[[Progress, int], None]  # gets each chunk's progress and the number of updates in all
 
 
@@ -122,16 +117,12 @@ def train(
             f"{log.name} has {log.spec.observation_shape}"
         )
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
-    lanes = [agent_class(agent)()] * seeds if isinstance(agent, str) else agent
-    lanes = [lanes] * seeds if isinstance(lanes, Agent) else list(lanes)
-    if len(lanes) != seeds:
-        raise UserError(f"one agent a seed is needed, got {len(lanes)} agents and {seeds} seeds")
-    lanes = [lane.resolve(log.spec, steps) for lane in lanes]
+    lanes = [lane.resolve(log.spec, steps) for lane in lanes_of(agent, seeds)]
     every = min(evaluate_every or max(steps // 10, 1), steps)
     rows = Rows(log, lanes[0].needs(log.spec))
 
     config = {
-        "agent": {"name": agent_name(lanes[0]), "fields": _fields(lanes)},
+        "agent": {"name": agent_name(lanes[0]), "fields": fields_of(lanes)},
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
                  "usable": rows.count, "warnings": log.warnings,
                  "behavior": None if judge is None else logged_value(log, judge),
@@ -151,7 +142,7 @@ def train(
     job.resume()
     folder.drop_after(job.step)
 
-    recorder = _Recorder(folder, job, judge, log, every, episodes)
+    recorder = Recorder(folder, job, judge, log, every, episodes)
     try:
         recorder.picture(log)
         recorder.catch_up()
@@ -187,119 +178,6 @@ def load(path: Path | str) -> Run:
     return Run(folder.path, config, config["seeds"], policies, failures)
 
 
-class _Recorder:
-    """Writes what a run shows for itself: metrics a chunk, policies and evaluations at their times.
-
-    Simulation runs in a thread of its own, so that it does not hold up training where a core is free. The policies it
-    judges are on disk first: an evaluation that a kill interrupts is done again from them.
-    """
-
-    def __init__(self, folder: Folder, job: Fit, judge: Task | None, log: Dataset, every: int, episodes: int):
-        self.folder, self.job, self.judge = folder, job, judge
-        self.every, self.episodes = every, episodes
-        self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
-        self.probe = LogProbe(log)
-        self.pool = ThreadPoolExecutor(1)
-        self.pending: list[Future] = []
-        # Evaluations start where no training ever looks; the same starts every time, so that curves are paired.
-        self.starts = None if judge is None else judge.simulate(episode_seeds(0, episodes)).reset()
-
-    def policies(self) -> list[Deployed]:
-        view = self.job.rows.view
-        lanes = range(len(self.job.seeds))
-        states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
-        return [Deployed.of(agent.policy(state), view) for agent, state in zip(self.job.learners, states)]
-
-    def picture(self, log: Dataset) -> None:
-        """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
-        if self.judge is not None and log.spec.observation_size <= PICTURED and not self.folder.log.exists():
-            with replacing(self.folder.log) as temporary, open(temporary, "wb") as file:
-                np.savez_compressed(file, segments=log_segments(log))
-
-    def catch_up(self) -> None:
-        """Judges kept policies whose evaluation was interrupted."""
-        for step in self.folder.policy_steps():
-            if step > self.job.step:
-                for seed in self.job.seeds:
-                    self.folder.policy(seed, step).unlink(missing_ok=True)
-            elif not self.folder.part("evaluations", step).exists():
-                self._submit(step)
-
-    def record(self, progress: Progress) -> None:
-        """Called after every chunk, before its checkpoint is written."""
-        seeds = self.job.seeds
-        done = [future for future in self.pending if future.done()]
-        self.pending = [future for future in self.pending if not future.done()]
-        for future in done:
-            future.result()  # what went wrong in the background is told at the next chunk, not hours later
-        columns: dict[str, Any] = {"step": np.full(len(seeds), progress.step), "seed": np.asarray(seeds)}
-        self.folder.write_part("metrics", progress.step, columns | progress.metrics)
-        if progress.step % self.every == 0 or progress.step == self.job.steps or all(progress.failures):
-            self._keep(progress.step)
-            self._submit(progress.step)
-        self._status(progress.step, finished=False)
-
-    def _keep(self, step: int) -> None:
-        policies = self.policies()
-        values = None
-        if self.starts is not None:
-            values = estimated_values(self.job.learner, self.job.states, self.job.rows, policies, self.starts)
-        for i, (seed, policy) in enumerate(zip(self.job.seeds, policies)):
-            meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step}
-            if values is not None:
-                meta["estimated_values"] = [float(v) for v in values[i]]
-            store.save(self.folder.policy(seed, step), policy, meta)
-
-    def _submit(self, step: int) -> None:
-        self.pending.append(self.pool.submit(self._judge, step))
-
-    def _judge(self, step: int) -> None:
-        paths = [self.folder.policy(seed, step) for seed in self.job.seeds]
-        policies = [store.load(path) for path in paths]
-        metas = [store.meta(path) for path in paths]
-        probes = [self.probe(policy) for policy in policies]
-        count = self.episodes if self.judge is not None else 1
-        columns: dict[str, Any] = {
-            "step": np.full(len(policies) * count, step),
-            "seed": np.repeat(self.job.seeds, count),
-            "episode": np.tile(np.arange(count), len(policies)),
-        }
-        for name in probes[0]:
-            columns[name] = np.repeat([probe[name] for probe in probes], count)
-        if self.judge is not None:
-            last = step == self.job.steps
-            result = evaluate(
-                policies, self.judge, episodes=count, discount=self.discounts, record=min(RECORDED, count) if last else 0
-            )
-            columns |= {
-                "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
-                "discounted_return": result.discounted.ravel(),
-            }  # fmt: skip
-            if all("estimated_values" in meta for meta in metas):
-                columns["estimated_value"] = np.concatenate([meta["estimated_values"] for meta in metas])
-            if result.trajectories is not None:
-                with replacing(self.folder.trajectories) as temporary, open(temporary, "wb") as file:
-                    np.savez_compressed(file, trajectories=result.trajectories)
-        self.folder.write_part("evaluations", step, columns)
-
-    def _status(self, step: int, *, finished: bool) -> None:
-        failures = [None if f is None else list(f) for f in self.job.failures]
-        status = {"step": step, "steps": self.job.steps, "finished": finished, "failures": failures}
-        write_json(self.folder.path / "status.json", status)
-
-    def finish(self) -> None:
-        """Waits for the evaluations, then publishes the last policies; with them the run is finished."""
-        for future in self.pending:
-            future.result()
-        for seed, policy in zip(self.job.seeds, self.policies()):
-            if not self.folder.policy(seed).exists():
-                store.save(self.folder.policy(seed), policy, {"agent": agent_name(self.job.learners[0]), "seed": seed})
-        self._status(self.job.step, finished=True)
-
-    def close(self) -> None:
-        self.pool.shutdown(wait=True, cancel_futures=True)
-
-
 def _judge(task: Task | str | None, log: Dataset) -> Task | None:
     if isinstance(task, Task):
         return task
@@ -309,7 +187,20 @@ def _judge(task: Task | str | None, log: Dataset) -> Task | None:
     return None if known is None else find_task(known.task)
 
 
-def _fields(lanes: Sequence[Agent]) -> dict[str, Any]:
+def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
+    """One agent a seed, from an agent, its name or the list itself.
+
+    Raises:
+        UserError: an unknown name, or another number of agents.
+    """
+    found = agent_class(agent)() if isinstance(agent, str) else agent
+    lanes = [found] * seeds if isinstance(found, Agent) else list(found)
+    if len(lanes) != seeds:
+        raise UserError(f"one agent a seed is needed, got {len(lanes)} agents and {seeds} seeds")
+    return lanes
+
+
+def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
     """Hyperparameters by name; those that differ between lanes as a list."""
     out = {}
     for f in dataclasses.fields(lanes[0]):

@@ -1,18 +1,25 @@
 """Importing this module gives Gymnasium the ids of our environments, such as `deadreckon/Maze2D-UMaze-v1`.
 
+The Gym-MuJoCo tasks are Gymnasium's own environments, but for `deadreckon/Ant-v5`.
+
 `gymnasium.make("deadreckon.tasks.envs:deadreckon/Maze2D-UMaze-v1")` imports it by itself. It stands apart from
 `deadreckon.tasks` because importing Gymnasium costs every command 150 ms.
 """
 
-from gymnasium.envs.registration import register, registry
+from gymnasium.envs.registration import register
+from gymnasium.envs.registration import registry as registered
 
-from deadreckon.tasks import maze2d
+from deadreckon.tasks import maze2d, registry
 
 for _task in maze2d.TASKS:
-    if _task.gym_id not in registry:
+    if _task.gym_id not in registered:
         register(
             _task.gym_id,
             "deadreckon.tasks.maze2d_env:Maze2DEnv",
             max_episode_steps=_task.horizon,
             kwargs={"task": _task.name},
         )
+
+_ant = registry.task("ant")
+if _ant.gym_id not in registered:
+    register(_ant.gym_id, "deadreckon.tasks.gym_env:PaddedAntEnv", max_episode_steps=_ant.horizon)

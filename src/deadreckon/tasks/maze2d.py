@@ -9,7 +9,6 @@ published *logs* rewards were computed again from the observation before the ste
 """
 
 import importlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -19,7 +18,7 @@ import numpy as np
 
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.tasks.task import Reference, Task
+from deadreckon.tasks.task import Reference, Starts, Task, checked_actions, thread_count
 
 RADIUS = 0.1  # of the ball
 OFFSET = 0.2  # a cell's middle lies this much below (row, column), in both coordinates
@@ -118,11 +117,10 @@ class MazeSimulator:
         from mujoco.rollout import Rollout
 
         mujoco = bindings()
-        self.task = task
-        self._generators = [np.random.default_rng(seed) for seed in _checked(task, seeds, threads)]
-        copies = len(self._generators)
+        self.task, copies = task, len(seeds)
+        self._starts = Starts(seeds, task.start)
         # Waking threads costs more than a few copies take.
-        threads = min(threads or _cores(), max(1, copies // 16))
+        threads = min(thread_count(threads, task.name), max(1, copies // 16))
         self._model = model(task.layout)
         self._data = [mujoco.MjData(self._model) for _ in range(threads)]
         self._models = [self._model] * copies
@@ -136,33 +134,41 @@ class MazeSimulator:
         self._after = self._state[:, None]
         self._control = np.zeros((copies, 1, 2))
         self._sensors = np.zeros((copies, 1, 0))
-        self._steps = 0
+        self._age = np.zeros(copies, int)
         self._never = np.zeros(copies, bool)
 
-    def reset(self) -> np.ndarray:
-        """(copies, 4) float32 observations of new episodes in all copies."""
-        return self.set_state(np.stack([self.task.start(generator) for generator in self._generators]))
+    def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
+        """(which, 4) float32 observations of new episodes; see `Simulator.reset`."""
+        which = np.arange(len(self._state)) if which is None else np.asarray(which)
+        if seeds is not None:
+            self._starts.begin(which, seeds)
+        self._state[which, 0] = 0.0
+        self._moving[which] = [self._starts.next(i) for i in which]
+        self._age[which] = 0
+        return self._moving[which].astype(np.float32)
 
     def set_state(self, state: np.ndarray) -> np.ndarray:
         """Starts episodes in the given (copies, 4) positions and velocities and gives their observations."""
         self._state[:, 0] = 0.0
         self._moving[:] = state
-        self._steps = 0
+        self._age[:] = 0
         return self._moving.astype(np.float32)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Applies (copies, 2) forces, clipped to ±1; gives observations, rewards, terminals and timeouts."""
-        # Logs hold float32: rounding here makes the replay of a log repeat it.
-        actions = np.asarray(actions, np.float32)
-        if actions.shape != (len(self._state), 2):
-            raise UserError(f"{self.task.name}: actions have shape {actions.shape}, {(len(self._state), 2)} is needed")
-        if not np.isfinite(actions).all():
-            copy = int(np.argwhere(~np.isfinite(actions))[0][0])
-            raise UserError(f"{self.task.name}: the action of copy {copy} is {actions[copy].tolist()}, numbers are needed")
+        actions = checked_actions(actions, (len(self._state), 2), self.task.name, np.arange(len(self._state)))
         observations = self.advance(actions)
-        self._steps += 1
-        timeouts = np.full(len(actions), self._steps >= self.task.horizon)
-        return observations, self.task.rewards(observations), self._never.copy(), timeouts
+        self._age += 1
+        return observations, self.task.rewards(observations), self._never.copy(), self._age >= self.task.horizon
+
+    def state(self) -> dict[str, np.ndarray]:
+        """See `Simulator.state`."""
+        return {"physics": self._state.copy(), "age": self._age.copy(), **self._starts.state()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """See `Simulator.restore`."""
+        self._state[:], self._age[:] = state["physics"], state["age"]
+        self._starts.restore(state)
 
     def advance(self, actions: np.ndarray) -> np.ndarray:
         """Physics alone, unchecked and without end: (copies, 2) float32 forces in, (copies, 4) float32 observations out."""
@@ -176,19 +182,6 @@ class MazeSimulator:
             state=self._after, sensordata=self._sensors, chunk_size=self._chunk,
         )  # fmt: skip
         return self._moving.astype(np.float32)
-
-
-def _cores() -> int:
-    # What this process may use, where the system says so (Linux).
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _checked(task: Maze2D, seeds: Sequence[int], threads: int | None) -> list[int]:
-    if len(seeds) == 0 or any(seed < 0 for seed in seeds):
-        raise UserError(f"{task.name}: one seed a copy is needed, each 0 or more, got {list(seeds)}")
-    if threads is not None and threads < 1:
-        raise UserError(f"{task.name}: threads must be 1 or more, got {threads}")
-    return [int(seed) for seed in seeds]
 
 
 def bindings() -> Any:

@@ -1,7 +1,7 @@
 """The tasks by name. Importing this loads neither MuJoCo nor Gymnasium."""
 
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import maze2d
+from deadreckon.tasks import gym_mujoco, maze2d
 from deadreckon.tasks.task import Task
 
 _TASKS: dict[str, Task] = {}
@@ -31,5 +31,5 @@ def register(task: Task) -> None:
     _TASKS[task.name] = task
 
 
-for _task in maze2d.TASKS:
+for _task in (*maze2d.TASKS, *gym_mujoco.TASKS):
     register(_task)

@@ -1,12 +1,14 @@
 """What a judge is: a simulator, a horizon and reference scores. Nothing here knows of methods."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,11 @@ class Reference:
 class Simulator(Protocol):
     """Several copies of one environment, stepped together; copy `i` depends on its own seed and actions alone."""
 
-    def reset(self) -> np.ndarray:
-        """Starts one episode in every copy and gives their observations, (copies, *shape)."""
+    def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
+        """Starts an episode in the copies `which` (indices; all if None) and gives their observations, (which, *shape).
+
+        A copy's episodes are drawn from its seed one after the other; `seeds`, one for each of `which`, begin anew.
+        """
         ...
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -35,6 +40,84 @@ class Simulator(Protocol):
         After a copy's episode has ended, its rows mean nothing until the next `reset`.
         """
         ...
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that the future depends on, as arrays of fixed shapes; `restore` takes it."""
+        ...
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where `state` was taken, in any simulator of the same task and number of copies."""
+        ...
+
+
+class Starts:
+    """Where the episodes of several copies begin: a generator a copy, whose place is told by its seed and a count.
+
+    Args:
+        seeds: one a copy.
+        draw: gives a start from a generator.
+
+    Raises:
+        UserError: no seed, or one below 0.
+    """
+
+    def __init__(self, seeds: Sequence[int], draw: Callable[[np.random.Generator], np.ndarray]):
+        self.seeds = np.zeros(len(seeds), np.uint64)
+        self.draw = draw
+        self.drawn = np.zeros(len(seeds), np.int64)
+        self._generators: list[np.random.Generator] = [np.random.default_rng(0)] * len(seeds)
+        self.begin(np.arange(len(seeds)), seeds)
+
+    def begin(self, which: np.ndarray, seeds: Sequence[int]) -> None:
+        """Gives the copies `which` new seeds."""
+        if len(which) == 0 or len(which) != len(seeds) or any(seed < 0 for seed in seeds):
+            raise UserError(f"one seed a copy is needed, each 0 or more, got {list(seeds)} for {len(which)} copies")
+        for i, seed in zip(which, seeds):
+            self.seeds[i], self.drawn[i] = seed, 0
+            self._generators[i] = np.random.default_rng(int(seed))
+
+    def next(self, copy: int) -> np.ndarray:
+        """The copy's next start."""
+        self.drawn[copy] += 1
+        return self.draw(self._generators[copy])
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Seeds and counts."""
+        return {"seeds": self.seeds.copy(), "drawn": self.drawn.copy()}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where `state` was taken, by drawing again what had been drawn."""
+        self.begin(np.arange(len(self.seeds)), [int(seed) for seed in state["seeds"]])
+        for copy, drawn in enumerate(state["drawn"]):
+            for _ in range(int(drawn)):
+                self.next(copy)
+
+
+def checked_actions(actions: np.ndarray, shape: tuple[int, ...], task: str, running: np.ndarray) -> np.ndarray:
+    """Actions as float32, which is what logs hold: a log, replayed, then repeats itself.
+
+    Raises:
+        UserError: another shape than (copies, size), or a `running` copy's action that is not finite.
+    """
+    actions = np.asarray(actions, np.float32)
+    if actions.shape != shape:
+        raise UserError(f"{task}: actions have shape {actions.shape}, {shape} is needed")
+    if not np.isfinite(actions[running]).all():
+        copy = int(running[np.argwhere(~np.isfinite(actions[running]))[0][0]])
+        raise UserError(f"{task}: the action of copy {copy} is {actions[copy].tolist()}, numbers are needed")
+    return actions
+
+
+def thread_count(threads: int | None, task: str) -> int:
+    """`threads`, or all cores that this process may use.
+
+    Raises:
+        UserError: fewer than one.
+    """
+    if threads is not None and threads < 1:
+        raise UserError(f"{task}: threads must be 1 or more, got {threads}")
+    # What this process may use, where the system says so (Linux).
+    return threads or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
 @dataclass(frozen=True)

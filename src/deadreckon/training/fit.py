@@ -23,8 +23,9 @@ from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
+from deadreckon.training.replay import Experience
 
-INIT, DRAW, UPDATE, PREPARE, STARTS = range(5)  # purposes of randomness
+INIT, DRAW, UPDATE, PREPARE, STARTS, ACT = range(6)  # purposes of randomness
 KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk lies about having written it
 RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
 
@@ -78,9 +79,9 @@ class Column(NamedTuple):
     dtype: str
 
 
-def _layout(rows: Rows) -> tuple[Column, ...]:
+def _layout(fields: dict[str, tuple[tuple[int, ...], Any]]) -> tuple[Column, ...]:
     columns, start = [], 0
-    for name, (shape, dtype) in rows.fields.items():
+    for name, (shape, dtype) in fields.items():
         packed = dtype != np.uint8
         columns.append(Column(name, start if packed else -1, tuple(shape), str(dtype)))
         start += int(np.prod(shape)) if packed else 0
@@ -114,23 +115,25 @@ class _Plan(NamedTuple):
     batch_size: int
     window: int
     initial: int
-    rows: int
     resident: bool
+    grows: bool  # each lane has rows of its own, on the device
 
 
-def _draw(plan: _Plan, root: PRNGKeyArray, step: Int[Array, ""]) -> Int[Array, "b *w"]:
+def _draw(plan: _Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b *w"]:
     """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
     key = jax.random.fold_in(jax.random.fold_in(root, DRAW), step)
-    index = jax.random.randint(key, (plan.batch_size,), 0, plan.rows)
+    index = jax.random.randint(key, (plan.batch_size,), 0, rows)
     if plan.window:
-        index = jnp.minimum(index[:, None] + jnp.arange(plan.window), plan.rows - 1)
+        index = jnp.minimum(index[:, None] + jnp.arange(plan.window), rows - 1)
     return index
 
 
 @eqx.filter_jit
-def _indices(plan: _Plan, roots: PRNGKeyArray, start: Int[Array, ""], length: int) -> Int[Array, "t lanes b *w"]:
+def _indices(
+    plan: _Plan, roots: PRNGKeyArray, start: Int[Array, ""], rows: Int[Array, ""], length: int
+) -> Int[Array, "t lanes b *w"]:
     steps = start + jnp.arange(length)
-    return jax.vmap(lambda step: jax.vmap(lambda root: _draw(plan, root, step))(roots))(steps)
+    return jax.vmap(lambda step: jax.vmap(lambda root: _draw(plan, root, step, rows))(roots))(steps)
 
 
 def _batch(plan: _Plan, taken: dict[str, Array], initial: Array | None, root: PRNGKeyArray, step: Array) -> Batch:
@@ -155,6 +158,7 @@ def _advance(
     roots: PRNGKeyArray,
     start: Int[Array, ""],
     stop: Int[Array, ""],
+    rows: Int[Array, ""],
 ) -> tuple[Any, dict[str, Float[Array, "lanes"]], dict[str, Int[Array, "lanes"]]]:
     """Updates `start` .. `stop` - 1 of all lanes as one program.
 
@@ -166,16 +170,22 @@ def _advance(
     """
     single = roots.shape[0] == 1
 
+    if single and plan.grows:  # before the loop, where it costs nothing
+        data = {name: column.reshape(column.shape[1:]) for name, column in data.items()}
+
     def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, step: Array) -> tuple[Any, dict[str, Array]]:
         if plan.resident:
-            index = _draw(plan, root, step)
-            fetched = {name: column[index] for name, column in data.items()}
+            index = _draw(plan, root, step, rows)
+            own = fetched if plan.grows and not single else data
+            fetched = {name: column[index] for name, column in own.items()}
         batch = _batch(plan, fetched, initial, root, step)
         key = jax.random.fold_in(jax.random.fold_in(root, UPDATE), step)
         return learner.update(state, batch, step=step, key=key)
 
     def all_lanes(states: Any, step: Array) -> tuple[Any, dict[str, Array]]:
         fetched = None if plan.resident else {name: column[step - start] for name, column in data.items()}
+        if plan.grows and not single:
+            fetched = data
         if single:  # a lane axis of one would make every product a batched one
             squeeze = lambda tree: jax.tree.map(lambda x: x[0], tree)  # noqa: E731
             out = one(squeeze(learner), squeeze(states), roots[0], squeeze(fetched), step)
@@ -244,7 +254,7 @@ class _Source:
 
     def _fetch(self, roots: PRNGKeyArray, start: int) -> dict[str, Any]:
         # Always a whole chunk of draws, so that one compiled program serves the last, shorter chunk too.
-        index = np.asarray(_indices(self.plan, roots, jnp.int32(start), self.chunk))
+        index = np.asarray(_indices(self.plan, roots, jnp.int32(start), jnp.int32(self.rows.count), self.chunk))
         return _pack(self.rows.take(index), self.plan.layout, index.ndim)
 
     def close(self) -> None:
@@ -260,6 +270,13 @@ def _fits(rows: Rows) -> bool:
     return rows.nbytes < RESIDENT_SHARE * memory
 
 
+def _earliest(steps: list[np.ndarray]) -> np.ndarray:
+    """(lanes,) the first step in any block at which a metric was not finite, -1 if none."""
+    stacked = np.stack(steps)
+    found = np.where(stacked < 0, np.iinfo(np.int32).max, stacked).min(0)
+    return np.where((stacked < 0).all(0), -1, found)
+
+
 def _checkpoints(folder: Path) -> list[tuple[int, Path]]:
     """Step and path of every checkpoint, oldest first."""
     found = ((re.fullmatch(r"(\d+)\.npz", p.name), p) for p in folder.glob("*.npz"))
@@ -272,7 +289,7 @@ class Fit:
 
     Attributes:
         learners: one a lane, alike in everything but float fields.
-        rows: the log as the learners need it.
+        rows: the log as the learners need it, or experience that grows while they learn.
         seeds: one a lane.
         steps: updates in all.
         chunk: most updates between two looks from outside; also what a kill can lose.
@@ -282,7 +299,7 @@ class Fit:
     """
 
     learners: Sequence[Any]
-    rows: Rows
+    rows: Rows | Experience
     seeds: Sequence[int]
     steps: int
     chunk: int = 1000
@@ -295,16 +312,26 @@ class Fit:
             raise UserError(f"steps and chunk must be >= 1, got {self.steps} and {self.chunk}")
         if len(self.learners) != len(self.seeds) or not self.seeds:
             raise UserError(f"one learner a seed is needed, got {len(self.learners)} and {len(self.seeds)}")
-        needs, spec = self.rows.needs, self.rows.log.spec
+        needs, spec = self.rows.needs, self.rows.spec
         if any(learner.needs(spec) != needs for learner in self.learners):
             raise UserError("lanes of one program must need the same batches (discount with n-step rows, standardisation)")
         if self.stops:
             self.chunk = min(self.chunk, self.stops)
+        self.experience = None if isinstance(self.rows, Rows) else self.rows
+        resident, initial = True, None
+        if isinstance(self.rows, Rows):
+            resident = not self.stream if self.stream is not None else _fits(self.rows)
+            initial = self.rows.initial
+        else:
+            # Chunks and pauses end where blocks do, so that neither changes when a policy acts.
+            block = self.rows.block
+            self.steps, self.chunk, self.stops = (-(-n // block) * block for n in (self.steps, self.chunk, self.stops))
+            if hasattr(self.learners[0], "prepare"):
+                raise UserError(f"{type(self.learners[0]).__name__} prepares itself on a whole log and cannot learn online")
         self.learner = lift(self.learners)
         self.roots = jnp.stack([jax.random.key(seed) for seed in self.seeds])
-        resident = not self.stream if self.stream is not None else _fits(self.rows)
-        self.plan = _Plan(_layout(self.rows), needs.batch_size, needs.window, needs.initial, self.rows.count, resident)
-        initial = self.rows.initial
+        grows = self.experience is not None
+        self.plan = _Plan(_layout(self.rows.fields), needs.batch_size, needs.window, needs.initial, resident, grows)
         self.initial = None if initial is None else jax.device_put(initial)
         self.states = _init(self.learner, spec, self.roots)
         self.failures: tuple[Failure | None, ...] = (None,) * len(self.seeds)
@@ -316,10 +343,14 @@ class Fit:
         problem = None
         for _, path in reversed(found):
             try:
-                states, meta = load_tree(path, self.states)
+                tree, meta = load_tree(path, self._tree())
             except UserError as error:
                 problem = error
                 continue
+            states = tree
+            if self.experience is not None:
+                states = tree["learner"]
+                self.experience.restore(tree["experience"])
             self.states = jax.device_put(states)
             self.step = int(meta["step"])
             self.failures = tuple(None if f is None else Failure(*f) for f in meta["failures"])
@@ -333,7 +364,7 @@ class Fit:
         The checkpoint is written when the caller comes back for more, so what the caller wrote for a chunk is on disk
         before it; after a kill in between, the chunk is computed and written again, the same.
         """
-        source = _Source(self.rows, self.plan, self.chunk)
+        source = _Source(self.rows, self.plan, self.chunk) if isinstance(self.rows, Rows) else None
         refresh = self._refresh
         prepares = hasattr(self.learners[0], "prepare")
         try:
@@ -343,15 +374,42 @@ class Fit:
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
                 stop = self._stop(self.step)
-                data = source.get(self.roots, self.step, stop if stop < self.steps else None)
-                bounds = jnp.int32(self.step), jnp.int32(stop)
-                new, means, bad = _advance(self.learner, self.plan, self.states, data, self.initial, self.roots, *bounds)
+                if source is None:
+                    new, means, bad = self._take_turns(stop)
+                else:
+                    data = source.get(self.roots, self.step, stop if stop < self.steps else None)
+                    new, means, bad = self._update(self.states, data, self.step, stop, self.rows.count)
                 metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
                 self.step = stop
                 yield Progress(stop, self.states, metrics, self.failures)
                 self._save()
         finally:
-            source.close()
+            if source is not None:
+                source.close()
+
+    def _update(self, states: Any, data: dict[str, Any], start: int, stop: int, rows: int) -> Any:
+        bounds = jnp.int32(start), jnp.int32(stop), jnp.int32(rows)
+        return _advance(self.learner, self.plan, states, data, self.initial, self.roots, *bounds)
+
+    def _take_turns(self, stop: int) -> Any:
+        """Acts and learns, block by block, until `stop` updates are done."""
+        experience, states = self.experience, self.states
+        assert experience is not None
+        means, bad = [], []
+        for start in range(self.step, stop, experience.block):
+            data = experience.extend(self.learner, states, self.roots, start)
+            states, mean, first = self._update(states, data, start, start + experience.block, experience.count)
+            means.append(mean)
+            bad.append(first)
+        means, bad = jax.device_get((means, bad))
+        mean = {name: np.mean([part[name] for part in means], 0) for name in means[0]}
+        return states, mean, {name: _earliest([part[name] for part in bad]) for name in bad[0]}
+
+    def _tree(self) -> Any:
+        """What a checkpoint holds."""
+        if self.experience is None:
+            return self.states
+        return {"learner": self.states, "experience": self.experience.state()}
 
     @property
     def _refresh(self) -> int:
@@ -381,10 +439,13 @@ class Fit:
         return {name: np.where(healthy, np.asarray(value, np.float64), np.nan) for name, value in means.items()}
 
     def _prepare(self) -> None:
+        assert isinstance(self.rows, Rows)  # `__post_init__` has refused anything else
+        log = self.rows.log
+
         def inner(learner: Any, steps: int, key: PRNGKeyArray) -> Any:
-            seed, spec = int(jax.random.bits(key, dtype=jnp.uint32)), self.rows.log.spec
+            seed, spec = int(jax.random.bits(key, dtype=jnp.uint32)), self.rows.spec
             learner = learner.resolve(spec, steps) if hasattr(learner, "resolve") else learner
-            rows = Rows(self.rows.log, learner.needs(spec))
+            rows = Rows(log, learner.needs(spec))
             result = fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream)
             if result.failures[0] is not None:
                 raise _PhaseFailed(result.failures[0].metric)
@@ -406,7 +467,9 @@ class Fit:
     def _save(self) -> None:
         if self.folder is None:
             return
-        save_tree(self.folder / f"{self.step:010d}.npz", self.states, {"step": self.step, "failures": self.failures})
+        if self.experience is not None:
+            self.experience.flush()  # first the rows, then the checkpoint that counts them
+        save_tree(self.folder / f"{self.step:010d}.npz", self._tree(), {"step": self.step, "failures": self.failures})
         for _, path in _checkpoints(self.folder)[:-KEPT]:
             path.unlink()
 

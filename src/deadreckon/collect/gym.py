@@ -1,0 +1,125 @@
+"""How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
+
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from deadreckon._version import __version__
+from deadreckon.agents.sac import SAC
+from deadreckon.collect.online import Exploration, Online, replay_log
+from deadreckon.collect.rollouts import Act, perform
+from deadreckon.data.catalogue import VERSION
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
+from deadreckon.policies import library
+from deadreckon.tasks.gym_mujoco import GymMujoco
+from deadreckon.training.fit import Fit
+
+UNIFORM = "uniform"  # actions drawn uniformly between the bounds, thesis A.4
+# Who acts in equal parts of each kind of log. "random" is a randomly initialised policy (7.3), which is not uniform.
+KINDS: dict[str, tuple[str, ...]] = {
+    "random": ("snapshot-00",),
+    "uniform": (UNIFORM,),
+    "medium": ("medium",),
+    "expert": ("expert",),
+    "medium-expert": ("medium", "expert"),
+    "uniform-expert": (UNIFORM, "expert"),
+}
+CHUNK = 2000  # updates between checkpoints of the training that medium-replay repeats
+
+
+def collect_gym(
+    task: GymMujoco,
+    kind: str,
+    *,
+    name: str,
+    steps: int,
+    scratch: Path,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Dataset:
+    """Collects one of `KINDS`; see `collect.rollouts.perform`.
+
+    Args:
+        task: where.
+        kind: among `KINDS`.
+        name: of the recipe, such as `hopper-medium-v2`.
+        steps: rows; of kinds with two parts, half each.
+        seed: of everything random.
+        threads: to simulate with.
+        scratch: folder of a collection under way.
+        progress: called with rows done and rows in all.
+    """
+    parts = KINDS[kind]
+    if steps < len(parts):
+        raise UserError(f"{name}: steps must be {len(parts)} or more, got {steps}")
+    first = steps // len(parts)
+    rows = [first] * (len(parts) - 1) + [steps - first * (len(parts) - 1)]
+    acts = [Act(None if part == UNIFORM else library.snapshot(task.name, part).policy(), n) for part, n in zip(parts, rows)]
+    extra = {"task": task.name, "policies": list(parts), "rows": rows, "actions": "drawn"}
+    return perform(
+        task, acts, name=f"{name}@{VERSION}", seed=seed, provenance=_provenance(name, seed, extra), threads=threads,
+        scratch=scratch, progress=progress,
+    )  # fmt: skip
+
+
+def collect_replay(
+    task: GymMujoco,
+    *,
+    name: str,
+    steps: int,
+    scratch: Path,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Dataset:
+    """Trains the task's behaviour policy again up to `medium` and gives every step that it took on the way.
+
+    With seed 0 it is the run that the shipped policies come from: to the bit on the platform and with the number of
+    threads it was made with, else the same in kind.
+
+    Args:
+        task: where.
+        name: of the recipe, such as `hopper-medium-replay-v2`.
+        steps: environment steps, the random ones at the beginning included.
+        seed: of the training.
+        threads: to simulate with.
+        scratch: folder of the training, which is gone on with after a kill.
+        progress: called with rows done and rows in all.
+    """
+    run = library.about(task.name)["run"]
+    settings, agent = Online(**run["online"]), SAC(**_fields(run["agent"]))
+    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+    updates = settings.updates(max(steps, settings.explore + settings.block))
+    lanes = [agent.resolve(spec, updates)]
+    folder = scratch / "replay"
+    path = folder / "rows.bin"
+    experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)
+    job = Fit(lanes, experience, [seed], updates, CHUNK, folder / "checkpoints")
+    job.resume()
+    for done in job.chunks():
+        if done.failures[0] is not None:
+            raise UserError(f"{name}: training with seed {seed} failed, {done.failures[0].metric} was not finite")
+        if progress:
+            progress(min(experience.count, steps), steps)
+    experience.flush()
+    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first"}
+    return replay_log(
+        path, task, settings.copies, steps, name=f"{name}@{VERSION}", provenance=_provenance(name, seed, extra)
+    )
+
+
+def _fields(values: dict[str, Any]) -> dict[str, Any]:
+    """Fields as JSON has them, as an agent takes them."""
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+
+
+def _provenance(name: str, seed: int, extra: dict[str, Any]) -> Provenance:
+    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium", "numpy", "jax")}
+    platform = jax.devices()[0].platform
+    return Provenance("collected", name, seed, versions | {"deadreckon": __version__}, extra=extra | {"device": platform})

@@ -1,0 +1,213 @@
+"""Experience that an agent makes for itself: its policy acts in copies of a task, by turns with its updates."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.spec import Discrete, Spec
+from deadreckon.data.view import View
+from deadreckon.errors import UserError
+from deadreckon.policies.policy import Step
+from deadreckon.tasks.task import Task
+from deadreckon.training.fit import ACT
+from deadreckon.training.replay import Replay, read_rows
+
+
+@dataclass(frozen=True)
+class Online:
+    """How acting and learning take turns.
+
+    Attributes:
+        copies: environments a seed, stepped together with one call of the policy.
+        explore: environment steps of uniform actions before the first update.
+        updates_per_step: updates an environment step after that (the update-to-data ratio).
+        block: environment steps between two blocks of updates; the policy does not change in between.
+    """
+
+    copies: int = 8
+    explore: int = 10_000
+    updates_per_step: float = 1.0
+    block: int = 64
+
+    def __post_init__(self):
+        if min(self.copies, self.explore, self.block) < 1 or not self.updates_per_step > 0:
+            raise UserError(
+                "copies, explore, block and updates_per_step must be above 0, "
+                f"got {self.copies}, {self.explore}, {self.block}, {self.updates_per_step}"
+            )
+        if self.block % self.copies or self.explore % self.copies:
+            raise UserError(f"block ({self.block}) and explore ({self.explore}) must be multiples of copies ({self.copies})")
+        if self.updates_per_block < 1 or abs(self.updates_per_block - self.block * self.updates_per_step) > 1e-9:
+            raise UserError(f"block * updates_per_step must be a whole number, got {self.block} * {self.updates_per_step}")
+
+    @property
+    def updates_per_block(self) -> int:
+        """Updates between two turns of acting."""
+        return round(self.block * self.updates_per_step)
+
+    def updates(self, steps: int) -> int:
+        """Updates in a run of `steps` environment steps; whole blocks only.
+
+        Raises:
+            UserError: too few steps for one block.
+        """
+        blocks = (steps - self.explore) // self.block
+        if blocks < 1:
+            raise UserError(f"online runs need more steps than explore + block = {self.explore + self.block}, got {steps}")
+        return blocks * self.updates_per_block
+
+    def steps(self, updates: int) -> int:
+        """Environment steps taken when `updates` (whole blocks) are done; none before the first."""
+        return self.explore + updates // self.updates_per_block * self.block if updates else 0
+
+
+@eqx.filter_jit
+def _act(learner: Any, states: Any, seen: Float[Array, "l n o"], roots: PRNGKeyArray, t: Array, explore: bool) -> Array:
+    """(lanes, copies, size) actions in [-1, 1]."""
+
+    def one(learner: Any, state: Any, seen: Array, root: PRNGKeyArray) -> Array:
+        key = jax.random.fold_in(jax.random.fold_in(root, ACT), t)
+        policy = learner.policy(state)
+        step = Step(seen, jnp.zeros(len(seen)), jnp.zeros(len(seen), bool))
+        action = policy.act(step, policy.start(len(seen)), key, greedy=False)[0]
+        # A lane whose numbers went bad is told so after its updates; until then it must not stop the simulator.
+        return jax.random.uniform(key, action.shape, minval=-1.0, maxval=1.0) if explore else jnp.nan_to_num(action)
+
+    return jax.vmap(one)(learner, states, seen, roots)
+
+
+class Exploration:
+    """The rows that agents make in a task; what `Fit` calls experience.
+
+    A row in the file is observation, action, reward, next observation, terminal, timeout, float32. Row `r` comes from copy
+    `r % copies`.
+
+    Args:
+        task: where.
+        agent: one of the lanes; it says what batches hold.
+        seeds: one a lane.
+        updates: in the whole run.
+        settings: how acting and learning take turns.
+        paths: of the replay files, one a lane; none keeps rows in memory alone.
+        threads: to simulate with.
+
+    Raises:
+        UserError: a task or an agent that cannot learn online.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        agent: Agent,
+        seeds: Sequence[int],
+        updates: int,
+        settings: Online,
+        paths: Sequence[Path] = (),
+        threads: int | None = None,
+    ):
+        if isinstance(task.action_space, Discrete) or len(task.observation_shape) != 1:
+            raise UserError(f"{task.name}: online learning needs flat observations and continuous actions")
+        self.task, self.settings = task, settings
+        self.spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+        self.needs = needs = agent.needs(self.spec)
+        shape, size = task.observation_shape, task.action_space.size
+        fields = {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": ()}
+        self.fields = {name: (each, np.dtype(np.float32)) for name, each in fields.items()}
+        plain = needs.n_step == 1 and not (needs.window or needs.initial or needs.standardise)
+        if not agent.online or set(needs.columns) - set(fields) or not plain:
+            raise UserError(f"{type(agent).__name__} does not learn online")
+        self.view = View.of(self.spec)
+        self.block = settings.updates_per_block
+        self.copies = settings.copies
+        seeds_of = [np.random.SeedSequence([seed, ACT]).generate_state(self.copies, np.uint64) for seed in seeds]
+        self.simulator: Any = task.simulate([int(s) for s in np.concatenate(seeds_of)], threads)
+        self._shape = len(seeds), self.copies
+        self.seen = self.simulator.reset().reshape(*self._shape, *shape)
+        self._action = slice(shape[0], shape[0] + size)
+        self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths)
+
+    def _learnable(self, rows: np.ndarray) -> np.ndarray:
+        out = rows.copy()
+        out[..., self._action] = self.view.to_unit(rows[..., self._action])
+        return out
+
+    @property
+    def count(self) -> int:
+        """Rows a lane, which are its environment steps."""
+        return self.replay.count
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> dict[str, Array]:
+        """See `Experience`."""
+        due = self.settings.steps(step + self.block)
+        rows = []
+        for at in range(self.count, due, self.copies):
+            rows.append(self._step(learner, states, roots, at))
+        if rows:
+            self.replay.append(np.concatenate(rows, 1))
+        return {"packed": self.replay.buffer}
+
+    def _step(self, learner: Any, states: Any, roots: PRNGKeyArray, at: int) -> np.ndarray:
+        """One step of every copy as rows; `at` are the steps that a lane has taken before."""
+        turn = jnp.int32(at // self.copies)
+        unit = np.asarray(_act(learner, states, jnp.asarray(self.seen), roots, turn, at < self.settings.explore))
+        actions = np.asarray(self.view.from_unit(unit), np.float32)
+        seen, reward, terminal, timeout = self.simulator.step(actions.reshape(-1, actions.shape[-1]))
+        flat = (self.seen.reshape(seen.shape), actions.reshape(len(seen), -1), reward[:, None], seen,
+                terminal[:, None], timeout[:, None])  # fmt: skip
+        rows = np.concatenate([np.asarray(part, np.float32) for part in flat], 1)
+        over = np.flatnonzero(terminal | timeout)
+        if len(over):
+            seen[over] = self.simulator.reset(over)
+        self.seen = seen.reshape(self.seen.shape)
+        return rows.reshape(*self._shape, -1)
+
+    def flush(self) -> None:
+        """See `Experience`."""
+        self.replay.flush()
+
+    def state(self) -> dict[str, np.ndarray]:
+        """See `Experience`: the simulator's state, what was last seen, and the number of rows."""
+        return {**self.simulator.state(), "seen": self.seen, "count": np.asarray(self.count)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """See `Experience`."""
+        self.simulator.restore(state)
+        self.seen = np.asarray(state["seen"])
+        self.replay.restore(int(state["count"]))
+
+
+def row_width(task: Task) -> int:
+    """Numbers in a row of a replay file."""
+    return 2 * task.observation_shape[0] + task.action_space.size + 3
+
+
+def replay_log(path: Path, task: Task, copies: int, steps: int, *, name: str, provenance: Provenance) -> Dataset:
+    """The first `steps` rows of a replay file as a log: the copies' episodes one after the other, copy by copy."""
+    rows = read_rows(path, row_width(task), steps)
+    rows = np.concatenate([np.asarray(rows[copy::copies]) for copy in range(copies)])
+    size, actions = task.observation_shape[0], task.action_space.size
+    observations, action, reward, following, terminal, timeout = np.split(
+        rows, np.cumsum([size, actions, 1, size, 1]), axis=1
+    )
+    terminals, timeouts = terminal[:, 0] > 0, timeout[:, 0] > 0
+    timeouts[_last_rows(steps, copies)] = True  # an episode that the recording cut
+    timeouts &= ~terminals
+    ends = terminals | timeouts
+    return Dataset.from_arrays(
+        observations=observations, actions=action, rewards=reward[:, 0], terminals=terminals, timeouts=timeouts,
+        final_observations=following[ends], action_space=task.action_space, name=name, provenance=provenance,
+    )  # fmt: skip
+
+
+def _last_rows(steps: int, copies: int) -> np.ndarray:
+    """(copies,) index of each copy's last row once the copies' rows lie one after the other."""
+    return np.cumsum([len(range(copy, steps, copies)) for copy in range(copies)]) - 1

@@ -1,0 +1,117 @@
+"""From nothing but a simulator to policies in a run folder: an agent that learns from what it does."""
+
+import dataclasses
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from deadreckon.agents import agent_name
+from deadreckon.agents.agent import Agent
+from deadreckon.collect.online import Exploration, Online
+from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
+from deadreckon.files import read_json, write_json
+from deadreckon.runs.folder import Folder, versions
+from deadreckon.runs.recorder import Recorder
+from deadreckon.runs.train import Run, Watcher, fields_of, lanes_of, load
+from deadreckon.tasks.registry import task as find_task
+from deadreckon.tasks.task import Task
+from deadreckon.training.fit import Fit
+
+
+def train_online(
+    agent: Agent | str | Sequence[Agent],
+    task: Task | str,
+    *,
+    steps: int = 1_000_000,
+    seeds: int = 1,
+    seed: int = 0,
+    settings: Online | None = None,
+    out: Path | str | None = None,
+    evaluate_every: int | None = None,
+    episodes: int = 10,
+    chunk: int = 2000,
+    resume: bool = False,
+    threads: int | None = None,
+    watch: Watcher = lambda progress, steps: None,
+) -> Run:
+    """Trains an agent in a simulator, several seeds as one compiled program, and judges it as it goes.
+
+    Args:
+        agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only.
+        task: the simulator to learn and to be judged in, or its name.
+        steps: environment steps a seed, the random ones at the beginning included. A run may be resumed with more of them.
+        seeds: how many: `seed` .. `seed + seeds - 1`.
+        seed: the first.
+        settings: how acting and learning take turns; None are the defaults of `Online`.
+        out: run folder; None is `runs/AGENT-TASK-online`.
+        evaluate_every: environment steps between evaluations; None is a fiftieth of the run. The last update is always
+            evaluated.
+        episodes: an evaluation, greedy.
+        chunk: updates between checkpoints, which is also what a kill can lose.
+        resume: go on with the run in `out`.
+        threads: to simulate with; all cores if None. Results do not depend on it.
+        watch: called after every chunk.
+
+    Raises:
+        UserError: input that does not fit, in one line; nothing is written then.
+    """
+    if seeds < 1 or chunk < 1 or episodes < 1:
+        raise UserError(f"seeds, chunk and episodes must be >= 1, got {seeds}, {chunk}, {episodes}")
+    if not 0 <= seed <= 2**32 - seeds:
+        raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
+    if evaluate_every is not None and evaluate_every < 1:
+        raise UserError(f"evaluate_every must be >= 1, got {evaluate_every}")
+    settings = settings or Online()
+    task = find_task(task) if isinstance(task, str) else task
+    updates = settings.updates(steps)
+    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+    lanes = [lane.resolve(spec, updates) for lane in lanes_of(agent, seeds)]
+    numbers = list(range(seed, seed + seeds))
+    name = agent_name(lanes[0])
+    folder = Folder(Path(out) if out is not None else Path("runs") / f"{name}-{task.name}-online")
+    every = round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step)
+    job = Fit(
+        lanes, Exploration(task, lanes[0], numbers, updates, settings, [folder.replay(s) for s in numbers], threads),
+        numbers, updates, chunk, folder.checkpoints, stops=every,
+    )  # fmt: skip
+    config = {
+        "agent": {"name": name, "fields": fields_of(lanes)},
+        "online": dataclasses.asdict(settings),
+        "data": {"name": f"{task.name}, online", "fingerprint": f"online:{task.name}"},
+        "task": task.name,
+        "seeds": numbers,
+        "steps": updates,
+        "evaluation": {"every": job.stops, "episodes": episodes},
+        "versions": versions() | {"lanes": seeds},
+    }
+    config = json.loads(json.dumps(config, default=str))
+    for text in folder.begin(_longer(folder, config) if resume else config, resume=resume):
+        warnings.warn(text, stacklevel=2)
+    job.resume()
+    folder.drop_after(job.step)
+
+    recorder = Recorder(folder, job, task, None, job.stops, episodes)
+    try:
+        recorder.catch_up()
+        if job.step == 0:
+            recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
+        for progress in job.chunks():
+            recorder.record(progress)
+            watch(progress, updates)
+        recorder.finish()
+    finally:
+        recorder.close()
+    return load(folder.path)
+
+
+def _longer(folder: Folder, config: dict) -> dict:
+    """Lets a run be taken up again with more steps than it was begun with: nothing before depends on their number."""
+    if folder.config.exists():
+        before = read_json(folder.config)
+        if isinstance(before, dict) and before.get("steps", 0) < config["steps"] and "online" in before:
+            write_json(folder.config, before | {"steps": config["steps"]})
+            for number in before["seeds"]:
+                folder.policy(number).unlink(missing_ok=True)
+    return config

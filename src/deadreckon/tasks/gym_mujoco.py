@@ -1,0 +1,234 @@
+"""The Gym-MuJoCo suite: Gymnasium's v5 bodies and rewards, with the observation layout of v2 that D4RL and DOPE logged.
+
+What differs from the MuJoCo 1.5 and 2.0 of the original logs is written down in the docs (`tasks/gym.md`).
+"""
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.tasks.task import Reference, Starts, Task, checked_actions, thread_count
+
+SPEED_LIMIT = 10.0  # of observed velocities, where they are clipped
+
+
+@dataclass(frozen=True)
+class GymMujoco(Task):
+    """A Gym-MuJoCo task. Observations are positions without those along the ground, then velocities, then `padding` zeros.
+
+    Attributes:
+        xml: the body, among Gymnasium's assets.
+        frame_skip: physics steps an environment step.
+        ground: leading positions that are not observed: 1 in the plane, 2 in space.
+        control_cost: of a squared action.
+        healthy: (n, positions + velocities) states to (n,) bool; an unhealthy state is terminal. None: none is.
+        healthy_reward: a step that ends in a healthy state.
+        start_noise: half-width of the uniform noise on the first positions.
+        gaussian: whether the first velocities' noise is Gaussian, of that deviation, or uniform like the positions'.
+        clipped: whether observed velocities are clipped to +-10.
+        torso: whether progress is the torso's as of the last physics step's beginning, as in Ant, or the first position's.
+        padding: zeros behind the velocities. Ant's 84 contact forces of v2 were zero under the MuJoCo 2.0 of the original
+            logs, and cost nothing.
+    """
+
+    xml: str = ""
+    frame_skip: int = 1
+    ground: int = 1
+    control_cost: float = 1e-3
+    healthy: Callable[[np.ndarray], np.ndarray] | None = None
+    healthy_reward: float = 1.0
+    start_noise: float = 5e-3
+    gaussian: bool = False
+    clipped: bool = True
+    torso: bool = False
+    padding: int = 0
+
+    def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "GymSimulator":
+        """One copy of the environment for each seed; see `Task.simulate`."""
+        return GymSimulator(self, seeds, threads)
+
+
+class GymSimulator:
+    """Copies of one environment. Each has its own integration state, so a step is a pure function of it and the action.
+
+    Copy `i` does what Gymnasium's environment does after `reset(seed=seeds[i])`, episode after episode, to the last bit
+    of the positions and velocities.
+    """
+
+    def __init__(self, task: GymMujoco, seeds: Sequence[int], threads: int | None = None):
+        self.task, copies = task, len(seeds)
+        self._starts = Starts(seeds, self._draw)
+        self._mujoco = mujoco = importlib.import_module("mujoco")
+        # Waking a thread costs more than a copy or two take.
+        threads = min(thread_count(threads, task.name), max(1, copies // 4))
+        self._model = model = load_model(task.xml)
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        kinds = mujoco.mjtState
+        parts = kinds.mjSTATE_TIME, kinds.mjSTATE_QPOS, kinds.mjSTATE_QVEL, kinds.mjSTATE_ACT, kinds.mjSTATE_WARMSTART
+        self._parts = sum(int(part.value) for part in parts)
+        self._state = np.zeros((copies, mujoco.mj_stateSize(model, self._parts)))
+        self._moving = self._state[:, 1 : 1 + model.nq + model.nv]  # MuJoCo puts the time first
+        self._progress = np.zeros(copies)  # along x, as the reward sees it
+        self._age = np.zeros(copies, int)
+        self._alive = np.zeros(copies, bool)
+        self._first = np.array(self._data[0].qpos)  # the body's own first posture
+        self._dt = model.opt.timestep * task.frame_skip
+
+    def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
+        """Starts episodes; see `Simulator.reset`."""
+        which = np.arange(len(self._state)) if which is None else np.asarray(which)
+        if seeds is not None:
+            self._starts.begin(which, seeds)
+        data = self._data[0]
+        for i in which:
+            start = self._starts.next(i)
+            self._mujoco.mj_resetData(self._model, data)
+            data.qpos[:], data.qvel[:] = start[: self._model.nq], start[self._model.nq :]
+            self._mujoco.mj_forward(self._model, data)  # leaves a warm start for the solver behind, as in Gymnasium
+            self._mujoco.mj_getState(self._model, data, self._state[i], self._parts)
+            self._progress[i] = data.xpos[1, 0] if self.task.torso else data.qpos[0]
+        self._age[which] = 0
+        self._alive[which] = True
+        return self._observe(which)
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Applies (copies, size) actions; gives observations, rewards, terminals and timeouts.
+
+        A copy whose episode has ended rests until its `reset`: no reward, nothing ends.
+        """
+        running = np.flatnonzero(self._alive)
+        actions = checked_actions(actions, (len(self._state), self._model.nu), self.task.name, running)
+        before = self._progress.copy()
+        self._advance(running, actions)
+        task, state = self.task, self._moving
+        healthy = np.ones(len(state), bool) if task.healthy is None else task.healthy(state)
+        costs = task.control_cost * np.square(actions, dtype=np.float64).sum(1)
+        alive = task.healthy_reward * healthy if task.healthy is not None else 0.0
+        rewards = (self._progress - before) / self._dt + alive - costs
+        self._age += self._alive
+        terminals = self._alive & ~healthy
+        timeouts = self._alive & healthy & (self._age >= task.horizon)
+        rewards = np.where(self._alive, rewards, 0.0).astype(np.float32)
+        self._alive &= ~(terminals | timeouts)
+        return self._observe(slice(None)), rewards, terminals, timeouts
+
+    def state(self) -> dict[str, np.ndarray]:
+        """See `Simulator.state`."""
+        return {"physics": self._state.copy(), "progress": self._progress.copy(), "age": self._age.copy(),
+                "alive": self._alive.copy(), **self._starts.state()}  # fmt: skip
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """See `Simulator.restore`."""
+        self._state[:], self._progress[:], self._age[:] = state["physics"], state["progress"], state["age"]
+        self._alive[:] = state["alive"]
+        self._starts.restore(state)
+
+    def _draw(self, generator: np.random.Generator) -> np.ndarray:
+        """(positions + velocities,) of a new episode, drawn as Gymnasium draws them."""
+        noise, model = self.task.start_noise, self._model
+        position = self._first + generator.uniform(-noise, noise, model.nq)
+        if self.task.gaussian:
+            return np.concatenate([position, noise * generator.standard_normal(model.nv)])
+        return np.concatenate([position, generator.uniform(-noise, noise, model.nv)])
+
+    def _advance(self, running: np.ndarray, actions: np.ndarray) -> None:
+        if self._pool is None or len(running) < 2 * len(self._data):
+            self._walk(self._data[0], running, actions)
+            return
+        parts = np.array_split(running, len(self._data))
+        for _ in self._pool.map(self._walk, self._data, parts, [actions] * len(parts)):
+            pass
+
+    def _walk(self, data: Any, copies: np.ndarray, actions: np.ndarray) -> None:
+        # MuJoCo's calls let other threads run; what Python does in between is small beside them.
+        model, parts, skip, torso = self._model, self._parts, self.task.frame_skip, self.task.torso
+        load, save, step = self._mujoco.mj_setState, self._mujoco.mj_getState, self._mujoco.mj_step
+        for i in copies.tolist():
+            state = self._state[i]
+            load(model, data, state, parts)
+            data.ctrl[:] = actions[i]
+            step(model, data, skip)
+            save(model, data, state, parts)
+            self._progress[i] = data.xpos[1, 0] if torso else data.qpos[0]
+
+    def _observe(self, which: Any) -> np.ndarray:
+        task, positions = self.task, self._model.nq
+        seen = self._moving[which]
+        velocities = seen[:, positions:]
+        if task.clipped:
+            velocities = np.clip(velocities, -SPEED_LIMIT, SPEED_LIMIT)
+        out = np.zeros((len(seen), *task.observation_shape), np.float32)
+        out[:, : positions - task.ground] = seen[:, task.ground : positions]
+        out[:, positions - task.ground : seen.shape[1] - task.ground] = velocities
+        return out
+
+
+@lru_cache
+def load_model(xml: str) -> Any:
+    """The compiled MuJoCo model of one of Gymnasium's bodies, shared by all who step it (they never write to it)."""
+    # The assets lie beside Gymnasium's code; the code itself is not loaded, it would cost every command 150 ms.
+    found = importlib.util.find_spec("gymnasium")
+    if found is None or not found.submodule_search_locations:
+        raise UserError("gymnasium is not installed; it holds the bodies of the Gym-MuJoCo tasks")
+    path = Path(found.submodule_search_locations[0]) / "envs" / "mujoco" / "assets" / xml
+    return importlib.import_module("mujoco").MjModel.from_xml_path(str(path))
+
+
+# ---- the tasks --------------------------------------------------------------------------------------------------------
+
+
+def _between(column: np.ndarray, low: float, high: float) -> np.ndarray:
+    return (low < column) & (column < high)
+
+
+def _hopper_stands(state: np.ndarray) -> np.ndarray:
+    bounded = (np.abs(state[:, 2:]) < 100.0).all(1)
+    return bounded & (state[:, 1] > 0.7) & _between(state[:, 2], -0.2, 0.2)
+
+
+def _walker_stands(state: np.ndarray) -> np.ndarray:
+    return _between(state[:, 1], 0.8, 2.0) & _between(state[:, 2], -1.0, 1.0)
+
+
+def _ant_stands(state: np.ndarray) -> np.ndarray:
+    return np.isfinite(state).all(1) & (state[:, 2] >= 0.2) & (state[:, 2] <= 1.0)
+
+
+def _make(name: str, size: int, actions: int, gym_id: str, split: str, summary: str, **fields: Any) -> GymMujoco:
+    published = Reference(*_PUBLISHED[name], "D4RL")
+    return GymMujoco(
+        name=name, domain="gym", horizon=1000, observation_shape=(size,), action_space=Box((-1.0,) * actions, (1.0,) * actions),
+        gym_id=gym_id, reference=published, published=published, split=split, summary=summary, **fields,
+    )  # fmt: skip
+
+
+# D4RL's returns of uniform actions and of its SAC experts. They define the scores here too: ours would make scores that no
+# published table could stand beside.
+_PUBLISHED = {
+    "hopper": (-20.272305, 3234.3),
+    "halfcheetah": (-280.178953, 12135.0),
+    "walker2d": (1.629008, 4592.3),
+    "ant": (-325.6, 3879.7),
+}
+
+TASKS = (
+    _make("hopper", 11, 3, "Hopper-v5", "evaluation", "hop forward on one leg", xml="hopper.xml", frame_skip=4,
+          healthy=_hopper_stands),
+    _make("halfcheetah", 17, 6, "HalfCheetah-v5", "training", "run forward on two legs; nothing ends an episode early",
+          xml="half_cheetah.xml", frame_skip=5, control_cost=0.1, start_noise=0.1, gaussian=True, clipped=False),
+    _make("walker2d", 17, 6, "Walker2d-v5", "training", "walk forward on two legs", xml="walker2d_v5.xml", frame_skip=4,
+          healthy=_walker_stands),
+    _make("ant", 111, 8, "deadreckon/Ant-v5", "evaluation", "run forward on four legs; 84 observations are zeros",
+          xml="ant.xml", frame_skip=5, ground=2, control_cost=0.5, healthy=_ant_stands, start_noise=0.1, gaussian=True,
+          clipped=False, torso=True, padding=84),
+)  # fmt: skip

@@ -1,0 +1,141 @@
+"""Rows that grow while a learner learns: what `fit` asks of them, and the buffer that keeps them."""
+
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.data.batch import Needs
+from deadreckon.data.spec import Spec
+from deadreckon.data.view import View
+from deadreckon.errors import UserError
+
+
+class Experience(Protocol):
+    """Rows that the learners' own policies make, by turns with the updates.
+
+    Attributes:
+        block: updates between two turns of acting; also the unit in which runs are paused and saved.
+        needs, spec, view, fields: as of `Rows`.
+    """
+
+    block: int
+    needs: Needs
+    spec: Spec
+    view: View
+    fields: dict[str, tuple[tuple[int, ...], Any]]
+
+    @property
+    def count(self) -> int:
+        """Rows so far, the same in every lane."""
+        ...
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> dict[str, Array]:
+        """Acts until the updates `step` .. `step + block - 1` have the rows they are due; gives all rows, lanes first."""
+        ...
+
+    def flush(self) -> None:
+        """Puts what is not yet on disk there."""
+        ...
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What the future depends on beside the rows on disk."""
+        ...
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where `state` was taken; rows that came after it are forgotten."""
+        ...
+
+
+@partial(jax.jit, donate_argnums=0)
+def _write(buffer: Float[Array, "lanes n w"], rows: Float[Array, "lanes k w"], at: Any) -> Float[Array, "lanes n w"]:
+    return jax.lax.dynamic_update_slice(buffer, rows, (0, at, 0))
+
+
+class Replay:
+    """Float32 rows of equal width for several lanes: on the device for learning, and in an append-only file a lane.
+
+    Args:
+        width: numbers a row.
+        capacity: most rows a lane.
+        lanes: how many.
+        learnable: makes of rows as they are kept what learners see.
+        paths: of the files, one a lane; none keeps nothing on disk.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        capacity: int,
+        lanes: int,
+        learnable: Callable[[np.ndarray], np.ndarray] = lambda rows: rows,
+        paths: Sequence[Path] = (),
+    ):
+        self.width, self.learnable, self.paths = width, learnable, list(paths)
+        self.count = 0
+        self.buffer = jnp.zeros((lanes, capacity, width), jnp.float32)
+        self._waiting: list[np.ndarray] = []  # (lanes, k, width) blocks that are not on disk yet
+
+    def append(self, rows: Float[np.ndarray, "lanes k w"]) -> None:
+        """Adds rows behind those that are there; they are on disk after the next `flush`."""
+        self.buffer = _write(self.buffer, self.learnable(rows), self.count)
+        self.count += rows.shape[1]
+        if self.paths:
+            self._waiting.append(rows)
+
+    def flush(self) -> None:
+        """Appends to the files what was added since the last time, and sees it onto the disk.
+
+        Raises:
+            UserError: a file cannot be written.
+        """
+        if not self._waiting:
+            return
+        rows = np.concatenate(self._waiting, 1)
+        start = self.count - rows.shape[1]
+        for path, part in zip(self.paths, rows):
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with open(path, "r+b" if path.exists() else "wb") as file:
+                    file.truncate(start * self.width * 4)  # what a killed run wrote beyond its last checkpoint
+                    file.seek(start * self.width * 4)
+                    file.write(np.ascontiguousarray(part).data)
+                    file.flush()
+                    os.fsync(file.fileno())
+            except OSError as error:
+                raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        self._waiting = []
+
+    def restore(self, count: int) -> None:
+        """Takes up the first `count` rows of the files.
+
+        Raises:
+            UserError: a file is missing or too short.
+        """
+        self.count, self._waiting = 0, []
+        if count == 0:
+            return
+        rows = np.stack([read_rows(path, self.width, count) for path in self.paths])
+        self.append(rows)
+        self._waiting = []
+
+
+def read_rows(path: Path, width: int, count: int) -> Float[np.ndarray, "count w"]:
+    """The first `count` rows of a replay file, memory-mapped.
+
+    Raises:
+        UserError: it is missing or too short.
+    """
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+    if size < count * width * 4:
+        raise UserError(f"{path} holds {size // (width * 4)} rows, the checkpoint counts {count}")
+    return np.memmap(path, np.float32, "r", shape=(count, width))
