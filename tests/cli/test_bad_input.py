@@ -163,7 +163,8 @@ CASES = {
         lambda f, g: ["data", "get", "hopper-medium-v2", "--sha256", "123"], ["64 hexadecimal digits", "123"]),
     "collected log to download": (
         lambda f, g: ["data", "get", "hopper-medium-v2@dr1"], ["hopper-medium-v2@dr1", "leave @dr1 out"]),
-    "unknown version of a log": (lambda f, g: [*BC, "hopper-medium-v2@dr7"], ["unknown version 'dr7'", "hopper-medium-v2@d4rl"]),
+    "unknown version of a log": (
+        lambda f, g: [*BC, "hopper-medium-v2@dr7"], ["unknown version 'dr7'", "hopper-medium-v2@d4rl (downloaded)"]),
     "negative rows to collect": (
         lambda f, g: ["data", "collect", "maze2d-umaze-v1", "--steps", "-1", "--out", "OUT/x.hdf5"], ["steps", "-1"]),
     "no run to evaluate": (lambda f, g: ["evaluate", f], ["no run"]),

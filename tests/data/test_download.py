@@ -325,8 +325,8 @@ def test_no_server_there(server, home, patience, monkeypatch):
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", no_name)
-    monkeypatch.setenv("DEADRECKON_D4RL_URL", "http://nowhere.invalid")
-    left_alone(home, server, patience, ["no server 'nowhere.invalid' (Name or service not known)", OFFLINE])
+    monkeypatch.setenv("DEADRECKON_D4RL_URL", "http://nowhere.invalid/")
+    left_alone(home, server, patience, ["no server of that name (Name or service not known)", OFFLINE])
     assert patience.waits == []
 
 
@@ -340,7 +340,7 @@ def test_what_cannot_be_asked_for(server, home, patience):
     for words, name, source in (
         (["did you mean hopper-medium-v2"], "hopper-medum-v2", "d4rl"),
         (["unknown source 'mirai'", "minari"], NAME, "mirai"),
-        (["has no Minari twin: --source d4rl has one, `deadreckon data collect"], "hopper-random-v2", "minari"),
+        (["has no Minari twin: --source d4rl downloads its", "collect hopper-random-v2`"], "hopper-random-v2", "minari"),
         (["contradict each other; leave @dr1 out"], f"{NAME}@dr1", "d4rl"),
     ):
         left_alone(home, server, patience, words, name, source)
@@ -351,7 +351,7 @@ def test_what_cannot_be_asked_for(server, home, patience):
 def test_a_log_of_ours_alone_has_no_original(server, home, patience, monkeypatch):
     ours = download.replace(entry(NAME), original=None, minari=None)
     monkeypatch.setitem(ENTRIES, NAME, ours)
-    left_alone(home, server, patience, [f"{NAME} has no original file of D4RL's: {OFFLINE}"])
+    left_alone(home, server, patience, [f"{NAME} has no original at D4RL's: {OFFLINE}"])
     with pytest.raises(UserError, match=f"not here yet: {OFFLINE}$"):
         load(NAME)
     with pytest.raises(UserError, match=f"unknown version 'd4rl' of {NAME}: known are {NAME}@dr1 \\(collected\\)$"):

@@ -30,7 +30,7 @@ def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
 
 
 def tasks(args: Sequence[str]) -> None:
-    """Prints the tasks with horizon, reference returns and the thesis's split."""
+    """Prints the tasks with horizon, reference returns and the thesis's split, then the logs and policies made in them."""
     from deadreckon.tasks import registry
 
     options = parse(Tasks, args, "tasks")
@@ -46,7 +46,32 @@ def tasks(args: Sequence[str]) -> None:
         references = (f"{t.reference.random:.1f}", f"{t.reference.expert:.1f}")
         rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
-    print("\nrandom and expert: mean returns that define the scores 0 and 100, measured on this simulator.")
+    print("\nrandom and expert: mean returns that define the scores 0 and 100; measured on this simulator for Maze2D, else D4RL's.")
+    _library([task for task in found if task.domain == "gym"])
+
+
+def _library(tasks: Sequence) -> None:
+    """Logs and policies of the tasks that have policies in the package."""
+    from deadreckon.collect.gym import behavior_return
+    from deadreckon.collect.recipes import recipe, recipe_names
+    from deadreckon.policies.library import library
+
+    logs = [["data set", "steps", "return", "score", "who acts"]]
+    policies = [["policy", "environment steps", "return", "error", "score", "discounted", "with mean actions", "score"]]
+    for task in tasks:
+        for name in (n for n in recipe_names() if recipe(n).task == task.name):
+            mean = behavior_return(task.name, name.removeprefix(f"{task.name}-").removesuffix("-v2"))
+            score = f"{task.reference.normalise(mean):.1f}"
+            logs.append([name, f"{recipe(name).steps:,}", f"{mean:.1f}", score, recipe(name).summary])
+        for s in library(task.name):
+            scores = [f"{task.reference.normalise(r.mean):.1f}" for r in (s.sampled, s.greedy)]
+            drawn = f"{s.sampled.mean:.1f}", f"{s.sampled.error:.1f}", scores[0], f"{s.sampled.discounted:.1f}"
+            policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, f"{s.greedy.mean:.1f}", scores[1]])
+    if len(logs) > 1:
+        print("\n" + table(logs, right=(1, 2, 3)))
+        print("\nreturn: mean of an episode of the behaviour, measured. `deadreckon data collect NAME` makes a log, offline.")
+        print("\n" + table(policies, right=(1, 2, 3, 4, 5, 6, 7)))
+        print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives the 11.")
 
 
 def agents(args: Sequence[str]) -> None:

@@ -32,6 +32,22 @@ KINDS: dict[str, tuple[str, ...]] = {
 CHUNK = 2000  # updates between checkpoints of the training that medium-replay repeats
 
 
+def behavior_return(task: str, kind: str) -> float:
+    """Mean undiscounted return of an episode of a kind of log: measured in the simulator, of medium-replay in the buffer.
+
+    Of kinds with two parts it is the mean of both; a log holds equal rows of them, and so more of the shorter episodes.
+
+    Args:
+        task: such as `hopper`.
+        kind: among `KINDS`, or `medium-replay`.
+    """
+    about = library.about(task)
+    if kind == "medium-replay":
+        return about["medium_replay"]["mean"]
+    means = [about["uniform"]["mean"] if p == UNIFORM else library.snapshot(task, p).sampled.mean for p in KINDS[kind]]
+    return sum(means) / len(means)
+
+
 def collect_gym(
     task: GymMujoco,
     kind: str,

@@ -290,9 +290,9 @@ def _known(name: str, source: str) -> Entry:
     if version not in ("", source):
         raise UserError(f"{name} and the source {source} contradict each other; leave @{version} out")
     if source not in found.sources:
-        what = "has no original file of D4RL's" if source == ORIGINAL else "has no Minari twin"
-        others = "".join(f"--source {other} has one, " for other in found.sources)
-        raise UserError(f"{base} {what}: {others}`deadreckon data collect {found.recipe}` makes it offline")
+        what = {ORIGINAL: "original at D4RL's", TWIN: "Minari twin"}
+        others = "".join(f"--source {other} downloads its {what[other]}, " for other in found.sources)
+        raise UserError(f"{base} has no {what[source]}: {others}`deadreckon data collect {found.recipe}` makes it offline")
     return found
 
 
@@ -476,7 +476,7 @@ def _no_answer(url: str, error: Exception, timeout: float) -> Exception:
     """What it means that there is no answer: no network or no such server is certain, anything else may pass."""
     reason = error.reason if isinstance(error, urllib.error.URLError) else error
     if isinstance(reason, socket.gaierror):
-        return TransferError(f"{url}: no network, or no server {urlsplit(url).hostname!r} ({reason.strerror})")
+        return TransferError(f"{url}: no network, or no server of that name ({reason.strerror})")
     if isinstance(reason, ConnectionRefusedError):
         return TransferError(f"{url}: connection refused")
     if isinstance(reason, ssl.SSLCertVerificationError):

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.collect.online import Online
+from deadreckon.collect.online import Online, replay_log
+from deadreckon.data.dataset import Provenance
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.policies import library, store
 from deadreckon.policies.library import Returns
+from deadreckon.policies.policy import BlackBoxPolicy
 from deadreckon.runs.evaluate import Evaluation, evaluate
 from deadreckon.runs.folder import Folder
 from deadreckon.tasks.registry import task as find_task
@@ -67,7 +70,11 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
            "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
     if about.get("run") != run:
         about = {"task": task, "run": run, "policies": {}}
-    about["medium_replay"] = {"environment_steps": steps(options.medium)}
+    about["medium_replay"] = _replay(folder, seed, task, config["online"]["copies"], steps(options.medium))
+    if "uniform" not in about:
+        about["uniform"] = dataclasses.asdict(_measure(_uniform(task), task, False, options))
+        write_json(path, about)
+        watch(f"{task} uniform: {about['uniform']['mean']:.1f} +- {about['uniform']['error']:.1f}")
     kept_results = {n: each for n, each in about["policies"].items() if each["updates"] == wanted.get(n)}
     about["policies"] = kept_results
     for name, step in wanted.items():
@@ -89,9 +96,22 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
                 entry[mode] = dataclasses.asdict(_measure(store.load(file), task, mode == "greedy", options))
             write_json(path, about)
             watch(f"{task} {name} {mode}: {entry[mode]['mean']:.1f} +- {entry[mode]['error']:.1f}")
+    order = ("task", "run", "medium_replay", "uniform", "policies")
     about["policies"] = {name: about["policies"][name] for name in wanted}
-    write_json(path, about)
+    write_json(path, {key: about[key] for key in order})
     return path
+
+
+def _uniform(task: str) -> BlackBoxPolicy:
+    space = find_task(task).action_space
+    assert isinstance(space, Box)
+    return BlackBoxPolicy(lambda seen, rng: rng.uniform(space.low, space.high, (len(seen), space.size)))
+
+
+def _replay(folder: Folder, seed: int, task: str, copies: int, steps: int) -> dict[str, Any]:
+    """Length and mean return of the log that the run's first `steps` environment steps make."""
+    log = replay_log(folder.replay(seed), find_task(task), copies, steps, name=task, provenance=Provenance())
+    return {"environment_steps": steps, "episodes": log.episodes, "mean": float(log.returns().mean())}
 
 
 def _measure(policy: Any, task: str, greedy: bool, options: Publish) -> Returns:

@@ -1,0 +1,204 @@
+"""The Gym-MuJoCo suite step by step beside Gymnasium's environments, which it must equal to the last bit."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the id of our Ant)
+from deadreckon import tasks
+from deadreckon.errors import UserError
+from deadreckon.tasks.gym_mujoco import TASKS
+
+NAMES = [task.name for task in TASKS]
+HOPPER = tasks.task("hopper")
+SEEDS = (5, 2**63 + 11)  # 64 bits, as collections draw them
+HORIZON = 90  # short, so that episodes of every body reach it
+
+
+def twin(task, seed):
+    """Gymnasium's own environment of a task, reset with `seed`, and its first observation as float32."""
+    padded = task.name == "ant"  # v2 saw 84 contact forces, all zero, that cost nothing
+    options = {"include_cfrc_ext_in_observation": False, "contact_cost_weight": 0.0} if padded else {}
+    env = gymnasium.make(f"{task.gym_id.removeprefix('deadreckon/')}", max_episode_steps=task.horizon, **options)
+    return env, seen(task, env.reset(seed=seed)[0])
+
+
+def seen(task, observation):
+    out = np.zeros(task.observation_shape, np.float32)
+    out[: len(observation)] = observation
+    return out
+
+
+def wild(task, seed, steps, copies=1):
+    """Actions over the whole range and beyond it, which the actuators clip and the cost does not."""
+    return np.random.default_rng(seed).uniform(-1.2, 1.2, (steps, copies, task.action_space.size)).astype(np.float32)
+
+
+def test_the_four_tasks():
+    assert NAMES == ["hopper", "halfcheetah", "walker2d", "ant"]
+    shapes = {task.name: (*task.observation_shape, task.action_space.size) for task in TASKS}
+    assert shapes == {"hopper": (11, 3), "halfcheetah": (17, 6), "walker2d": (17, 6), "ant": (111, 8)}
+    for task in TASKS:
+        assert tasks.task(task.name) is task
+        assert task.horizon == 1000
+        assert task.reference == task.published  # scores stand beside D4RL's
+        assert task.split == ("evaluation" if task.name in ("hopper", "ant") else "training")  # thesis Table D.3
+        env = gymnasium.make(task.gym_id)
+        assert env.observation_space.shape == task.observation_shape
+        assert env.spec.max_episode_steps == 1000
+        np.testing.assert_array_equal(env.action_space.low, task.action_space.low)
+        np.testing.assert_array_equal(env.action_space.high, task.action_space.high)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_bit_is_gymnasiums(name):
+    task = replace(tasks.task(name), horizon=HORIZON)
+    simulator = task.simulate(SEEDS, threads=1)
+    first = simulator.reset()
+    assert first.dtype == np.float32
+    assert first.shape == (2, *task.observation_shape)
+    actions = wild(task, 0, 4 * HORIZON, 2)
+    following, rewards, terminals, timeouts, moving = [], [], [], [], []
+    for action in actions:
+        o, r, terminal, timeout = simulator.step(action)
+        following.append(o), rewards.append(r), terminals.append(terminal), timeouts.append(timeout)
+        moving.append(simulator.state()["physics"])
+        over = np.flatnonzero(terminal | timeout)
+        if len(over):
+            following.append(simulator.reset(over))
+    following = iter(following)
+
+    envs, starts = zip(*(twin(task, seed) for seed in SEEDS))
+    np.testing.assert_array_equal(first, starts)
+    for t, action in enumerate(actions):
+        mine = next(following)
+        steps = [env.step(a) for env, a in zip(envs, action)]
+        np.testing.assert_array_equal(mine, [seen(task, step[0]) for step in steps])
+        np.testing.assert_allclose(rewards[t], [step[1] for step in steps], atol=1e-5)
+        np.testing.assert_array_equal(terminals[t], [step[2] for step in steps])
+        np.testing.assert_array_equal(timeouts[t], [step[3] and not step[2] for step in steps])
+        for env, state in zip(envs, moving[t]):  # float64, so that no difference hides behind the rounding
+            data = env.unwrapped.data
+            np.testing.assert_array_equal(state[1 : 1 + len(data.qpos) + len(data.qvel)], [*data.qpos, *data.qvel])
+        over = [env for env, step in zip(envs, steps) if step[2] or step[3]]
+        if over:
+            np.testing.assert_array_equal(next(following), [seen(task, env.reset()[0]) for env in over])
+    # Both kinds of end were met, where there are both.
+    assert np.any(terminals) == (name != "halfcheetah")
+    assert np.any(timeouts) == (name in ("halfcheetah", "ant"))
+    assert np.sum(np.array(terminals) | np.array(timeouts)) >= 8
+
+
+def test_the_horizon_ends_an_episode_that_does_not_end_by_itself():
+    task = replace(tasks.task("halfcheetah"), horizon=20)
+    simulator = task.simulate([0, 1])
+    for _ in range(2):
+        simulator.reset()
+        ends = [simulator.step(action)[2:] for action in wild(task, 0, 20, 2)]
+        np.testing.assert_array_equal([e[1] for e in ends], np.arange(20)[:, None].repeat(2, 1) == 19)
+        assert not np.any([e[0] for e in ends])
+
+
+def test_a_fall_at_the_horizon_is_a_terminal():
+    free = HOPPER.simulate([3])
+    free.reset()
+    actions = wild(HOPPER, 3, 100)
+    fall = next(t for t, action in enumerate(actions) if free.step(action)[2][0])
+    simulator = replace(HOPPER, horizon=fall + 1).simulate([3])
+    simulator.reset()
+    ends = [simulator.step(action)[2:] for action in actions[: fall + 1]]
+    assert (ends[-1][0][0], ends[-1][1][0]) == (True, False)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_observations_and_health_of_any_state(name):
+    """Speeds that clip, and both sides of every limit of health, put into both simulators."""
+    task = tasks.task(name)
+    env, _ = twin(task, 0)
+    body = env.unwrapped
+    rng = np.random.default_rng(0)
+    nq, nv = len(body.data.qpos), len(body.data.qvel)
+    states = np.concatenate([body.init_qpos + rng.normal(0, 0.5, (200, nq)), rng.normal(0, 20, (200, nv))], 1)
+    for column, limits in {"hopper": {1: (0.7,), 2: (-0.2, 0.2), 5: (-100.0, 100.0)},
+                           "walker2d": {1: (0.8, 2.0), 2: (-1.0, 1.0)},
+                           "ant": {2: (0.2, 1.0)}}.get(name, {}).items():  # fmt: skip
+        for limit in limits:
+            near = np.tile(np.concatenate([body.init_qpos, np.zeros(nv)]), (3, 1))
+            near[:, column] = [np.nextafter(limit, -np.inf), limit, np.nextafter(limit, np.inf)]
+            states = np.concatenate([states, near])
+
+    simulator = task.simulate(range(len(states)))
+    simulator.reset()
+    state = simulator.state()
+    state["physics"][:, 1 : 1 + nq + nv] = states
+    state["alive"][:] = False  # resting copies show their state as it is
+    simulator.restore(state)
+    mine = simulator.step(np.zeros((len(states), task.action_space.size)))[0]
+    healthy = None if task.healthy is None else task.healthy(states)
+    for i, each in enumerate(states):
+        body.data.qpos[:], body.data.qvel[:] = each[:nq], each[nq:]
+        np.testing.assert_array_equal(mine[i], seen(task, body._get_obs()))
+        if healthy is not None:
+            assert healthy[i] == body.is_healthy, each
+    if healthy is not None:
+        assert healthy.any()
+        assert not healthy.all()
+
+
+def test_the_ant_with_its_zeros_is_an_environment_of_gymnasium():
+    task = tasks.task("ant")
+    env, simulator = gymnasium.make(task.gym_id), task.simulate([4])
+    observation, _ = env.reset(seed=4)
+    np.testing.assert_array_equal(observation, simulator.reset()[0])
+    assert observation.dtype == np.float32
+    for action in wild(task, 1, 30):
+        observation, reward, terminal, truncated, _ = env.step(action[0])
+        mine = simulator.step(action)
+        np.testing.assert_array_equal(observation, mine[0][0])
+        assert (reward, terminal, truncated) == tuple(part[0] for part in mine[1:])
+    assert not observation[27:].any()
+
+
+def test_a_copy_whose_episode_is_over_rests_until_its_reset():
+    task = replace(HOPPER, horizon=60)
+    simulator = task.simulate(range(8))
+    simulator.reset()
+    actions = wild(task, 2, 60, 8)
+    over = np.zeros(8, bool)
+    last = np.zeros((8, *task.observation_shape), np.float32)
+    for t in range(59):
+        actions[t][over] = np.nan  # nobody looks at a resting copy's action
+        observations, rewards, terminals, timeouts = simulator.step(actions[t])
+        assert not rewards[over].any()
+        assert not (terminals | timeouts)[over].any()
+        np.testing.assert_array_equal(observations[over], last[over])
+        assert (rewards[~over] != 0).all()
+        over |= terminals | timeouts
+        last = observations
+        if t == 15:
+            assert 0 < over.sum() < 8
+    assert over.all()
+    simulator.reset(np.array([6]))
+    rewards = simulator.step(np.nan_to_num(actions[0]))[1]
+    np.testing.assert_array_equal(rewards != 0, np.arange(8) == 6)
+
+
+def test_bad_input_is_told():
+    simulator = HOPPER.simulate([0, 1, 2])
+    simulator.reset()
+    before = simulator.state()
+    with pytest.raises(UserError, match=r"hopper: actions have shape \(3,\), \(3, 3\) is needed"):
+        simulator.step(np.zeros(3))
+    with pytest.raises(UserError, match=r"the action of copy 1 is \[0.0, nan, 0.0\]"):
+        simulator.step(np.array([[0, 0, 0], [0, np.nan, 0], [0, 0, np.inf]]))
+    after = simulator.state()
+    assert all(np.array_equal(before[key], after[key]) for key in before)
+    for seeds in ([], [0, -1]):
+        with pytest.raises(UserError, match="one seed a copy is needed, each 0 or more"):
+            HOPPER.simulate(seeds)
+    with pytest.raises(UserError, match=r"got \[7\] for 2 copies"):
+        simulator.reset(np.array([0, 2]), [7])
+    with pytest.raises(UserError, match="hopper: threads must be 1 or more, got 0"):
+        HOPPER.simulate([0], threads=0)
