@@ -46,7 +46,7 @@ def tasks(args: Sequence[str]) -> None:
         references = (f"{t.reference.random:.1f}", f"{t.reference.expert:.1f}")
         rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
-    print("\nrandom and expert: mean returns that define the scores 0 and 100; measured on this simulator for Maze2D, else D4RL's.")
+    print("\nrandom and expert: mean returns that define the scores 0 and 100; Maze2D's are measured on this simulator.")
     _library([task for task in found if task.domain == "gym"])
 
 
@@ -54,8 +54,9 @@ def _library(tasks: Sequence) -> None:
     """Logs and policies of the tasks that have policies in the package."""
     from deadreckon.collect.gym import behavior_return
     from deadreckon.collect.recipes import recipe, recipe_names
-    from deadreckon.policies.library import library
+    from deadreckon.policies.library import library, library_tasks
 
+    tasks = [task for task in tasks if task.name in library_tasks()]
     logs = [["data set", "steps", "return", "score", "who acts"]]
     policies = [["policy", "environment steps", "return", "error", "score", "discounted", "with mean actions", "score"]]
     for task in tasks:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from deadreckon.data.catalogue import VERSION, cached_path, entry
+from deadreckon.data.catalogue import ENTRIES, VERSION, cached_path, entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.policies.library import about, library_tasks
@@ -199,4 +199,5 @@ def _gym(task: GymMujoco, kind: str, summary: str) -> Recipe:
 
 for _task in gym_mujoco.TASKS:
     for _kind, _summary in _GYM.items():
-        register(_gym(_task, _kind, _summary))
+        if f"{_task.name}-{_kind}-v2" in ENTRIES:
+            register(_gym(_task, _kind, _summary))

@@ -1,13 +1,16 @@
 """Measures the returns that mean 0 and 100 on the normalised scale (thesis 7.3).
 
-`python -m deadreckon.collect.references` prints the table that `tasks/maze2d.py` holds.
+`python -m deadreckon.collect.references` prints the table that `tasks/maze2d.py` holds, and what uniform actions earn in the
+Gym-MuJoCo tasks, of which Humanoid's is used.
 """
 
 import numpy as np
 
 from deadreckon.collect.maze2d import Pursuit
+from deadreckon.data.spec import Box
+from deadreckon.tasks import gym_mujoco
 from deadreckon.tasks.maze2d import TASKS, Maze2D
-from deadreckon.tasks.task import Reference
+from deadreckon.tasks.task import Reference, Task
 
 
 def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, seed: int = 0) -> Reference:
@@ -43,11 +46,28 @@ def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, s
     return Reference(random, expert, source)
 
 
+def uniform_return(task: Task, *, episodes: int = 1000, seed: int = 0) -> float:
+    """Mean return of episodes of uniform actions, from the starts `range(episodes)`."""
+    assert isinstance(task.action_space, Box)
+    space = task.action_space
+    simulator = task.simulate(range(episodes))
+    simulator.reset()
+    generator = np.random.default_rng(seed)
+    returns, alive = np.zeros(episodes), np.ones(episodes, bool)
+    while alive.any():
+        _, rewards, terminals, timeouts = simulator.step(generator.uniform(space.low, space.high, (episodes, space.size)))
+        returns += np.where(alive, rewards, 0.0)
+        alive &= ~(terminals | timeouts)
+    return float(returns.mean())
+
+
 def main() -> None:
     """Prints the measured table."""
     for task in TASKS:
         found = measure(task)
         print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
+    for task in gym_mujoco.TASKS:
+        print(f"{task.name}, uniform actions: {uniform_return(task):.4f}")
 
 
 if __name__ == "__main__":

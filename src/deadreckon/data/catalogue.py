@@ -74,9 +74,9 @@ _OURS = ("uniform", "uniform-expert")  # kinds that the thesis speaks of (A.4, 7
 def _gym(robot: str, policy: str) -> Entry:
     name = f"{robot}-{policy}-v2"
     rows = _ROBOTS[robot] if policy == "medium-replay" else 2_000_000 if policy.endswith("-expert") else 1_000_000
-    file = None if policy in _OURS else f"gym_mujoco_v2/{robot}_{policy.replace('-', '_')}-v2.hdf5"
+    file = None if policy in _OURS or robot not in _ROBOTS else f"gym_mujoco_v2/{robot}_{policy.replace('-', '_')}-v2.hdf5"
     # Minari's `simple` logs are those of a weak policy, not of a random one.
-    twin = f"mujoco/{robot}/{policy}-v0" if policy in ("medium", "expert") else None
+    twin = f"mujoco/{robot}/{policy}-v0" if policy in ("medium", "expert") and file else None
     return Entry(name, "gym", robot, name, rows, file, twin)
 
 
@@ -85,6 +85,7 @@ ENTRIES: dict[str, Entry] = {
     for entry in (
         *(_maze2d(size, rows, dense) for dense in (False, True) for size, rows in _MAZES),
         *(_gym(robot, policy) for robot in _ROBOTS for policy in (*_POLICIES, *_OURS)),
+        *(_gym("humanoid", policy) for policy in ("medium", "uniform")),  # thesis Figure 4.4; never among D4RL's
     )
 }
 

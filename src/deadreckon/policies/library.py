@@ -78,7 +78,10 @@ def about(task: str) -> dict[str, Any]:
     """
     path = ROOT / f"{task}.json"
     if not path.is_file():
-        raise unknown("task with policies", task, library_tasks())
+        raise UserError(
+            f"there are no policies of {task!r}, only of {', '.join(library_tasks())}; "
+            "`python -m deadreckon.runs.publish` makes them from an online run"
+        )
     return json.loads(path.read_text())
 
 

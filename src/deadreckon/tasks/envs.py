@@ -1,9 +1,8 @@
 """Importing this module gives Gymnasium the ids of our environments, such as `deadreckon/Maze2D-UMaze-v1`.
 
-The Gym-MuJoCo tasks are Gymnasium's own environments, but for `deadreckon/Ant-v5`.
-
 `gymnasium.make("deadreckon.tasks.envs:deadreckon/Maze2D-UMaze-v1")` imports it by itself. It stands apart from
-`deadreckon.tasks` because importing Gymnasium costs every command 150 ms.
+`deadreckon.tasks` because importing Gymnasium costs every command 150 ms. Of the Gym-MuJoCo tasks only Ant's environment
+is ours, `deadreckon/Ant-v5`; the others are Gymnasium's own.
 """
 
 from gymnasium.envs.registration import register

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,27 +29,32 @@ class GymMujoco(Task):
         xml: the body, among Gymnasium's assets.
         frame_skip: physics steps an environment step.
         ground: leading positions that are not observed: 1 in the plane, 2 in space.
+        forward_reward: of a unit of speed along x.
         control_cost: of a squared action.
         healthy: (n, positions + velocities) states to (n,) bool; an unhealthy state is terminal. None: none is.
         healthy_reward: a step that ends in a healthy state.
         start_noise: half-width of the uniform noise on the first positions.
         gaussian: whether the first velocities' noise is Gaussian, of that deviation, or uniform like the positions'.
         clipped: whether observed velocities are clipped to +-10.
-        torso: whether progress is the torso's as of the last physics step's beginning, as in Ant, or the first position's.
-        padding: zeros behind the velocities. Ant's 84 contact forces of v2 were zero under the MuJoCo 2.0 of the original
-            logs, and cost nothing.
+        progress: whose way along x is rewarded: the first position, the torso, or the centre of mass; the last two as of the
+            last physics step's beginning, as in Gymnasium.
+        inner: whether the bodies' inertias and velocities and the joints' motor forces are observed behind the velocities.
+        padding: zeros at the end. The contact forces of v2 (84) were zero under the MuJoCo 2.0 of the original logs, and
+            cost nothing.
     """
 
     xml: str = ""
     frame_skip: int = 1
     ground: int = 1
+    forward_reward: float = 1.0
     control_cost: float = 1e-3
     healthy: Callable[[np.ndarray], np.ndarray] | None = None
     healthy_reward: float = 1.0
     start_noise: float = 5e-3
     gaussian: bool = False
     clipped: bool = True
-    torso: bool = False
+    progress: Literal["position", "torso", "mass"] = "position"
+    inner: bool = False
     padding: int = 0
 
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "GymSimulator":
@@ -79,6 +84,9 @@ class GymSimulator:
         self._state = np.zeros((copies, mujoco.mj_stateSize(model, self._parts)))
         self._moving = self._state[:, 1 : 1 + model.nq + model.nv]  # MuJoCo puts the time first
         self._progress = np.zeros(copies)  # along x, as the reward sees it
+        self._weights = np.array(model.body_mass) / model.body_mass.sum()
+        inner = 16 * model.nbody + model.nv if task.inner else 0  # inertia 10 and velocity 6 a body, force 1 a joint
+        self._inner = np.zeros((copies, inner))
         self._age = np.zeros(copies, int)
         self._alive = np.zeros(copies, bool)
         self._first = np.array(self._data[0].qpos)  # the body's own first posture
@@ -96,7 +104,7 @@ class GymSimulator:
             data.qpos[:], data.qvel[:] = start[: self._model.nq], start[self._model.nq :]
             self._mujoco.mj_forward(self._model, data)  # leaves a warm start for the solver behind, as in Gymnasium
             self._mujoco.mj_getState(self._model, data, self._state[i], self._parts)
-            self._progress[i] = data.xpos[1, 0] if self.task.torso else data.qpos[0]
+            self._measure(data, i)
         self._age[which] = 0
         self._alive[which] = True
         return self._observe(which)
@@ -114,7 +122,7 @@ class GymSimulator:
         healthy = np.ones(len(state), bool) if task.healthy is None else task.healthy(state)
         costs = task.control_cost * np.square(actions, dtype=np.float64).sum(1)
         alive = task.healthy_reward * healthy if task.healthy is not None else 0.0
-        rewards = (self._progress - before) / self._dt + alive - costs
+        rewards = task.forward_reward * (self._progress - before) / self._dt + alive - costs
         self._age += self._alive
         terminals = self._alive & ~healthy
         timeouts = self._alive & healthy & (self._age >= task.horizon)
@@ -124,13 +132,13 @@ class GymSimulator:
 
     def state(self) -> dict[str, np.ndarray]:
         """See `Simulator.state`."""
-        return {"physics": self._state.copy(), "progress": self._progress.copy(), "age": self._age.copy(),
-                "alive": self._alive.copy(), **self._starts.state()}  # fmt: skip
+        return {"physics": self._state.copy(), "progress": self._progress.copy(), "inner": self._inner.copy(),
+                "age": self._age.copy(), "alive": self._alive.copy(), **self._starts.state()}  # fmt: skip
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """See `Simulator.restore`."""
         self._state[:], self._progress[:], self._age[:] = state["physics"], state["progress"], state["age"]
-        self._alive[:] = state["alive"]
+        self._alive[:], self._inner[:] = state["alive"], state["inner"]
         self._starts.restore(state)
 
     def _draw(self, generator: np.random.Generator) -> np.ndarray:
@@ -151,7 +159,7 @@ class GymSimulator:
 
     def _walk(self, data: Any, copies: np.ndarray, actions: np.ndarray) -> None:
         # MuJoCo's calls let other threads run; what Python does in between is small beside them.
-        model, parts, skip, torso = self._model, self._parts, self.task.frame_skip, self.task.torso
+        model, parts, skip = self._model, self._parts, self.task.frame_skip
         load, save, step = self._mujoco.mj_setState, self._mujoco.mj_getState, self._mujoco.mj_step
         for i in copies.tolist():
             state = self._state[i]
@@ -159,7 +167,17 @@ class GymSimulator:
             data.ctrl[:] = actions[i]
             step(model, data, skip)
             save(model, data, state, parts)
-            self._progress[i] = data.xpos[1, 0] if torso else data.qpos[0]
+            self._measure(data, i)
+
+    def _measure(self, data: Any, copy: int) -> None:
+        """Keeps what the state does not hold."""
+        whose = self.task.progress
+        if whose == "position":
+            self._progress[copy] = data.qpos[0]
+        else:
+            self._progress[copy] = data.xpos[1, 0] if whose == "torso" else self._weights @ data.xipos[:, 0]
+        if self.task.inner:
+            self._inner[copy] = np.concatenate([data.cinert.ravel(), data.cvel.ravel(), data.qfrc_actuator])
 
     def _observe(self, which: Any) -> np.ndarray:
         task, positions = self.task, self._model.nq
@@ -169,7 +187,9 @@ class GymSimulator:
             velocities = np.clip(velocities, -SPEED_LIMIT, SPEED_LIMIT)
         out = np.zeros((len(seen), *task.observation_shape), np.float32)
         out[:, : positions - task.ground] = seen[:, task.ground : positions]
-        out[:, positions - task.ground : seen.shape[1] - task.ground] = velocities
+        end = seen.shape[1] - task.ground
+        out[:, positions - task.ground : end] = velocities
+        out[:, end : end + self._inner.shape[1]] = self._inner[which]
         return out
 
 
@@ -204,11 +224,17 @@ def _ant_stands(state: np.ndarray) -> np.ndarray:
     return np.isfinite(state).all(1) & (state[:, 2] >= 0.2) & (state[:, 2] <= 1.0)
 
 
+def _humanoid_stands(state: np.ndarray) -> np.ndarray:
+    return _between(state[:, 2], 1.0, 2.0)
+
+
 def _make(name: str, size: int, actions: int, gym_id: str, split: str, summary: str, **fields: Any) -> GymMujoco:
-    published = Reference(*_PUBLISHED[name], "D4RL")
+    published = Reference(*_PUBLISHED[name], "D4RL") if name in _PUBLISHED else None
+    bound = 0.4 if name == "humanoid" else 1.0
     return GymMujoco(
-        name=name, domain="gym", horizon=1000, observation_shape=(size,), action_space=Box((-1.0,) * actions, (1.0,) * actions),
-        gym_id=gym_id, reference=published, published=published, split=split, summary=summary, **fields,
+        name=name, domain="gym", horizon=1000, observation_shape=(size,), gym_id=gym_id, split=split, summary=summary,
+        action_space=Box((-bound,) * actions, (bound,) * actions), reference=published or _HUMANOID, published=published,
+        **fields,
     )  # fmt: skip
 
 
@@ -221,6 +247,10 @@ _PUBLISHED = {
     "ant": (-325.6, 3879.7),
 }
 
+# D4RL has no humanoid. Standing for the whole horizon earns 5 a step; what uniform actions earn is measured, see
+# `python -m deadreckon.collect.references`.
+_HUMANOID = Reference(117.3715, 5000.0, "uniform actions on this simulator; standing for 1,000 steps")
+
 TASKS = (
     _make("hopper", 11, 3, "Hopper-v5", "evaluation", "hop forward on one leg", xml="hopper.xml", frame_skip=4,
           healthy=_hopper_stands),
@@ -230,5 +260,8 @@ TASKS = (
           healthy=_walker_stands),
     _make("ant", 111, 8, "deadreckon/Ant-v5", "evaluation", "run forward on four legs; 84 observations are zeros",
           xml="ant.xml", frame_skip=5, ground=2, control_cost=0.5, healthy=_ant_stands, start_noise=0.1, gaussian=True,
-          clipped=False, torso=True, padding=84),
+          clipped=False, progress="torso", padding=84),
+    _make("humanoid", 376, 17, "deadreckon/Humanoid-v5", "evaluation", "run forward on two legs, with two arms; 84 zeros",
+          xml="humanoid.xml", frame_skip=5, ground=2, forward_reward=1.25, control_cost=0.1, healthy=_humanoid_stands,
+          healthy_reward=5.0, start_noise=1e-2, clipped=False, progress="mass", inner=True, padding=84),
 )  # fmt: skip

@@ -1,0 +1,267 @@
+"""Logs made by policies, beside a rollout written here in plain Python; kills, cuts, densities."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+
+from deadreckon import tasks
+from deadreckon.collect.gym import collect_gym
+from deadreckon.collect.rollouts import WAVE, Act, perform
+from deadreckon.data.dataset import Provenance
+from deadreckon.data.spec import Box, Spec
+from deadreckon.data.view import View
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
+from deadreckon.nets.mlp import MLP
+from deadreckon.policies import Deployed
+from deadreckon.policies.policy import TanhGaussian
+
+# Bounds that are neither symmetric nor of width 2, and episodes that end both ways.
+HOPPER = replace(tasks.task("hopper"), horizon=24, action_space=Box((-0.9, -0.5, -1.0), (0.3, 1.0, 0.6)))
+MAZE = replace(tasks.task("maze2d-umaze-dense"), horizon=60)  # so long that progress is told inside a wave
+LOW, HIGH = (np.array(side, np.float32) for side in (HOPPER.action_space.low, HOPPER.action_space.high))
+
+
+def policy(task, seed=0):
+    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+    net = MLP.create(spec.observation_size, (8,), 2 * spec.action_size, jax.random.key(seed))
+    return Deployed.of(TanhGaussian(net), View.of(spec))
+
+
+POLICY = policy(HOPPER)
+BOTH = [Act(POLICY, 1501), Act(None, 700)]  # several waves each; neither ends with an episode
+
+
+class Killed(Exception):
+    pass
+
+
+def log(folder, acts=BOTH, task=HOPPER, seed=0, **options):
+    return perform(task, acts, name="rolled", seed=seed, provenance=Provenance(), scratch=folder, **options)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The log of `BOTH`, and what was told of its progress."""
+    told = []
+    return log(tmp_path_factory.mktemp("both"), progress=lambda done, total: told.append((done, total))), told
+
+
+def by_hand(task, rows, seed):
+    """Uniform actions, one copy at a time and one step at a time: (observation, action, reward, terminal, timeout, final)."""
+    root = jax.random.fold_in(jax.random.key(seed), 0)
+    low, high = (np.array(side, np.float32) for side in (task.action_space.low, task.action_space.high))
+    out, episodes = [], 0
+    while len(out) < rows:
+        mean = len(out) / episodes if episodes else task.horizon
+        count = min(max(int(np.ceil((rows - len(out)) / mean)), 1), WAVE)
+        wave, root_of_wave = episodes, jax.random.fold_in(root, episodes)
+        drawn = [jax.random.uniform(jax.random.fold_in(root_of_wave, t), (WAVE, len(low)), minval=low, maxval=high)
+                 for t in range(task.horizon)]  # fmt: skip
+        drawn = np.array(drawn)
+        for i, start in enumerate(np.random.SeedSequence([seed, 0, wave]).generate_state(count, np.uint64)):
+            simulator = task.simulate([int(start)])
+            observation, over, episodes = simulator.reset()[0], False, episodes + 1
+            for t in range(task.horizon):
+                action = drawn[t, i]
+                following, reward, terminal, timeout = (part[0] for part in simulator.step(action[None]))
+                over = terminal or timeout
+                out.append((observation, action, reward, terminal, timeout, following if over else None))
+                observation = following
+                if len(out) == rows and not over:
+                    out[-1] = (*out[-1][:4], True, following)
+                if over or len(out) == rows:
+                    break
+            if len(out) == rows:
+                break
+    return [np.array([x for x in column if x is not None]) for column in zip(*out)]
+
+
+@pytest.mark.parametrize(("task", "rows"), [(HOPPER, 900), (MAZE, 250)])
+def test_uniform_actions_equal_a_rollout_by_hand(task, rows, tmp_path):
+    made = log(tmp_path, [Act(None, rows)], task, seed=3)
+    expected = by_hand(task, rows, 3)
+    columns = made.observations, made.actions, made.rewards, made.terminals, made.timeouts, made.final_observations
+    for ours, theirs in zip(columns, expected):
+        np.testing.assert_array_equal(ours, theirs)
+    assert len(made) == rows
+    assert made.dropped == 0
+    assert made.episodes > 3
+    assert made.action_space == task.action_space
+
+
+def test_two_acts_have_their_rows_and_share_no_episode(both):
+    made, told = both
+    assert len(made) == 2201
+    assert made.timeouts[1500]  # cut
+    assert made.timeouts[-1]
+    assert made.terminals[:1501].any()
+    assert (made.lengths <= HOPPER.horizon).all()
+    assert made.lengths.max() == HOPPER.horizon
+    assert told[-1] == (2201, 2201)
+    assert told == sorted(told)
+    np.testing.assert_array_equal(np.diff(made.starts), made.lengths[:-1])
+    volume = np.prod(HIGH - LOW)
+    np.testing.assert_allclose(made.extras["behavior_log_probs"][1501:], -np.log(volume), rtol=1e-6)
+    assert (made.actions >= LOW).all()
+    assert (made.actions <= HIGH).all()
+
+
+def test_rows_follow_the_physics_up_to_the_cut(both):
+    """The log, put back into the simulator: also the cut rows have the observation that came next."""
+    made, _ = both
+    cut = np.searchsorted(made.ends, 1500)
+    for episode in (0, cut, cut + 1, made.episodes - 1):
+        rows = slice(made.starts[episode], made.ends[episode] + 1)
+        # Where an episode started is found again among the seeds of its act's waves.
+        simulator = HOPPER.simulate(seeds_of(both, 0 if episode <= cut else 1))
+        starts = simulator.reset()
+        copy = np.flatnonzero((starts == made.observations[rows.start]).all(1))
+        assert len(copy) == 1
+        for row in range(rows.start, rows.stop):
+            following, rewards, terminals, _ = simulator.step(np.repeat(made.actions[row][None], len(starts), 0))
+            np.testing.assert_array_equal(following[copy[0]], made.next_observations_at(np.array([row]))[0])
+            assert rewards[copy[0]] == made.rewards[row]
+            assert terminals[copy[0]] == made.terminals[row]
+        assert len(range(rows.start, rows.stop)) > 1
+
+
+def seeds_of(both, act):
+    """Of an act's episodes, wave by wave."""
+    made, _ = both
+    ends = made.ends[made.ends <= 1500] if act == 0 else made.ends[made.ends > 1500]
+    out, waves = [], {0}
+    while waves:
+        before = waves.pop()
+        sequence = np.random.SeedSequence([0, act, before])
+        out += [int(s) for s in sequence.generate_state(WAVE, np.uint64)]
+        if before + WAVE < len(ends):
+            waves.add(before + WAVE)
+    # Waves that were not full come at the end; where exactly does not matter, every place is tried.
+    for before in range(len(ends)):
+        out += [int(s) for s in np.random.SeedSequence([0, act, before]).generate_state(8, np.uint64)]
+    return list(dict.fromkeys(out))
+
+
+def test_logged_densities_are_the_policys(both):
+    made, _ = both
+    logged = made.extras["behavior_log_probs"][:1501]
+    assert logged.dtype == np.float32
+    expected = POLICY.log_prob(made.observations[:1501], made.actions[:1501])
+    np.testing.assert_allclose(logged, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_actions_are_drawn_from_the_policy(both):
+    made, _ = both
+    mean, log_std = np.split(np.asarray(POLICY.inner.net(made.observations[:1501])), 2, axis=-1)
+    unit = 2 * (made.actions[:1501] - LOW) / (HIGH - LOW) - 1
+    noise = ((np.arctanh(np.clip(unit, -1 + 1e-6, 1 - 1e-6)) - mean) / np.exp(log_std)).ravel()
+    assert stats.kstest(noise, "norm").pvalue > 1e-3
+    assert len(np.unique(made.actions[:1501, 0])) > 1490  # no row repeats another's draw
+    # Copies side by side and steps one after the other draw independently.
+    assert abs(np.corrcoef(noise[:-3], noise[3:])[0, 1]) < 0.06
+
+
+def test_episodes_start_apart(both, tmp_path):
+    made, _ = both
+    starts = made.observations[made.starts]
+    assert len(np.unique(starts, axis=0)) == made.episodes
+    other = log(tmp_path, seed=1)
+    assert other.fingerprint != made.fingerprint
+    assert not (other.observations[other.starts][:, None] == starts[None]).all(-1).any()
+    assert not (other.actions[:100] == made.actions[:100]).any(1).any()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_change_nothing(both, threads, tmp_path):
+    assert log(tmp_path, threads=threads).fingerprint == both[0].fingerprint
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.68, 0.7, 1.0])
+def test_killed_and_gone_on_with_is_the_same(both, share, tmp_path):
+    made, told = both
+    at = next(done for done, _ in told if done >= share * len(made))
+
+    def kill(done, total):
+        if done >= at:
+            raise Killed
+
+    with pytest.raises(Killed):
+        log(tmp_path, progress=kill)
+    assert read_json(tmp_path / "state.json")["rows"] == at
+    for path in tmp_path.glob("*.bin"):  # and the kill fell into the next write
+        with open(path, "ab") as file:
+            file.write(b"\x7f" * 1001)
+    more = []
+    again = log(tmp_path, progress=lambda done, total: more.append((done, total)))
+    assert again.fingerprint == made.fingerprint
+    assert more == [each for each in told if each[0] > at]  # what was there is not made again
+
+
+def test_killed_inside_a_wave_is_the_same(tmp_path):
+    acts, calls = [Act(policy(MAZE), 300), Act(None, 200)], []
+    whole = log(tmp_path / "whole", acts, MAZE, progress=lambda done, total: calls.append(done))
+    assert len(calls) > 4
+    assert calls == sorted(calls)
+    for kill_at in range(len(calls)):
+        left = [kill_at]
+
+        def kill(done, total, left=left):
+            if left[0] == 0:
+                raise Killed
+            left[0] -= 1
+
+        with pytest.raises(Killed):
+            log(tmp_path / f"{kill_at}", acts, MAZE, progress=kill)
+        assert log(tmp_path / f"{kill_at}", acts, MAZE).fingerprint == whole.fingerprint
+
+
+@pytest.mark.parametrize("rows", [1, 23, 24, 25])
+def test_any_number_of_rows(rows, tmp_path):
+    made = log(tmp_path, [Act(None, rows)])
+    assert len(made) == rows
+    assert made.timeouts[-1] != made.terminals[-1]
+    assert made.dropped == 0
+
+
+def test_another_collection_is_not_gone_on_with(tmp_path):
+    log(tmp_path, [Act(None, 30)])
+    for acts, seed in (([Act(None, 31)], 0), ([Act(None, 30)], 1), ([Act(None, 15), Act(None, 15)], 0)):
+        with pytest.raises(UserError, match="holds the beginning of another collection; delete it"):
+            log(tmp_path, acts, seed=seed)
+    other = Provenance(extra={"policies": ["expert"]})
+    with pytest.raises(UserError, match="another collection"):
+        perform(HOPPER, [Act(None, 30)], name="rolled", seed=0, provenance=other, scratch=tmp_path)
+    assert len(log(tmp_path, [Act(None, 30)])) == 30
+
+
+def test_a_scratch_folder_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(UserError, match=r"cannot write .*file/.*: Not a directory$"):
+        log(tmp_path / "file" / "scratch", [Act(None, 30)])
+
+
+def test_kinds_of_log_are_acts_in_equal_parts(tmp_path, monkeypatch):
+    from deadreckon.policies import library
+
+    class Shipped:
+        def __init__(self, task, name):
+            assert (task, name) == ("hopper", "expert")
+
+        def policy(self):
+            return POLICY
+
+    monkeypatch.setattr(library, "snapshot", Shipped)
+    made = collect_gym(HOPPER, "uniform-expert", name="hopper-uniform-expert-v2", steps=61, seed=2, scratch=tmp_path)
+    assert made.name == "hopper-uniform-expert-v2@dr1"
+    assert made.provenance.extra["rows"] == [30, 31]
+    assert made.provenance.extra["policies"] == ["uniform", "expert"]
+    assert {"mujoco", "gymnasium", "numpy", "jax", "deadreckon"} <= set(made.provenance.versions)
+    log_probs = made.extras["behavior_log_probs"]
+    np.testing.assert_allclose(log_probs[:30], -np.log(np.prod(HIGH - LOW)), rtol=1e-6)
+    np.testing.assert_allclose(log_probs[30:], POLICY.log_prob(made.observations[30:], made.actions[30:]), rtol=1e-4, atol=1e-4)
+    with pytest.raises(UserError, match="hopper-x-v2: steps must be 2 or more, got 1"):
+        collect_gym(HOPPER, "medium-expert", name="hopper-x-v2", steps=1, scratch=tmp_path)
