@@ -97,7 +97,8 @@ def _perform(
             guess = done / episodes if episodes else task.horizon
             count = int(np.clip(np.ceil((act.rows - done) / guess), 1, WAVE))
             starts = np.random.SeedSequence([seed, which, episodes]).generate_state(count, np.uint64)
-            told = (lambda rows, d=before + done: progress(min(d + rows, total), total)) if progress else None
+            most = before + act.rows  # a wave may go beyond it
+            told = (lambda rows, d=before + done, m=most: progress(min(d + rows, m), total)) if progress else None
             wave = _wave(task, simulator, player, [int(s) for s in starts], episodes, told)
             stage.append(wave, act.rows - done, which)
             if progress:

@@ -1,8 +1,8 @@
 """Importing this module gives Gymnasium the ids of our environments, such as `deadreckon/Maze2D-UMaze-v1`.
 
 `gymnasium.make("deadreckon.tasks.envs:deadreckon/Maze2D-UMaze-v1")` imports it by itself. It stands apart from
-`deadreckon.tasks` because importing Gymnasium costs every command 150 ms. Of the Gym-MuJoCo tasks only Ant's environment
-is ours, `deadreckon/Ant-v5`; the others are Gymnasium's own.
+`deadreckon.tasks` because importing Gymnasium costs every command 150 ms. Of the Gym-MuJoCo tasks, Ant and Humanoid have
+environments of ours, `deadreckon/Ant-v5` and `deadreckon/Humanoid-v5`; the others are Gymnasium's own.
 """
 
 from gymnasium.envs.registration import register
@@ -19,6 +19,7 @@ for _task in maze2d.TASKS:
             kwargs={"task": _task.name},
         )
 
-_ant = registry.task("ant")
-if _ant.gym_id not in registered:
-    register(_ant.gym_id, "deadreckon.tasks.gym_env:PaddedAntEnv", max_episode_steps=_ant.horizon)
+for _name, _env in (("ant", "PaddedAntEnv"), ("humanoid", "PaddedHumanoidEnv")):
+    _task = registry.task(_name)
+    if _task.gym_id not in registered:
+        register(_task.gym_id, f"deadreckon.tasks.gym_env:{_env}", max_episode_steps=_task.horizon)

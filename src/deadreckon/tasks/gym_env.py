@@ -1,36 +1,65 @@
-"""The Gymnasium face of the task `ant`, apart because it alone needs gymnasium. The other robots' are Gymnasium's own."""
+"""The Gymnasium faces of `ant` and `humanoid`, apart because they alone need gymnasium. The other robots' are Gymnasium's own."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.mujoco.ant_v5 import AntEnv
+from gymnasium.envs.mujoco.humanoid_v5 import HumanoidEnv
 
 from deadreckon.tasks import registry
 
+_WITHOUT_CONTACTS = {"contact_cost_weight": 0.0, "include_cfrc_ext_in_observation": False}
 
-class PaddedAntEnv(AntEnv):
-    """Gymnasium's Ant-v5 with the observations of v2: contact forces cost nothing and are 84 zeros.
 
-    Step by step equal to `task("ant").simulate([seed])`. The horizon is kept by Gymnasium's `TimeLimit`. Options are those
-    of Gymnasium's environment.
+class _Padded(MujocoEnv):
+    """Gymnasium's v5 with the observations of v2: contact forces cost nothing and are 84 zeros.
+
+    Step by step it is the task's `simulate([seed])`. The horizon is kept by Gymnasium's `TimeLimit`. Options are those of
+    Gymnasium's environment.
     """
 
+    task: ClassVar[str]
+    fixed: ClassVar[dict[str, Any]] = _WITHOUT_CONTACTS
+
     def __init__(self, **options: Any):
-        super().__init__(**options, contact_cost_weight=0.0, include_cfrc_ext_in_observation=False)
+        super().__init__(**options, **self.fixed)
         gymnasium.utils.EzPickle.__init__(self, **options)  # the parent's would unpickle with arguments that we set
-        shape = registry.task("ant").observation_shape
+        shape = registry.task(self.task).observation_shape
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Applies eight torques."""
+        """Applies torques."""
         # Actions are float32, as in logs; their cost is summed in float64, as in our simulator.
         action = np.asarray(action, np.float32).astype(np.float64)
         observation, reward, terminated, truncated, info = super().step(action)
         return observation, float(np.float32(reward)), bool(terminated), truncated, info
 
     def _get_obs(self) -> np.ndarray:
-        seen = super()._get_obs()
-        out = np.zeros(registry.task("ant").observation_shape, np.float32)
+        seen = np.concatenate([super()._get_obs(), *self._inner()])  # pyright: ignore[reportAttributeAccessIssue]
+        out = np.zeros(registry.task(self.task).observation_shape, np.float32)
         out[: len(seen)] = seen
         return out
+
+    def _inner(self) -> list[np.ndarray]:
+        """What is seen between velocities and zeros."""
+        return []
+
+
+class PaddedAntEnv(_Padded, AntEnv):
+    """Ant; see `_Padded`."""
+
+    task = "ant"
+
+
+class PaddedHumanoidEnv(_Padded, HumanoidEnv):
+    """Humanoid; see `_Padded`. As in v2, the world is one of the bodies whose inertias and velocities are observed."""
+
+    task = "humanoid"
+    fixed: ClassVar[dict[str, Any]] = _WITHOUT_CONTACTS | {
+        f"include_{part}_in_observation": False for part in ("cinert", "cvel", "qfrc_actuator")
+    }
+
+    def _inner(self) -> list[np.ndarray]:
+        return [self.data.cinert.ravel(), self.data.cvel.ravel(), self.data.qfrc_actuator]

@@ -1,0 +1,154 @@
+"""The Gym-MuJoCo recipes, with the policies that come with the package."""
+
+import numpy as np
+import pytest
+
+import deadreckon as dr
+from deadreckon.collect import gym, recipe, recipe_names
+from deadreckon.errors import UserError
+from deadreckon.policies import library
+from deadreckon.policies.policy import Deployed
+from deadreckon.tasks import gym_mujoco, task
+
+SUITE = ("hopper", "halfcheetah", "walker2d", "ant")
+
+
+def test_every_log_of_the_benchmark_has_a_recipe():
+    kinds = ("random", "medium", "expert", "medium-replay", "medium-expert")
+    for name in SUITE:
+        for kind in kinds:
+            found = recipe(f"{name}-{kind}-v2")
+            assert found.task == name
+            if kind != "medium-replay":
+                assert found.steps == (2_000_000 if kind == "medium-expert" else 1_000_000)
+    gym_recipes = [name for name in recipe_names() if recipe(name).task in SUITE]
+    assert len(gym_recipes) == 4 * (5 + 2)
+
+
+def test_collected_halfcheetah_earns_what_is_stored(home):
+    """The issue's own check: 20 whole episodes, within 5 % of the true return of the shipped policy."""
+    path = dr.collect_log("halfcheetah-medium-v2", steps=20_000)
+    log = dr.read(path)
+    assert log.name == "halfcheetah-medium-v2@dr1"
+    assert log.episodes == 20
+    assert not log.terminals.any()
+    true = library.snapshot("halfcheetah", "medium").sampled.mean
+    assert log.returns().mean() == pytest.approx(true, rel=0.05)
+    assert log.provenance.recipe == "halfcheetah-medium-v2"
+    assert log.provenance.extra["policies"] == ["medium"]
+    assert not list(path.parent.glob(".*.part"))  # nothing of the work is left behind
+
+
+def test_logged_actions_have_the_densities_of_their_policy():
+    log = dr.collect.generate("hopper-medium-v2", steps=300)
+    policy = library.snapshot("hopper", "medium").policy()
+    expected = np.asarray(policy.log_prob(log.observations, log.actions))
+    np.testing.assert_allclose(log.extras["behavior_log_probs"], expected, rtol=1e-4, atol=1e-3)
+
+
+def test_two_parts_follow_each_other():
+    log = dr.collect.generate("walker2d-uniform-expert-v2", steps=401)
+    log_probs = log.extras["behavior_log_probs"]
+    np.testing.assert_allclose(log_probs[:200], -6 * np.log(2.0), rtol=1e-6)
+    assert np.abs(log_probs[200:] + 6 * np.log(2.0)).min() > 0
+    assert log.timeouts[199] or log.terminals[199]
+    assert len(log) == 401
+
+
+def test_random_is_a_policy_and_uniform_is_not():
+    random, uniform = (dr.collect.generate(f"hopper-{kind}-v2", steps=2000) for kind in ("random", "uniform"))
+    assert np.ptp(uniform.extras["behavior_log_probs"]) == 0.0
+    assert np.ptp(random.extras["behavior_log_probs"]) > 1.0
+    assert abs(uniform.actions.std() - 1 / np.sqrt(3)) < 0.02
+
+
+def test_medium_replay_trains_again_and_goes_on_after_a_kill(monkeypatch, tmp_path):
+    about = library.about("hopper")
+    run = about["run"]
+    small = run | {
+        "agent": run["agent"] | {"hidden": [8, 8], "batch_size": 16},
+        "online": run["online"] | {"explore": 128, "updates_per_step": 0.25},
+    }
+    monkeypatch.setattr(gym, "CHUNK", 32)
+    monkeypatch.setattr(library, "about", lambda name: about | {"run": small})
+    found = recipe("hopper-medium-replay-v2")
+
+    class Killed(Exception):
+        pass
+
+    def kill(done, total):
+        if done > 300:
+            raise Killed
+
+    whole = found.make(name=found.name, steps=600, seed=3, threads=1, scratch=tmp_path / "a", progress=None)
+    with pytest.raises(Killed):
+        found.make(name=found.name, steps=600, seed=3, threads=1, scratch=tmp_path / "b", progress=kill)
+    resumed = found.make(name=found.name, steps=600, seed=3, threads=1, scratch=tmp_path / "b", progress=None)
+    assert len(whole) == 600
+    assert resumed.fingerprint == whole.fingerprint
+    assert whole.provenance.extra["online"]["explore"] == 128
+
+
+def test_too_few_steps_for_two_parts():
+    with pytest.raises(UserError, match="steps must be 2 or more, got 1"):
+        dr.collect.generate("hopper-medium-expert-v2", steps=1)
+
+
+def test_a_task_without_policies_says_how_to_make_them():
+    with pytest.raises(UserError, match=r"no policies of 'humanoid'.*runs\.publish"):
+        dr.collect.generate("humanoid-medium-v2", steps=10)
+
+
+@pytest.mark.parametrize("name", SUITE)
+def test_shipped_policies(name):
+    policies = dr.load_policies(name)
+    assert len(policies) == 11
+    found = library.library(name)
+    assert [s.name for s in found] == [f"snapshot-{i:02d}" for i in range(11)] + ["medium", "expert"]
+    updates = [s.updates for s in found[:11]]
+    assert updates[0] == 0
+    assert len(set(np.diff(updates))) == 1
+    for each in found:
+        for returns in (each.sampled, each.greedy):
+            assert returns.discount == 0.995
+            assert returns.episodes >= 100
+            assert returns.error > 0
+            assert abs(returns.discounted) <= abs(returns.mean) + 300
+    expert, medium = found[12], found[11]
+    assert expert.sampled.mean > medium.sampled.mean > found[0].sampled.mean
+    world = task(name)
+    seen = np.zeros((3, *world.observation_shape), np.float32)
+    for policy in policies:
+        assert isinstance(policy, Deployed)
+        assert policy.has_log_prob
+        assert policy(seen).shape == (3, world.action_space.size)
+
+
+def test_library_is_small():
+    size = sum(path.stat().st_size for path in library.ROOT.rglob("*") if path.is_file())
+    assert size < 12e6
+
+
+def test_stored_returns_are_those_of_the_shipped_policies():
+    """The stored means are of other episodes: within five standard errors of those of a short evaluation."""
+    each = library.snapshot("hopper", "medium")
+    found = dr.evaluate(each.policy(), "hopper", episodes=32, seed=5, greedy=False, discount=0.995)
+    error = np.hypot(found.returns.std(ddof=1) / np.sqrt(32), each.sampled.error)
+    assert abs(found.returns.mean() - each.sampled.mean) < 5 * error
+
+
+def test_behavior_returns():
+    half = gym.behavior_return("hopper", "medium-expert")
+    medium, expert = (gym.behavior_return("hopper", kind) for kind in ("medium", "expert"))
+    assert half == pytest.approx((medium + expert) / 2)
+    assert gym.behavior_return("hopper", "random") == library.snapshot("hopper", "snapshot-00").sampled.mean
+    assert gym.behavior_return("hopper", "medium-replay") < expert
+
+
+def test_observations_have_the_logged_layout():
+    assert {t.name: t.observation_shape[0] for t in gym_mujoco.TASKS} == {
+        "hopper": 11, "halfcheetah": 17, "walker2d": 17, "ant": 111, "humanoid": 376,
+    }  # fmt: skip
+    ant = dr.collect.generate("ant-uniform-v2", steps=50)
+    assert not ant.observations[:, 27:].any()
+    assert ant.observations[:, :27].any(0).all()

@@ -1,0 +1,92 @@
+"""Policies of an online run, shipped with their measured returns."""
+
+import json
+
+import numpy as np
+import pytest
+
+from deadreckon.agents.sac import SAC
+from deadreckon.collect.online import Online
+from deadreckon.errors import UserError
+from deadreckon.policies import library, store
+from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.online import train_online
+from deadreckon.runs.publish import Publish, publish
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "hopper"
+    settings = Online(copies=4, explore=64, updates_per_step=0.25, block=32)
+    train_online(
+        SAC(hidden=(8, 8), batch_size=16), "hopper", steps=64 + 32 * 10, settings=settings, evaluate_every=32, episodes=1,
+        out=out,
+    )  # fmt: skip
+    return out
+
+
+@pytest.fixture(scope="module")
+def shipped(run, tmp_path_factory):
+    out = tmp_path_factory.mktemp("library")
+    publish(Publish(str(run), medium=24, expert=80, episodes=4, most=4, out=str(out)))
+    return out
+
+
+def test_what_is_measured_is_what_is_shipped(shipped, monkeypatch):
+    monkeypatch.setattr(library, "ROOT", shipped)
+    library.about.cache_clear()
+    try:
+        found = library.library("hopper")
+        assert len(found) == 13
+        assert len(library.load_policies("hopper")) == 11
+        assert [s.updates for s in found] == [*range(0, 81, 8), 24, 80]
+        assert found[3].environment_steps == 64 + 3 * 32
+        each = found[5]
+        again = evaluate(each.policy(), "hopper", episodes=4, seed=1_000_000, greedy=False, discount=0.995)
+        assert each.sampled.mean == pytest.approx(again.returns.mean())
+        assert each.sampled.discounted == pytest.approx(again.discounted.mean())
+        assert each.sampled.error == pytest.approx(again.returns.std(ddof=1) / 2)
+        assert library.about("hopper")["medium_replay"]["environment_steps"] == found[11].environment_steps
+    finally:
+        library.about.cache_clear()
+
+
+def test_weights_are_half_and_act_alike(run, shipped):
+    small = np.load(shipped / "hopper" / "snapshot-04.npz")
+    weights = [small[name] for name in small.files if name.startswith("policy.inner.")]
+    assert weights
+    assert all(w.dtype == np.float16 for w in weights)
+    seen = np.random.default_rng(0).normal(size=(50, 11)).astype(np.float32)
+    original = store.load(run / "policies" / "0000000032-seed0.npz")
+    np.testing.assert_allclose(store.load(shipped / "hopper" / "snapshot-04.npz")(seen), original(seen), atol=3e-3)
+
+
+def test_measuring_goes_on_where_it_was_stopped(run, shipped, tmp_path):
+    class Killed(Exception):
+        pass
+
+    told = []
+
+    def kill(line):
+        told.append(line)
+        if len(told) == 7:
+            raise Killed
+
+    options = Publish(str(run), medium=24, expert=80, episodes=4, most=4, out=str(tmp_path))
+    with pytest.raises(Killed):
+        publish(options, kill)
+    told.clear()
+    path = publish(options, told.append)
+    assert len(told) == 1 + 26 - 7
+    assert json.loads(path.read_text()) == json.loads((shipped / "hopper.json").read_text())
+
+
+def test_episodes_are_added_until_the_error_is_small(run, tmp_path):
+    path = publish(Publish(str(run), medium=24, expert=80, episodes=4, most=12, error=0.0, out=str(tmp_path)))
+    assert json.loads(path.read_text())["policies"]["snapshot-01"]["sampled"]["episodes"] == 12
+
+
+def test_refusals(run, tmp_path):
+    with pytest.raises(UserError, match="no policy was kept after 25 updates; those kept are"):
+        publish(Publish(str(run), medium=25, expert=80, out=str(tmp_path)))
+    assert not list(tmp_path.iterdir())
