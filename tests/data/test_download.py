@@ -22,6 +22,7 @@ from small_logs import make_log, same
 from deadreckon.cli.data import data
 from deadreckon.data import download
 from deadreckon.data.catalogue import ENTRIES, at_hand, cached_path, entry, load, record_path
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.download import Patience, fetch, get
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.data.minari import write_minari
@@ -190,6 +191,26 @@ def test_the_original_is_kept_byte_for_byte(server, original, home):
     for key in ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations"):
         np.testing.assert_array_equal(getattr(log, key), getattr(original.log, key))
     assert log.extras["qpos"].shape == (125, 2)
+
+
+def test_ants_twin_is_laid_out_as_the_original(server, tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    seen = rng.normal(size=(12, 105)).astype(np.float32)  # Gymnasium's v5, with contact forces
+    log = Dataset.from_arrays(
+        observations=seen, actions=rng.uniform(-1, 1, (12, 8)).astype(np.float32), rewards=np.ones(12, np.float32),
+        timeouts=np.arange(12) % 6 == 5, final_observations=seen[:2], name="theirs",
+    )  # fmt: skip
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    folder = write_minari(log, "mujoco/ant/medium-v0") / "data"
+    for name in ("metadata.json", "main_data.hdf5"):
+        server.files[TWIN.replace("hopper", "ant") + name] = ((folder / name).read_bytes(), {})
+    get("ant-medium-v2", "minari")
+    found = load("ant-medium-v2@minari")
+    for key in ("observations", "final_observations"):
+        np.testing.assert_array_equal(getattr(found, key)[:, :27], getattr(log, key)[:, :27])
+        assert getattr(found, key).shape[1] == 111
+        assert not getattr(found, key)[:, 27:].any()
+    assert found.provenance.extra["observations"] == "the first 27 of 105, then 84 zeros"
 
 
 def test_the_twin_becomes_one_file_with_our_columns(server, twin, home):

@@ -27,6 +27,8 @@ class Entry:
         original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
+        twin_layout: (kept, zeros): of the twin's observations the first `kept` are taken and `zeros` zeros put behind them, so
+            that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
     """
 
@@ -38,6 +40,7 @@ class Entry:
     original: str | None
     minari: str | None
     version: str = VERSION
+    twin_layout: tuple[int, int] | None = None
     sha256: str | None = None
 
     @property
@@ -77,7 +80,8 @@ def _gym(robot: str, policy: str) -> Entry:
     file = None if policy in _OURS or robot not in _ROBOTS else f"gym_mujoco_v2/{robot}_{policy.replace('-', '_')}-v2.hdf5"
     # Minari's `simple` logs are those of a weak policy, not of a random one.
     twin = f"mujoco/{robot}/{policy}-v0" if policy in ("medium", "expert") and file else None
-    return Entry(name, "gym", robot, name, rows, file, twin)
+    # Ant's contact forces, which the twin observes, were zero in the originals.
+    return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=(27, 84) if robot == "ant" and twin else None)
 
 
 ENTRIES: dict[str, Entry] = {

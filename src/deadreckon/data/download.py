@@ -26,8 +26,11 @@ from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote, urlsplit
 
+import numpy as np
+
 from deadreckon._version import __version__
 from deadreckon.data.catalogue import ORIGINAL, TWIN, Entry, cached_path, entry, record_path
+from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_json, reserve, write_json
 
@@ -238,9 +241,18 @@ def _twin(found: Entry, path: Path, sums: Sums, progress: Progress, patience: Pa
         raise
     extra = {**log.provenance.extra, "dataset_id": twin, **_record(received)}
     origin = replace(log.provenance, source="minari", recipe=None, path=None, extra=extra)
-    write_hdf5(replace(log, name=f"{found.name}@{TWIN}", provenance=origin), path)
+    log = replace(log, name=f"{found.name}@{TWIN}", provenance=origin)
+    write_hdf5(log if found.twin_layout is None else _laid_out(log, *found.twin_layout), path)
     shutil.rmtree(data.parent)
     return received
+
+
+def _laid_out(log: Dataset, kept: int, zeros: int) -> Dataset:
+    """The log with the first `kept` numbers of each observation and `zeros` zeros behind them; the provenance says so."""
+    change = lambda seen: None if seen is None else np.pad(seen[:, :kept], ((0, 0), (0, zeros)))  # noqa: E731
+    columns = {key: change(getattr(log, key)) for key in ("observations", "final_observations", "successors")}
+    note = f"the first {kept} of {log.spec.observation_size}, then {zeros} zeros"
+    return replace(log, **columns, provenance=replace(log.provenance, extra={**log.provenance.extra, "observations": note}))
 
 
 def _checked_metadata(url: str, about: Path) -> int:

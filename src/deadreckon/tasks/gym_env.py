@@ -1,19 +1,20 @@
-"""The Gymnasium faces of `ant` and `humanoid`, apart because they alone need gymnasium. The other robots' are Gymnasium's own."""
+"""The Gymnasium faces of `ant` and `humanoid`, apart because they alone need gymnasium. The other robots' are its own."""
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.mujoco.ant_v5 import AntEnv
 from gymnasium.envs.mujoco.humanoid_v5 import HumanoidEnv
+from gymnasium.utils import EzPickle
 
 from deadreckon.tasks import registry
 
 _WITHOUT_CONTACTS = {"contact_cost_weight": 0.0, "include_cfrc_ext_in_observation": False}
 
 
-class _Padded(MujocoEnv):
+class _Padded(MujocoEnv, EzPickle):
     """Gymnasium's v5 with the observations of v2: contact forces cost nothing and are 84 zeros.
 
     Step by step it is the task's `simulate([seed])`. The horizon is kept by Gymnasium's `TimeLimit`. Options are those of
@@ -25,16 +26,16 @@ class _Padded(MujocoEnv):
 
     def __init__(self, **options: Any):
         super().__init__(**options, **self.fixed)
-        gymnasium.utils.EzPickle.__init__(self, **options)  # the parent's would unpickle with arguments that we set
+        EzPickle.__init__(self, **options)  # the parent's would unpickle with arguments that we set
         shape = registry.task(self.task).observation_shape
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Applies torques."""
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, Any, bool, Literal[False], dict[str, Any]]:
+        """Applies torques; see the task for what they bring."""
         # Actions are float32, as in logs; their cost is summed in float64, as in our simulator.
         action = np.asarray(action, np.float32).astype(np.float64)
-        observation, reward, terminated, truncated, info = super().step(action)
-        return observation, float(np.float32(reward)), bool(terminated), truncated, info
+        observation, reward, terminated, _, info = super().step(action)
+        return observation, float(np.float32(reward)), bool(terminated), False, info
 
     def _get_obs(self) -> np.ndarray:
         seen = np.concatenate([super()._get_obs(), *self._inner()])  # pyright: ignore[reportAttributeAccessIssue]
