@@ -29,7 +29,7 @@ def test_every_task_has_its_environment():
         env.close()
 
 
-def walk(task, scale, steps, seed=5):
+def walk(task, scale, steps, seed=7):
     """Steps environment and simulator side by side over all their episodes; gives how these ended."""
     env, simulator = gymnasium.make(task.gym_id), task.simulate([seed])
     rng = np.random.default_rng(0)
@@ -54,8 +54,7 @@ def walk(task, scale, steps, seed=5):
 
 @ours
 def test_equal_to_the_simulator_over_falls(task):
-    steps = {"ant": 600, "humanoid": 200}[task.name]
-    assert walk(task, 1.5, steps).count("fall") >= 2  # with actions beyond the bounds too
+    assert walk(task, 1.5, 200).count("fall") >= 2  # with actions beyond the bounds too
 
 
 def test_ant_equals_the_simulator_up_to_the_time_limit():

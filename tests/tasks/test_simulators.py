@@ -9,7 +9,7 @@ from deadreckon import tasks
 
 # Horizons so short that some copies' episodes end with every task; hopper and ant fall before that, too.
 WORLDS = {name: replace(tasks.task(name), horizon=horizon)
-          for name, horizon in {"hopper": 25, "halfcheetah": 9, "ant": 12, "maze2d-umaze-dense": 7}.items()}  # fmt: skip
+          for name, horizon in {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7}.items()}  # fmt: skip
 every = pytest.mark.parametrize("task", WORLDS.values(), ids=WORLDS)
 COPIES, STEPS = 40, 30  # enough copies for threads to be worth waking
 

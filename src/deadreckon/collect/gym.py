@@ -1,5 +1,6 @@
 """How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
 
+import json
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
@@ -15,6 +16,7 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
+from deadreckon.files import read_json, write_json
 from deadreckon.policies import library
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.fit import Fit
@@ -111,10 +113,16 @@ def collect_replay(
     run = library.about(task.name)["run"]
     settings, agent = Online(**run["online"]), SAC(**_fields(run["agent"]))
     spec = Spec.empty(task.observation_shape, task.action_space, task.name)
-    updates = settings.updates(max(steps, settings.explore + settings.block))
+    # The last block goes beyond the rows where they do not fill it.
+    updates = settings.updates(max(steps, settings.explore + 1) + settings.block - 1)
     lanes = [agent.resolve(spec, updates)]
     folder = scratch / "replay"
     path = folder / "rows.bin"
+    asked = {"name": name, "seed": seed, "steps": steps, "run": run}
+    if not (folder / "asked.json").exists():
+        write_json(folder / "asked.json", asked)
+    elif read_json(folder / "asked.json") != json.loads(json.dumps(asked)):
+        raise UserError(f"{scratch} holds the beginning of another collection; delete it, or ask for the same one again")
     experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)
     job = Fit(lanes, experience, [seed], updates, CHUNK, folder / "checkpoints")
     job.resume()

@@ -66,8 +66,8 @@ class Online:
         return blocks * self.updates_per_block
 
     def steps(self, updates: int) -> int:
-        """Environment steps taken when `updates` (whole blocks) are done; none before the first."""
-        return self.explore + updates // self.updates_per_block * self.block if updates else 0
+        """Environment steps taken when `updates` are done, a block's before the first of its updates."""
+        return self.explore + -(-updates // self.updates_per_block) * self.block if updates else 0
 
 
 @eqx.filter_jit

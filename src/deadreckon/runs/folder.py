@@ -121,7 +121,7 @@ class Folder:
         if not resume:
             raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
         before = read_json(self.config)
-        if different := _differences(before, config, ("agent", "data", "task", "seeds", "steps", "evaluation")):
+        if different := _differences(before, config, ("agent", "online", "data", "task", "seeds", "steps", "evaluation")):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
         return [
             f"{text}: the last bits of the numbers may differ from those of an unbroken run"

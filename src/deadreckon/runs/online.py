@@ -71,7 +71,10 @@ def train_online(
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
     folder = Folder(Path(out) if out is not None else Path("runs") / f"{name}-{task.name}-online")
-    every = round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step)
+    before = read_json(folder.config) if resume and folder.config.exists() else {}
+    every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
+    if evaluate_every is None and "evaluation" in before:
+        every = before["evaluation"]["every"]  # the run may be made longer; its period stays
     job = Fit(
         lanes, Exploration(task, lanes[0], numbers, updates, settings, [folder.replay(s) for s in numbers], threads),
         numbers, updates, chunk, folder.checkpoints, stops=every,
@@ -87,8 +90,14 @@ def train_online(
         "versions": versions() | {"lanes": seeds},
     }
     config = json.loads(json.dumps(config, default=str))
-    for text in folder.begin(_longer(folder, config) if resume else config, resume=resume):
+    # Nothing depends on how many steps are asked for, so a run may be taken up again with more of them.
+    longer = "online" in before and before.get("steps", updates) < updates
+    for text in folder.begin(config | {"steps": before["steps"]} if longer else config, resume=resume):
         warnings.warn(text, stacklevel=2)
+    if longer:
+        for number in numbers:
+            folder.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
+        write_json(folder.config, before | {"steps": updates})
     job.resume()
     folder.drop_after(job.step)
 
@@ -104,14 +113,3 @@ def train_online(
     finally:
         recorder.close()
     return load(folder.path)
-
-
-def _longer(folder: Folder, config: dict) -> dict:
-    """Lets a run be taken up again with more steps than it was begun with: nothing before depends on their number."""
-    if folder.config.exists():
-        before = read_json(folder.config)
-        if isinstance(before, dict) and before.get("steps", 0) < config["steps"] and "online" in before:
-            write_json(folder.config, before | {"steps": config["steps"]})
-            for number in before["seeds"]:
-                folder.policy(number).unlink(missing_ok=True)
-    return config

@@ -1,4 +1,4 @@
-"""Makes the behaviour policies that come with the package from finished online runs, and measures what they are worth.
+"""Makes the behaviour policies that come with the package from online runs, and measures what they are worth.
 
 `python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`. What
 has been measured is kept as it goes: after a kill, the same command goes on.
@@ -31,9 +31,10 @@ DISCOUNT = 0.995  # DOPE's
 class Publish:
     """Ship the policies of an online run, with their true returns."""
 
-    run: str  # folder of a finished online run with one seed
+    run: str  # folder of an online run with one seed
     medium: int  # updates after which the policy was medium
     expert: int  # updates after which it was best
+    updates: int | None = None  # of the run, over which the snapshots are spread; None: all
     episodes: int = 1000  # a policy, each with drawn and with mean actions
     error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
     most: int = 1000  # episodes at most, whatever the error
@@ -48,13 +49,13 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         The JSON file about them.
 
     Raises:
-        UserError: no finished online run of one seed, or no policy was kept after those updates.
+        UserError: no online run of one seed, or no policy was kept after those updates.
     """
     folder = Folder(Path(options.run))
     config = read_json(folder.config)
     if "online" not in config or len(config["seeds"]) != 1:
         raise UserError(f"{options.run}: an online run of one seed is needed")
-    seed, total, task = config["seeds"][0], config["steps"], config["task"]
+    seed, total, task = config["seeds"][0], options.updates or config["steps"], config["task"]
     spaced = [round(i * total / (library.SNAPSHOTS - 1)) for i in range(library.SNAPSHOTS)]
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
     wanted |= {"medium": options.medium, "expert": options.expert}
@@ -67,7 +68,8 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     path = out / f"{task}.json"
     about = read_json(path) if path.exists() else {}
     run = {"agent": config["agent"]["fields"], "online": config["online"], "seed": seed, "updates": total,
-           "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
+           "environment_steps": steps(total), "medium": options.medium,
+           "expert": options.expert, "versions": config["versions"]}  # fmt: skip
     if about.get("run") != run:
         about = {"task": task, "run": run, "policies": {}}
     about["medium_replay"] = _replay(folder, seed, task, config["online"]["copies"], steps(options.medium))

@@ -1,0 +1,106 @@
+"""Learning curves of many runs as one SVG file that needs nothing else, for documents."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.files import replacing
+from deadreckon.report import charts
+from deadreckon.report.entries import Entry, read
+from deadreckon.report.markup import Markup, join, tag
+
+PANEL = 460, 300  # width and height of one chart
+HEAD = 26  # above it, for its title
+COLOURS = 8
+
+
+def picture(
+    path: Path | str,
+    panels: Mapping[str, Sequence[Path | str]],
+    *,
+    quantity: str = "score",
+    columns: int = 2,
+    names: Mapping[str, str] | None = None,
+    references: Mapping[str, Mapping[str, float]] | None = None,
+    symlog: bool = False,
+) -> Path:
+    """Draws a quantity against updates, a panel for each group of runs; line: mean over seeds, band: lowest to highest.
+
+    Args:
+        path: of the SVG file.
+        panels: title to run folders; runs whose folders have the same name have the same colour in all panels.
+        quantity: a column of the evaluations or metrics, such as `score`, `return`, `estimated_value`, `q`.
+        columns: panels side by side.
+        names: what to call a folder's name in the legend.
+        references: panel title to named horizontal lines.
+        symlog: a symmetric logarithmic vertical axis.
+
+    Returns:
+        The path.
+
+    Raises:
+        UserError: no panel, a path that is no run, or no run that has the quantity.
+    """
+    runs = {title: [read([folder]).entries[0] for folder in folders] for title, folders in panels.items()}
+    labels = list(dict.fromkeys(e.folder.path.name for entries in runs.values() for e in entries))
+    if not labels:
+        raise UserError(f"{path}: there is nothing to draw")
+    if not any(len(e.curve(quantity)[0]) for entries in runs.values() for e in entries):
+        raise UserError(f"{path}: none of the runs has a column {quantity!r}")
+    columns = min(columns, len(runs))
+    width, height = PANEL
+    keys = _legend([(names or {}).get(label, label) for label in labels], columns * width)
+    below = keys[1]
+    drawn = []
+    for i, (title, entries) in enumerate(runs.items()):
+        series = [_series(e, labels.index(e.folder.path.name), quantity) for e in entries if len(e.curve(quantity)[0])]
+        lines = list((references or {}).get(title, {}).items())
+        chart = charts.lines(series, title=title, unit=quantity, size=PANEL, references=lines, symlog=symlog)
+        x, y = i % columns * width, below + i // columns * (height + HEAD)
+        placed = Markup(re.sub(r"^<svg ", f'<svg x="{x}" y="{y + HEAD}" width="{width}" height="{height}" ', chart))
+        drawn.append(join(tag("text", title, x=x + 8, y=y + 18, class_="title"), placed))
+    full = columns * width, below + math.ceil(len(runs) / columns) * (height + HEAD)
+    whole = tag(
+        "svg", tag("style", _style()), tag("rect", width="100%", height="100%", class_="back"), keys[0], drawn,
+        xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {full[0]} {full[1]}", width=full[0], height=full[1],
+    )  # fmt: skip
+    text = re.sub(r' data-hover="[^"]*"', "", whole)
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+    return Path(path)
+
+
+def _series(entry: Entry, slot: int, quantity: str) -> charts.Series:
+    return charts.Series.over_seeds(entry.label, slot % COLOURS, *entry.curve(quantity), dashed=slot >= COLOURS)
+
+
+def _legend(names: list[str], width: int) -> tuple[Markup, int]:
+    """Names with their lines, as many a row as fit, and the height that they take."""
+    parts, x, y = [], 12, 20
+    for slot, name in enumerate(names):
+        needed = 44 + 8 * len(name)
+        if x + needed > width and x > 12:
+            x, y = 12, y + 22
+        line = tag("path", d=f"M{x} {y - 4}h26", class_="line dashed" if slot >= COLOURS else "line")
+        parts.append(tag("g", line, charts.marker(slot % COLOURS, x + 13, y - 4), class_=f"s{slot % COLOURS}"))
+        parts.append(tag("text", name, x=x + 33, y=y, class_="key"))
+        x += needed
+    return tag("g", parts), y + 12
+
+
+def _style() -> Markup:
+    """The page's colours and the rules for charts, in light: a document's paper is white."""
+    css = resources.files("deadreckon.report").joinpath("assets", "page.css").read_text()
+    root = css[css.index("--back") : css.index("}")]
+    drawn = re.compile(r"\.(s\d|chart|grid|cursor|reference|line|band|marker|end)\b")
+    rules = [line for line in css.splitlines() if drawn.match(line)]
+    own = (
+        f"svg {{ {root} font-family: system-ui, sans-serif; }} .back {{ fill: var(--card); }} "
+        ".title { font-size: 15px; font-weight: 600; fill: var(--ink); } .key { font-size: 13.5px; fill: var(--ink); }"
+    )
+    return Markup("\n".join([own, *rules]))
