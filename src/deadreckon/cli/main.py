@@ -16,10 +16,10 @@ from deadreckon.errors import UserError, unknown
 # name: (module, function, one line)
 COMMANDS = {
     "demo": ("demo", "demo", "the main job in minutes: collect a log, learn five ways, judge, report"),
-    "tasks": ("show", "tasks", "the simulators that policies are judged in, with their reference scores"),
+    "tasks": ("show", "tasks", "the simulators that policies are judged in; logs and policies made in them, with scores"),
     "agents": ("show", "agents", "the learning algorithms, and where they come from"),
-    "data": ("data", "data", "list, collect, inspect and convert logs (data list|collect|info|convert)"),
-    "train": ("train", "train", "learn a policy from a log, several seeds as one program"),
+    "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),
+    "train": ("train", "train", "learn a policy from a log, or online in a simulator; several seeds as one program"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
     "report": ("report", "report", "one self-contained HTML page from run folders"),
 }

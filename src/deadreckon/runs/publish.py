@@ -68,17 +68,15 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     path = out / f"{task}.json"
     about = read_json(path) if path.exists() else {}
     run = {"agent": config["agent"]["fields"], "online": config["online"], "seed": seed, "updates": total,
-           "environment_steps": steps(total), "medium": options.medium,
-           "expert": options.expert, "versions": config["versions"]}  # fmt: skip
+           "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
     if about.get("run") != run:
         about = {"task": task, "run": run, "policies": {}}
     about["medium_replay"] = _replay(folder, seed, task, config["online"]["copies"], steps(options.medium))
-    if "uniform" not in about:
+    if about.get("uniform", {"episodes": 0})["episodes"] < options.episodes:
         about["uniform"] = dataclasses.asdict(_measure(_uniform(task), task, False, options))
         write_json(path, about)
         watch(f"{task} uniform: {about['uniform']['mean']:.1f} +- {about['uniform']['error']:.1f}")
-    kept_results = {n: each for n, each in about["policies"].items() if each["updates"] == wanted.get(n)}
-    about["policies"] = kept_results
+    about["policies"] = {n: each for n, each in about["policies"].items() if each["updates"] == wanted.get(n)}
     for name, step in wanted.items():
         file = out / task / f"{name}.npz"
         entry = about["policies"].setdefault(name, {"updates": step, "environment_steps": steps(step)})
