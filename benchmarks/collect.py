@@ -1,26 +1,53 @@
-"""How much of MuJoCo's own speed Maze2D collection keeps: `python benchmarks/collect.py [--repeats 5] [--steps 500000]`.
+"""How much of the simulators' own speed collection keeps: `python benchmarks/collect.py [--repeats 5] [--out FILE]`.
 
 Interleaved repeats, medians; the calibration product tells whether the machine was busy with something else.
+
+Maze2D (`--mazes`, empty for none), beside MuJoCo:
 
 - "loop": a Python loop of `mj_step` on one core, driven by the controller's own logged actions;
 - "rollout": the same inside `mujoco.rollout`, one thread, 1,000 steps a call: the raw rate, with no Python in it;
 - "collect": rows a second of `deadreckon.collect.generate`, everything included, with one thread and with all cores.
+
+Gym-MuJoCo (`--robots`, empty for none), beside Gymnasium, both on all cores:
+
+- "raw": a process a core, each stepping an environment of its own with random actions that were drawn beforehand, without
+  Gymnasium's wrappers, and resetting it where an episode ends; nothing is kept;
+- "collect": rows a second of `deadreckon.collect.rollouts.perform` with a 256x256 tanh-Gaussian policy, everything included:
+  the policy, its log-densities, and the columns on disk.
+
+The two cannot take the same actions: a policy's follow from what it sees. Raw draws `tanh` of standard normals, much as an
+untrained policy does, and the mean length of an episode is shown for both. `--policy medium` lets one that comes with the
+package act; its episodes are longer than those of raw.
 """
 
 import argparse
+import multiprocessing
 import os
+import platform
+import shlex
 import statistics
+import sys
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
+from speed import cpu_model, table
 
 from deadreckon.collect import generate
 from deadreckon.tasks import task
+from deadreckon.tasks.gym_mujoco import TASKS as ROBOTS
 from deadreckon.tasks.maze2d import model
 
 LENGTH = 1_000
+RATIO = 0.6  # of Gymnasium's rate, which we promise
 
 
 def calibration() -> float:
@@ -82,13 +109,8 @@ def rows(name: str, steps: int, threads: int) -> float:
     return steps / (time.perf_counter() - begin)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--mazes", nargs="+", default=["maze2d-umaze", "maze2d-medium", "maze2d-large"])
-    options = parser.parse_args()
-    cores = len(os.sched_getaffinity(0))
+def mazes(options: argparse.Namespace, cores: int) -> None:
+    """Measures the Maze2D tasks and prints it."""
     for name in options.mazes:
         starts, forces = segments(name, 100)
         measures = {
@@ -120,6 +142,157 @@ def main() -> None:
         used = {key: np.divide(found[key], busy[key]) for key in (*raw, ours[0])}
         ratios = ", ".join(f"{statistics.median(used[ours[0]] / used[r]):.2f} of {r}" for r in raw)
         print(f"  {ours[0]}, per second of processor time: {ratios}")
+
+
+# ---- Gym-MuJoCo -----------------------------------------------------------------------------------------------------
+
+
+def step_raw(pipe: Any, name: str, seed: int) -> None:
+    """A process that answers every number of steps with the episodes that it began in so many."""
+    import gymnasium
+
+    found = task(name)
+    # v2's contact forces are no part of our tasks: without them Gymnasium has less to do.
+    options = {"include_cfrc_ext_in_observation": False, "contact_cost_weight": 0.0} if name in ("ant", "humanoid") else {}
+    env = gymnasium.make(found.gym_id.removeprefix("deadreckon/"), **options).unwrapped
+    high = np.array(found.action_space.high)
+    actions = (high * np.tanh(np.random.default_rng(seed).standard_normal((10_000, len(high))))).astype(np.float32)
+    env.reset(seed=seed)
+    age, at = 0, 0
+    while steps := pipe.recv():
+        episodes = 0
+        for _ in range(steps):
+            terminated = env.step(actions[at])[2]
+            at = (at + 1) % len(actions)
+            age += 1
+            if terminated or age == found.horizon:
+                env.reset()
+                age = 0
+                episodes += 1
+        pipe.send(episodes)
+
+
+@contextmanager
+def processes(name: str, count: int) -> Iterator[list[Any]]:
+    """Pipes to `count` processes that step an environment each."""
+    context = multiprocessing.get_context("spawn")
+    pairs = [context.Pipe() for _ in range(count)]
+    workers = [context.Process(target=step_raw, args=(pair[1], name, i), daemon=True) for i, pair in enumerate(pairs)]
+    for worker in workers:
+        worker.start()
+    pipes = [pair[0] for pair in pairs]
+    try:
+        raw(pipes, 100 * count)  # until all of them are there
+        yield pipes
+    finally:
+        for pipe, worker in zip(pipes, workers):
+            pipe.send(0)
+            worker.join()
+
+
+def raw(pipes: list[Any], steps: int) -> tuple[float, float]:
+    """Steps a second of all processes together, and steps an episode."""
+    begin = time.perf_counter()
+    for pipe in pipes:
+        pipe.send(steps // len(pipes))
+    episodes = sum(pipe.recv() for pipe in pipes)
+    return steps // len(pipes) * len(pipes) / (time.perf_counter() - begin), steps / max(episodes, 1)
+
+
+def acting(name: str, policy: str) -> Any:
+    """The policy that collects: one of the package's, or an untrained one of the same size."""
+    import jax
+
+    from deadreckon.agents.sac import SAC
+    from deadreckon.data.spec import Spec
+    from deadreckon.data.view import View
+    from deadreckon.policies import library
+    from deadreckon.policies.policy import Deployed
+
+    if policy != "untrained":
+        return library.snapshot(name, policy).policy()
+    found = task(name)
+    spec = Spec.empty(found.observation_shape, found.action_space, name)
+    return Deployed.of(SAC().policy(SAC().init(spec, jax.random.key(0))), View.of(spec))
+
+
+def perform_rows(name: str, policy: Any, steps: int, threads: int) -> tuple[float, float]:
+    """Rows a second of a collection, and steps an episode."""
+    from deadreckon.collect.rollouts import Act, perform
+    from deadreckon.data.dataset import Provenance
+
+    with tempfile.TemporaryDirectory() as scratch:
+        begin = time.perf_counter()
+        log = perform(
+            task(name), [Act(policy, steps)], name=name, seed=0, provenance=Provenance(), scratch=Path(scratch),
+            threads=threads,
+        )  # fmt: skip
+        return steps / (time.perf_counter() - begin), steps / log.episodes
+
+
+def robots(options: argparse.Namespace, cores: int) -> str:
+    """Measures the Gym-MuJoCo tasks and gives the page about it."""
+    lines, drifts = [], []
+    for name in options.robots:
+        policy = acting(name, options.policy)
+        perform_rows(name, policy, 100, cores)  # compiles
+        found: dict[str, list[tuple[float, float]]] = {"raw": [], "collect": []}
+        calibrations = []
+        with processes(name, cores) as pipes:
+            for _ in range(options.repeats):
+                calibrations.append(calibration())
+                found["raw"].append(raw(pipes, options.robot_steps))
+                found["collect"].append(perform_rows(name, policy, options.robot_steps, cores))
+        drifts.append(max(calibrations) / min(calibrations) - 1)
+        rates, lengths = ({key: [row[i] for row in rows] for key, rows in found.items()} for i in (0, 1))
+        ratio = statistics.median(np.divide(rates["collect"], rates["raw"]))
+        cells = [f"{statistics.median(r):,.0f} ({min(r):,.0f} to {max(r):,.0f})" for r in rates.values()]
+        long = " / ".join(f"{statistics.median(lengths[key]):,.0f}" for key in ("raw", "collect"))
+        verdict = f"≥ {RATIO}" if ratio >= RATIO else "missed"
+        lines.append([name, *cells, f"{ratio:.2f}", long, f"{100 * drifts[-1]:.0f} %", verdict])
+    versions = ", ".join(f"{each} {metadata.version(each)}" for each in ("deadreckon", "gymnasium", "mujoco", "jax", "numpy"))
+    who = "an untrained policy" if options.policy == "untrained" else f"the package's policy `{options.policy}`"
+    return "\n".join(
+        [
+            "# Collection beside Gymnasium",
+            "",
+            f"`python benchmarks/collect.py {shlex.join(sys.argv[1:])}`",
+            "",
+            f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC · {cpu_model()}, {cores} cores used · {platform.system()} "
+            f"{platform.machine()}  ",
+            versions,
+            "",
+            f"Steps a second: median (least to greatest) of {options.repeats} interleaved repeats of {options.robot_steps:,} "
+            f"steps; the ratio is the median over pairs. Raw: {cores} processes, each stepping Gymnasium's environment "
+            "without wrappers, with random actions that were drawn beforehand; nothing is kept. Collect: "
+            f"{who} (256x256, tanh-Gaussian), its log-densities and the columns on disk, {cores} threads. Drift: of a matrix "
+            "product timed before every pair.",
+            "",
+            *table(
+                ["task", "raw Gymnasium", "collect", "ratio", "steps an episode, raw / collect", "drift", "verdict"], lines
+            ),
+        ]
+    ).rstrip() + "\n"  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=1_000_000)
+    parser.add_argument("--mazes", nargs="*", default=["maze2d-umaze", "maze2d-medium", "maze2d-large"])
+    parser.add_argument("--robots", nargs="*", default=[robot.name for robot in ROBOTS])
+    parser.add_argument("--robot-steps", type=int, default=200_000, help="a repeat")
+    parser.add_argument("--policy", default="untrained", help="who collects: untrained, or such as medium or snapshot-05")
+    parser.add_argument("--out", type=Path, help="markdown page about the robots (default: print it)")
+    options = parser.parse_args()
+    cores = len(os.sched_getaffinity(0))
+    mazes(options, cores)
+    if options.robots:
+        page = robots(options, cores)
+        if options.out is None:
+            print(page, end="")
+        else:
+            options.out.write_text(page)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,7 @@ def with_bad(column, row, value):
 
 
 BC = ["train", "--agent", "bc", "--out", "OUT", "--steps", "2", "--data"]
+ONLINE = ["train", "--online", "--agent", "sac", "--out", "OUT", "--task"]
 
 
 def truncated(folder, good):
@@ -152,6 +153,21 @@ CASES = {
     "csv without columns": (text("a.csv", "a,b\n1,2\n"), ["--observations COLUMN", "a, b"]),
     "empty file": (text("a.csv", ""), ["empty"]),
     "no log at all": (text("a.bin", "\x00\x01\x02"), ["a.bin"]),
+    "online without a task": (lambda f, g: ["train", "--online", "--agent", "sac"], ["--task"]),
+    "online in an unknown task": (lambda f, g: [*ONLINE, "hoper"], ["did you mean hopper"]),
+    "online with an agent that does not explore": (
+        lambda f, g: [*ONLINE[:3], "bear", *ONLINE[4:], "hopper"], ["BEAR does not learn online"]),
+    "online with a log": (lambda f, g: [*ONLINE, "hopper", "--data", g], ["unknown option --data"]),
+    "offline with an option of online": (lambda f, g: [*BC, g, "--copies", "4"], ["unknown option --copies"]),
+    "online with fewer steps than it explores": (
+        lambda f, g: [*ONLINE, "hopper", "--steps", "10000"], ["explore + block = 10064", "10000"]),
+    "online with no copies": (lambda f, g: [*ONLINE, "hopper", "--copies", "0"], ["copies", "above 0"]),
+    "online with blocks that copies do not fill": (
+        lambda f, g: [*ONLINE, "hopper", "--block", "12"], ["block (12)", "copies (8)"]),
+    "online with half an update a block": (
+        lambda f, g: [*ONLINE, "hopper", "--updates-per-step", "0.0078125"], ["whole number", "64 * 0.0078125"]),
+    "online with a negative seed": (lambda f, g: [*ONLINE, "hopper", "--seed", "-1"], ["seed", "-1"]),
+    "online with no threads": (lambda f, g: [*ONLINE, "hopper", "--threads", "0"], ["threads", "0"]),
     "unknown recipe": (lambda f, g: ["data", "collect", "maze2d-umaz-v1"], ["did you mean maze2d-umaze-v1"]),
     "unknown log to download": (lambda f, g: ["data", "get", "hopper-meduim-v2"], ["did you mean hopper-medium-v2"]),
     "unknown place to download from": (

@@ -1,5 +1,6 @@
 """Logs made by policies, beside a rollout written here in plain Python; kills, cuts, densities."""
 
+import itertools
 from dataclasses import replace
 
 import equinox as eqx
@@ -28,7 +29,7 @@ LOW, HIGH = (np.array(side, np.float32) for side in (HOPPER.action_space.low, HO
 def policy(task, seed=0):
     spec = Spec.empty(task.observation_shape, task.action_space, task.name)
     rng, sizes = np.random.default_rng(seed), (spec.observation_size, 8, 2 * spec.action_size)
-    weights = tuple(rng.normal(0, 0.5 * i**-0.5, (i, o)).astype(np.float32) for i, o in zip(sizes, sizes[1:]))
+    weights = tuple(rng.normal(0, 0.5 * i**-0.5, (i, o)).astype(np.float32) for i, o in itertools.pairwise(sizes))
     net = MLP(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:]))
     return Deployed.of(TanhGaussian(net), View.of(spec))
 

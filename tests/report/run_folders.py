@@ -29,8 +29,12 @@ def write_run(
     finished: bool = True,
     paths: bool = False,
     seed: int = 0,
+    online: dict[str, float] | None = None,
 ) -> Path:
-    """A run whose returns lie around `level` after 200 updates; failed lanes have NaN metrics from their step on."""
+    """A run whose returns lie around `level` after 200 updates; failed lanes have NaN metrics from their step on.
+
+    With `online` (copies, explore, updates_per_step, block) it learned in the simulator and has no log.
+    """
     rng = np.random.default_rng([seed, len(agent)])
     folder, lanes, failures = Folder(path), list(range(seeds)), failures or {}
     known = None
@@ -41,7 +45,7 @@ def write_run(
         default = agent_class(agent)()
         plain = json.loads(json.dumps(vars(default), default=str))
         fields = plain | {"hidden": [64, 64]}
-    write_json(folder.config, {
+    config = {
         "agent": {"name": agent, "fields": fields},
         "data": {"name": name, "fingerprint": "abc123", "rows": 1000, "episodes": 10, "usable": 1000,
                  "warnings": ["3 of 1000 rows have actions out of bounds"], "behavior": known,
@@ -49,18 +53,25 @@ def write_run(
                                 "versions": {"mujoco": "3.11.0"}, "path": "/logs/some log.hdf5"}},
         "task": task, "seeds": lanes, "steps": 200, "evaluation": {"every": 100, "episodes": episodes},
         "versions": {"deadreckon": "0.1.0", "jax": "0.10.2", "lanes": seeds},
-    })  # fmt: skip
+    }  # fmt: skip
+    if online:
+        config |= {"online": online, "data": {"name": f"{task}, online", "fingerprint": f"online:{task}"}}
+    write_json(folder.config, config)
     failed = [list(failures[lane]) if lane in failures else None for lane in lanes]
     write_json(path / "status.json", {"step": 200, "steps": 200, "finished": finished, "failures": failed})
     for step in (50, 100, 150, 200):
         bad = np.array([lane in failures and step >= failures[lane][1] for lane in lanes])
         columns = {m: np.where(bad, np.nan, v * np.exp(-step / 100)) for m, v in (metrics or {"loss": 2.0}).items()}
+        if online:
+            columns["environment_steps"] = np.full(seeds, 2 * step)
         folder.write_part("metrics", step, {"step": np.full(seeds, step), "seed": np.array(lanes), **columns})
     for step in (100, 200):
         count = episodes if task else 1
         columns = {"step": np.full(seeds * count, step), "seed": np.repeat(lanes, count),
                    "episode": np.tile(np.arange(count), seeds), "mmd_to_data": np.full(seeds * count, 0.05 * len(agent)),
                    "outside_range": np.repeat([0.1 * lane for lane in lanes], count)}  # fmt: skip
+        if online:
+            columns = {key: column for key, column in columns.items() if key in ("step", "seed", "episode")}
         if task:
             start = np.random.default_rng(7).normal(0, 20, episodes)  # the same starts for every run
             returns = level * step / 200 + start - start.mean() + rng.normal(0, 3, (seeds, episodes))

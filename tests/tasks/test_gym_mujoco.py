@@ -166,11 +166,16 @@ def test_a_copy_whose_episode_is_over_rests_until_its_reset():
         over |= terminals | timeouts
         last = observations
         if t == 15:
-            assert 0 < over.sum() < 8
+            halfway, resting = simulator.state(), over.copy()
+    assert 0 < resting.sum() < 8
     assert over.all()
     simulator.reset(np.array([6]))
     rewards = simulator.step(np.nan_to_num(actions[0]))[1]
     np.testing.assert_array_equal(rewards != 0, np.arange(8) == 6)
+    restored = task.simulate(range(8))
+    restored.reset()
+    restored.restore(halfway)  # those that rested then, rest again
+    np.testing.assert_array_equal(restored.step(np.zeros((8, 3)))[1] == 0, resting)
 
 
 def test_bad_input_is_told():

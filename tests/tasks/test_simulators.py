@@ -8,8 +8,8 @@ import pytest
 from deadreckon import tasks
 
 # Horizons so short that some copies' episodes end with every task; hopper and ant fall before that, too.
-WORLDS = {name: replace(tasks.task(name), horizon=horizon)
-          for name, horizon in {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7}.items()}  # fmt: skip
+HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7}
+WORLDS = {name: replace(tasks.task(name), horizon=horizon) for name, horizon in HORIZONS.items()}
 every = pytest.mark.parametrize("task", WORLDS.values(), ids=WORLDS)
 COPIES, STEPS = 40, 30  # enough copies for threads to be worth waking
 
@@ -92,7 +92,12 @@ def test_new_seeds_begin_as_a_fresh_simulator_does(task):
     rest = used.reset(np.array([1]), [1])
     np.testing.assert_array_equal(rest, fresh.reset(np.array([1])))
     np.testing.assert_array_equal(used.reset(np.array([2, 0]), [8, 2**64 - 1]), fresh.reset(np.array([2, 0])))
-    assert_same(walk(used, actions), walk(fresh, actions))
+    state = used.state()
+    expected = walk(fresh, actions)
+    assert_same(walk(used, actions), expected)
+    other = task.simulate([5, 6, 7])
+    other.restore(state)  # the new seeds are part of the state
+    assert_same(walk(other, actions), expected)
 
 
 @every

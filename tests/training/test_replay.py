@@ -63,6 +63,9 @@ def test_taken_up_from_the_files_it_is_the_same_and_goes_on(paths):
     other.restore(6)
     assert other.count == 6
     np.testing.assert_array_equal(other.buffer[:, :CAPACITY], one.buffer)
+    before = [path.stat().st_mtime_ns for path in paths]
+    other.flush()  # rows that are on disk are not written again: a kill could catch them half-written
+    assert [path.stat().st_mtime_ns for path in paths] == before
     for buffer in (one, other):
         buffer.append(rows(3, 1))
     other.flush()

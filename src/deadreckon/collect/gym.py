@@ -118,7 +118,9 @@ def collect_replay(
     lanes = [agent.resolve(spec, updates)]
     folder = scratch / "replay"
     path = folder / "rows.bin"
-    asked = {"name": name, "seed": seed, "steps": steps, "run": run}
+    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first"}
+    provenance = _provenance(name, seed, extra)
+    asked = {"name": name, "seed": seed, "rows": steps, "versions": provenance.versions, "extra": provenance.extra}
     if not (folder / "asked.json").exists():
         write_json(folder / "asked.json", asked)
     elif read_json(folder / "asked.json") != json.loads(json.dumps(asked)):
@@ -132,10 +134,7 @@ def collect_replay(
         if progress:
             progress(min(experience.count, steps), steps)
     experience.flush()
-    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first"}
-    return replay_log(
-        path, task, settings.copies, steps, name=f"{name}@{VERSION}", provenance=_provenance(name, seed, extra)
-    )
+    return replay_log(path, task, settings.copies, steps, name=f"{name}@{VERSION}", provenance=provenance)
 
 
 def _fields(values: dict[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ class Series:
     Attributes:
         name: as the tooltip shows it.
         slot: colour.
-        x: (n,) updates.
+        x: (n,) updates or environment steps.
         y: (n,) values; not finite where the line breaks.
         low: (n,) lower end of the band, or None.
         high: (n,) upper end.
@@ -121,8 +121,9 @@ def lines(
     references: Sequence[tuple[str, float]] = (),
     symlog: bool = False,
     labels: bool = False,
+    across: str = "updates",
 ) -> Markup:
-    """Lines over updates.
+    """Lines over updates, or whatever `across` names.
 
     Args:
         series: what to draw.
@@ -132,6 +133,7 @@ def lines(
         references: named horizontal lines.
         symlog: a symmetric logarithmic vertical axis.
         labels: names at the lines' ends instead of a legend.
+        across: unit of the horizontal axis.
     """
     width, height = size
     bottom, left, top = height - 38, 52, 30
@@ -154,7 +156,7 @@ def lines(
         for t in y.ticks
     ]
     parts += [tag("text", _short(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
-    parts.append(tag("text", "updates", x=right, y=bottom + 34, class_="axis end"))
+    parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
     parts.append(
         tag("text", ", ".join(filter(None, (unit, "symmetric log scale" if symlog else ""))), x=4, y=14, class_="axis")
     )
@@ -184,7 +186,7 @@ def lines(
     parts.append(tag("line", y1=top, y2=bottom, class_="cursor", visibility="hidden"))
     return tag(
         "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=title, class_=f"chart v{width}",
-        data_hover=json.dumps(hover, separators=(",", ":")),
+        data_hover=json.dumps(hover, separators=(",", ":")), data_across=across,
     )  # fmt: skip
 
 

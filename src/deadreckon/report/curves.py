@@ -3,7 +3,7 @@
 import numpy as np
 
 from deadreckon.report import charts, maze
-from deadreckon.report.entries import Page
+from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import figure, legend, note, unit_of
 from deadreckon.report.rows import behavior, to_score
@@ -13,28 +13,29 @@ from deadreckon.tasks.maze2d import Maze2D
 EXPLODED = 20.0  # estimates this many times beyond every return are shown on a logarithmic axis
 DISTANCES = (("mmd_to_data", "MMD to the log", 1.0), ("outside_range", "% of actions outside the log's range", 100.0))
 SHOWN = 8  # episodes in a maze picture
+KEYS = ("step", "seed", "environment_steps")  # columns of the metrics that are none
 METRICS = {
     "actor_loss": "what the actor minimises",
-    "critic_loss": "squared Bellman error on batches of the log",
-    "q": "mean estimated value on batches of the log",
+    "critic_loss": "squared Bellman error on batches",
+    "q": "mean estimated value on batches",
     "mmd": "sampled MMD to its model of the log",
     "behavior_nll": "negative log-likelihood of logged actions",
 }
 
 
 def learning(page: Page) -> Markup | None:
-    """Worth against updates."""
+    """Worth against updates or environment steps."""
     unit = unit_of(page)
-    series = [charts.Series.over_seeds(e.label, page.slot(e), *e.curve(unit)) for e in page.entries if unit in e.evaluations]
+    series = [_series(page, e, unit) for e in page.entries if unit in e.evaluations]
     if not series:
         return None
     logs = {e.config["data"]["fingerprint"]: e for e in page.entries}.values()
     worths = [worth for e in logs if (returns := behavior(e)) and (worth := _worth(page, returns))]
     references = [("logged behaviour", worth.mean) for worth in worths]
     references += [("expert", 100.0)] if unit == "score" else []
+    options = {"title": f"{unit} against {page.across}", "unit": unit, "references": references, "across": page.across}
     both = [
-        charts.lines(series, title=f"{unit} against updates", unit=unit, size=size, references=references, labels=wide)
-        for wide, size in ((True, (1040, 400)), (False, (480, 360)))
+        charts.lines(series, size=size, labels=wide, **options) for wide, size in ((True, (1040, 400)), (False, (480, 360)))
     ]
     return join(
         legend(page),
@@ -43,6 +44,11 @@ def learning(page: Page) -> Markup | None:
         note(f"Mean {unit} over the episodes of each evaluation; line: mean over seeds, band: lowest to highest seed. "
               "All evaluations use the same starts. Click a name to hide an agent in every chart."),
     )  # fmt: skip
+
+
+def _series(page: Page, e: Entry, name: str, factor: float = 1.0) -> charts.Series:
+    x, y = e.curve(name, page.online)
+    return charts.Series.over_seeds(e.label, page.slot(e), x, y * factor)
 
 
 def _worth(page: Page, returns: Interval) -> Interval | None:
@@ -56,7 +62,7 @@ def values(page: Page) -> Markup | None:
         return None
     figures = []
     for e in shown:
-        promised, delivered = e.curve("estimated_value"), e.curve("discounted_return")
+        promised, delivered = (e.curve(name, page.online) for name in ("estimated_value", "discounted_return"))
         known = np.abs(promised[1][np.isfinite(promised[1])])
         true = np.abs(delivered[1][np.isfinite(delivered[1])])
         far = bool(len(known)) and known.max() > EXPLODED * max(1.0, true.max() if len(true) else 1.0)
@@ -65,13 +71,18 @@ def values(page: Page) -> Markup | None:
             charts.Series.over_seeds("delivered", page.slot(e), *delivered, dashed=True),
         ]
         title = f"{e.label}: estimated value and return"
-        chart = charts.lines(series, title=title, unit="discounted return", symlog=far, size=(320, 240))
+        chart = charts.lines(series, title=title, unit="discounted return", symlog=far, size=(320, 240), across=page.across)
         figures.append(figure(chart, e.label, data_agent=page.slot(e)))
     without = [e.label for e in page.entries if e not in shown]
+    learned = "Online, the critic soon sees what the actions it prefers bring. "
+    if not page.online:
+        learned = "A critic trained on a log never sees what the actions it prefers would bring. "
+    bonus = "SAC's value holds its entropy bonus too, which no return does. " if any(e.agent == "sac" for e in shown) else ""
     return join(
         tag(
             "p",
-            "A critic trained on a log never sees what the actions it prefers would bring. Where the solid line (",
+            learned,
+            "Where the solid line (",
             tag("b", "promised"),
             ": estimated value at the start) runs above the dashed one (",
             tag("b", "delivered"),
@@ -80,8 +91,8 @@ def values(page: Page) -> Markup | None:
         tag("div", figures, class_="charts"),
         note(
             "Bands: lowest to highest seed. An episode stops at the horizon, the critic's value does not: a policy that "
-            "collects reward to the end is promised a little more than an episode can deliver. Axes differ between panels."
-            + (f" No critic: {', '.join(without)}." if without else "")
+            f"collects reward to the end is promised a little more than an episode can deliver. {bonus}"
+            "Axes differ between panels." + (f" No critic: {', '.join(without)}." if without else "")
         ),
     )
 
@@ -93,8 +104,7 @@ def distance(page: Page) -> Markup | None:
         series = []
         for e in page.entries:
             if name in e.evaluations:
-                x, y = e.curve(name)
-                series.append(charts.Series.over_seeds(e.label, page.slot(e), x, y * factor))
+                series.append(_series(page, e, name, factor))
         if name == "outside_range" and series and not any(np.nanmax(s.y, initial=0.0) for s in series):
             inside = "No agent took an action outside the log's range at any evaluation. "
         elif series:
@@ -114,15 +124,16 @@ def distance(page: Page) -> Markup | None:
 
 def training(page: Page) -> Markup | None:
     """Whatever else was measured, folded away."""
-    names = list(dict.fromkeys(n for e in page.entries for n in e.metrics if n not in ("step", "seed")))
+    names = list(dict.fromkeys(n for e in page.entries for n in e.metrics if n not in KEYS))
     figures = []
     for name in names:
         with_it = [e for e in page.entries if name in e.metrics]
-        series = [charts.Series.over_seeds(e.label, page.slot(e), *e.curve(name)) for e in with_it]
+        series = [_series(page, e, name) for e in with_it]
         values = np.concatenate([np.abs(s.y[np.isfinite(s.y)]) for s in series])
         far = len(values) > 0 and values.max() > EXPLODED and values.max() > 50 * max(float(np.median(values)), 1e-9)
-        title, unit = f"{name} against updates", METRICS.get(name, "")
-        figures.append(figure(charts.lines(series, title=title, unit=unit, symlog=bool(far), size=(320, 220)), name))
+        title, unit = f"{name} against {page.across}", METRICS.get(name, "")
+        chart = charts.lines(series, title=title, unit=unit, symlog=bool(far), size=(320, 220), across=page.across)
+        figures.append(figure(chart, name))
     if not figures:
         return None
     open_ = "open" if page.task_name is None else None
@@ -156,11 +167,16 @@ def mazes(page: Page) -> Markup | None:
         figures.append(figure(drawn, e.label, data_agent=page.slot(e)))
     if not figures:
         return None
+    of_log = ""
+    if stretches is not None:
+        of_log = (
+            " The log's has stretches of consecutive rows, spread evenly over it; there colours tell stretches apart and mean "
+            "nothing else."
+        )
     return join(
         tag("div", figures, class_="mazes"),
         note(
             "From above; x runs down, y to the right. Star: goal, with the circle inside which a step is rewarded. An agent's "
-            "panel has the first episodes of the last evaluation (first seed), ring: start, dot: end. The log's has stretches "
-            "of consecutive rows, spread evenly over it; there colours tell stretches apart and mean nothing else."
+            f"panel has the first episodes of the last evaluation (first seed), ring: start, dot: end.{of_log}"
         ),
     )

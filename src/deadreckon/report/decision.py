@@ -28,15 +28,17 @@ def decision(page: Page, found: Verdict) -> Markup:
     if found.versus_cloning and found.cloning:
         tiles.append(_tile(f"beyond {found.cloning.label}, paired", found.versus_cloning.worth, True, found.versus_cloning))
     text = [stamp, tag("p", f"{words}, because {found.reason}.", class_="because"), tag("div", tiles, class_="tiles")]
-    why = tag("div", tag("h3", "What beats imitation, and why"), [tag("p", line) for line in found.beaten], class_="why")
+    lines = [tag("p", line) for line in found.beaten]
+    why = tag("div", tag("h3", "What beats imitation, and why"), lines, class_="why") if lines else None
     how = note(
         "Numbers are means over seeds and episodes of the last evaluation; brackets are 95 % bootstrap intervals that redraw "
         "seeds and episodes. Differences between agents are paired: episode i starts alike for all. "
         + (f"The logged behaviour's worth is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
     )
     limits = tag("div", tag("h3", "What this does not show"), _caveats(found))
+    lower = tag("div", why, limits, class_="split lower" if why else "lower")
     return tag(
-        "div", tag("div", tag("div", text), _forest(page), class_="split"), tag("div", why, limits, class_="split lower"), how,
+        "div", tag("div", tag("div", text), _forest(page), class_="split"), lower, how,
         class_=f"card {kind}",
     )  # fmt: skip
 

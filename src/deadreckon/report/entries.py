@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.collect.online import Online
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.runs.folder import Folder
@@ -44,6 +45,16 @@ class Entry:
     def agent(self) -> str:
         """The agent's registered name."""
         return self.config["agent"]["name"]
+
+    @property
+    def online(self) -> Online | None:
+        """How acting and learning took turns; None of a run that learned from a log."""
+        found = self.config.get("online")
+        return None if found is None else Online(**found)
+
+    def environment_steps(self, updates: int | None) -> int | None:
+        """Steps that a seed had acted after so many updates; None of a run that learned from a log."""
+        return None if self.online is None or updates is None else self.online.steps(updates)
 
     @property
     def seeds(self) -> list[int]:
@@ -88,8 +99,11 @@ class Entry:
         """(seeds, episodes) of the last evaluation."""
         return self.at(name, self.last_step)
 
-    def curve(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Steps, and (steps, seeds) values of a column of the evaluations (mean over episodes) or else of the metrics."""
+    def curve(self, name: str, environment: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Steps, and (steps, seeds) values of a column of the evaluations (mean over episodes) or else of the metrics.
+
+        Steps are updates, or `environment` steps of a run that learned online.
+        """
         table = self.evaluations if name in self.evaluations else self.metrics
         if name not in table:
             return np.zeros(0), np.zeros((0, len(self.seeds)))
@@ -101,7 +115,8 @@ class Entry:
             np.add.at(sums[:, lane], where[mine], table[name][mine])
             np.add.at(counts[:, lane], where[mine], 1)
         values = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
-        return steps.astype(float), values
+        shown = [self.environment_steps(int(step)) for step in steps] if environment else steps
+        return np.asarray(shown, float), values
 
     @cached_property
     def segments(self) -> np.ndarray | None:
@@ -129,6 +144,16 @@ class Page:
     def task(self) -> Task | None:
         """The task itself, unless it is a private one that is not registered here."""
         return registry.task(self.task_name) if self.task_name in registry.names() else None
+
+    @property
+    def online(self) -> bool:
+        """Whether all runs learned in the simulator and none from a log."""
+        return all(e.online for e in self.entries)
+
+    @property
+    def across(self) -> str:
+        """What curves are drawn against."""
+        return "environment steps" if self.online else "updates"
 
     def slot(self, entry: Entry) -> int:
         """Which colour an entry has."""
@@ -167,7 +192,7 @@ def _config(path: Path) -> dict[str, Any]:
 
 
 def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
-    names = [str(NAMES.get(config["agent"]["name"], config["agent"]["name"])) for _, config in raw]
+    names = [str(NAMES.get(c["agent"]["name"], c["agent"]["name"])) + (" online" if "online" in c else "") for _, c in raw]
     labels = [name if names.count(name) == 1 else f"{name} ({path.name})" for name, (path, _) in zip(names, raw)]
     return [label if labels.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(labels)]
 

@@ -40,8 +40,9 @@ def write(runs: Sequence[Path | str | Run], out: Path | str, *, title: str | Non
 def render(page: Page, title: str | None = None) -> str:
     """The page as text."""
     found = verdict(page)
-    logs = list(dict.fromkeys(e.config["data"]["name"] for e in page.entries))
-    title = title or f"Offline policies for {page.task_name or ', '.join(logs)}"
+    logs = list(dict.fromkeys(e.config["data"]["name"] for e in page.entries if not e.online))
+    kind = "Policies learned online in" if page.online else "Offline policies for"
+    title = title or f"{kind} {page.task_name or ', '.join(logs)}"
     sections = [
         ("decision", "Decision", decision(page, found)),
         ("scores", "Scores", scores(page)),
@@ -68,8 +69,14 @@ def _asset(name: str) -> str:
 
 
 def _header(page: Page, found: Verdict, title: str, logs: list[str], links: Markup) -> Markup:
-    facts: list[tuple[str, Any]] = [("task", page.task_name or "none: not simulated"), ("log", ", ".join(logs))]
-    facts.append(("rows", ", ".join(dict.fromkeys(f"{e.config['data'].get('rows', 0):,}" for e in page.entries))))
+    facts: list[tuple[str, Any]] = [("task", page.task_name or "none: not simulated")]
+    if logs:
+        facts.append(("log", ", ".join(logs)))
+        rows = dict.fromkeys(f"{e.config['data'].get('rows', 0):,}" for e in page.entries if not e.online)
+        facts.append(("rows", ", ".join(rows)))
+    acted = dict.fromkeys(f"{e.environment_steps(e.status.get('step', 0)):,}" for e in page.entries if e.online)
+    if acted:
+        facts.append(("environment steps a seed", ", ".join(acted)))
     facts.append(("date", datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M")))
     again = any("@dr" in name for name in logs)
     return tag(

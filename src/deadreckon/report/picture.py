@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.report import charts

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deadreckon.agents import AGENTS, agent_class
+from deadreckon.collect.online import Online
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
@@ -23,19 +24,39 @@ def settings(entry: Entry) -> dict[str, Any]:
 
 def command(entry: Entry) -> str:
     """The command line that makes this run again."""
-    config = entry.config
-    data, every = config["data"], config.get("evaluation", {})
-    source = data.get("provenance", {}).get("path") or data["name"]
-    words = ["deadreckon", "train", "--agent", entry.agent, "--data", source]
-    words += ["--task", config["task"]] if config["task"] else []
-    words += ["--steps", config["steps"], "--seeds", len(entry.seeds)]
-    words += ["--seed", entry.seeds[0]] if entry.seeds[:1] != [0] else []
-    if every.get("every") not in (None, max(config["steps"] // 10, 1)):
-        words += ["--evaluate-every", every["every"]]
-    words += ["--episodes", every["episodes"]] if every.get("episodes") not in (None, 20) else []
+    words = ["deadreckon", "train", "--agent", entry.agent]
+    words += _from_log(entry) if entry.online is None else _online(entry, entry.online)
     for name, value in settings(entry).items():
         words += _option(name.replace("_", "-"), value)
     return shlex.join(map(str, [*words, "--out", entry.folder.path]))
+
+
+def _from_log(entry: Entry) -> list[Any]:
+    config = entry.config
+    data, every = config["data"], config.get("evaluation", {})
+    words = ["--data", data.get("provenance", {}).get("path") or data["name"]]
+    words += ["--task", config["task"]] if config["task"] else []
+    words += ["--steps", config["steps"], *_seeds(entry)]
+    if every.get("every") not in (None, max(config["steps"] // 10, 1)):
+        words += ["--evaluate-every", every["every"]]
+    return words + (["--episodes", every["episodes"]] if every.get("episodes") not in (None, 20) else [])
+
+
+def _online(entry: Entry, turns: Online) -> list[Any]:
+    """Steps are the environment's on the command line, and updates in the record."""
+    every, steps = entry.config.get("evaluation", {}), turns.steps(entry.config["steps"])
+    words = ["--online", "--task", entry.config["task"], "--steps", steps, *_seeds(entry)]
+    changed = {f.name: getattr(turns, f.name) for f in dataclasses.fields(turns) if getattr(turns, f.name) != f.default}
+    for name, value in changed.items():
+        words += [f"--{name.replace('_', '-')}", value]
+    block = turns.updates_per_block
+    if every.get("every") not in (None, -(-round(max(steps // 50, 1) * turns.updates_per_step) // block) * block):
+        words += ["--evaluate-every", every["every"] // block * turns.block]
+    return words + (["--episodes", every["episodes"]] if every.get("episodes") not in (None, 10) else [])
+
+
+def _seeds(entry: Entry) -> list[Any]:
+    return ["--seeds", len(entry.seeds)] + (["--seed", entry.seeds[0]] if entry.seeds[:1] != [0] else [])
 
 
 def _option(name: str, value: Any) -> list[Any]:
@@ -81,18 +102,30 @@ def _run(entry: Entry) -> Markup:
         ("state", state),
         ("updates", f"{config['steps']:,}, seeds {', '.join(map(str, entry.seeds))}"),
         ("settings", ", ".join(f"{name} = {value}" for name, value in changed.items()) or "all as by default"),
-        ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes"),
-        ("fingerprint", tag("code", data["fingerprint"])),
-        ("collected with", _made(data.get("provenance") or {})),
-        ("warnings", join(*(tag("div", w) for w in data.get("warnings", []))) or "none"),
-        ("folder", tag("code", entry.folder.path)),
     ]
+    if entry.online is None:
+        facts += [
+            ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes"),
+            ("fingerprint", tag("code", data["fingerprint"])),
+            ("collected with", _made(data.get("provenance") or {})),
+            ("warnings", join(*(tag("div", w) for w in data.get("warnings", []))) or "none"),
+        ]
+    else:
+        facts += [("experience", _acted(entry.online, entry.online.steps(config["steps"])))]
+    facts.append(("folder", tag("code", entry.folder.path)))
     again = command(entry)
     return tag(
         "article",
         tag("h3", entry.label),
         tag("dl", [join(tag("dt", name), tag("dd", value)) for name, value in facts if value]),
         tag("pre", tag("code", again), tabindex="0", aria_label="command to reproduce"),
+    )
+
+
+def _acted(turns: Online, steps: int) -> str:
+    return (
+        f"{steps:,} environment steps a seed, of them {turns.explore:,} of uniform actions at first; {turns.copies} copies, "
+        f"{turns.updates_per_block} updates after every {turns.block} steps"
     )
 
 

@@ -27,6 +27,7 @@ class Row:
         mmd: distance of the policy's actions to the logged ones.
         outside: share of its actions beyond the log's range.
         updates: before the evaluation.
+        acted: steps in the environment before it; None of a run that learned from a log.
     """
 
     label: str
@@ -39,11 +40,17 @@ class Row:
     mmd: float | None = None
     outside: float | None = None
     updates: int | None = None
+    acted: int | None = None
 
     @property
     def baseline(self) -> bool:
         """Behaviour cloning, which any agent has to beat."""
         return self.entry is not None and self.entry.agent == "bc"
+
+    @property
+    def online(self) -> bool:
+        """Whether it learned by acting in the simulator."""
+        return self.entry is not None and self.entry.online is not None
 
     @property
     def worth(self) -> Interval | None:
@@ -123,6 +130,7 @@ def row(entry: Entry) -> Row:
     """The numbers of one run at its last evaluation."""
     returns, scores = entry.last("return"), entry.last("score")
     values = scores if scores is not None else returns
+    updates = entry.last_step if entry.last_step is not None else entry.status.get("step")
     return Row(
         entry.label,
         entry,
@@ -130,7 +138,8 @@ def row(entry: Entry) -> Row:
         None if scores is None else bootstrap(scores),
         () if values is None else tuple(float(v) for v in values.mean(1)),
         *(_mean(entry.last(name)) for name in ("estimated_value", "discounted_return", "mmd_to_data", "outside_range")),
-        updates=entry.last_step if entry.last_step is not None else entry.status.get("step"),
+        updates=updates,
+        acted=entry.environment_steps(updates),
     )
 
 

@@ -12,6 +12,8 @@ from deadreckon.report.text import brackets, count, number, percent, score
 from deadreckon.runs.evaluate import Interval
 
 Cell = Callable[[Row], tuple[Any, float | None]]  # what is shown, and what it is sorted by
+TO_LOG = ("MMD", "outside")  # columns that mean nothing where no run learned from a log
+ACTED = ("steps",)  # nor this where none acted
 
 
 def _two(value: Interval | None) -> tuple[Any, float | None]:
@@ -48,6 +50,7 @@ COLUMNS: tuple[tuple[str, str, Cell], ...] = (
     ("over\N{SOFT HYPHEN}estimate", "promised \N{MINUS SIGN} delivered", lambda r: (number(r.over, signed=True), r.over)),
     ("MMD", "to the log", lambda r: (number(r.mmd), r.mmd)),
     ("outside", "the log's range", lambda r: (percent(r.outside), r.outside)),
+    ("steps", "in the environment", lambda r: (count(r.acted), r.acted)),
     ("updates", "of the networks", lambda r: (count(r.updates), r.updates)),
     ("failed", "lanes", _failures),
 )
@@ -55,14 +58,17 @@ COLUMNS: tuple[tuple[str, str, Cell], ...] = (
 
 def scores(page: Page) -> Markup:
     """Sortable rows, and below, apart, what was published."""
+    without = left_out(page)
+    columns = [column for column in COLUMNS if column[0] not in without]
     head = [tag("th", tag("button", "agent", type="button"), scope="col")]
-    head += [tag("th", tag("button", name, type="button"), tag("small", sub), scope="col") for name, sub, _ in COLUMNS]
+    head += [tag("th", tag("button", name, type="button"), tag("small", sub), scope="col") for name, sub, _ in columns]
     lines = []
     for r in rows(page):
         badge = "baseline" if r.baseline else None if r.entry else "what the log did"
+        badge = "learned in the simulator" if r.online and not page.online else badge
         swatch = tag("i", class_=f"dot s{page.slot(r.entry)}" if r.entry else "dot log")
         cells = [tag("th", swatch, r.label, tag("small", badge) if badge else None, scope="row", data_value=r.label)]
-        for _, _, cell in COLUMNS:
+        for _, _, cell in columns:
             shown, key = cell(r)
             finite = key is not None and math.isfinite(key)
             cells.append(tag("td", shown, data_value=f"{key:.9g}" if finite and key is not None else ""))
@@ -70,10 +76,19 @@ def scores(page: Page) -> Markup:
     table = tag("table", tag("thead", tag("tr", head)), tag("tbody", lines), class_="sortable", id="score-table")
     text = (
         "Click a heading to sort. Promised: the critic's value of the policy's own actions at the starts of the judged "
-        "episodes; delivered: the discounted return that followed. MMD: Gaussian-kernel two-sample distance between "
-        "(state, logged action) and (state, policy's action) on 1,024 logged rows; a perfect copy has about 0."
+        "episodes; delivered: the discounted return that followed."
     )
+    if not page.online:
+        text += (
+            " MMD: Gaussian-kernel two-sample distance between (state, logged action) and (state, policy's action) on 1,024 "
+            "logged rows; a perfect copy has about 0."
+        )
     return join(scroll(table), note(text), _published(page))
+
+
+def left_out(page: Page) -> tuple[str, ...]:
+    """Columns that would be empty."""
+    return TO_LOG if page.online else () if any(e.online for e in page.entries) else ACTED
 
 
 def _published(page: Page) -> Markup | None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from deadreckon.report.entries import read
 from deadreckon.report.rows import Row, rows
+from deadreckon.report.scores import left_out
 from deadreckon.report.text import brackets, count, number, percent, score
 from deadreckon.report.verdict import verdict
 from deadreckon.runs.evaluate import Interval
@@ -23,6 +24,7 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("delivered", lambda r: number(r.truth)),
     ("MMD", lambda r: number(r.mmd)),
     ("outside", lambda r: percent(r.outside)),
+    ("steps", lambda r: count(r.acted)),
     ("updates", lambda r: count(r.updates)),
     ("failed", lambda r: count(len(r.entry.failed) if r.entry else None)),
 )
@@ -36,9 +38,10 @@ def table(runs: Sequence[Path | str | Run]) -> str:
     Raises:
         UserError: nothing to show, a path that is no run, or runs of different tasks.
     """
-    found = rows(read(runs))
-    lines = [("agent", *(name for name, _ in COLUMNS))]
-    lines += [(r.label, *(cell(r) for _, cell in COLUMNS)) for r in found]
+    page = read(runs)
+    columns = [column for column in COLUMNS if column[0] not in left_out(page)]
+    lines = [("agent", *(name for name, _ in columns))]
+    lines += [(r.label, *(cell(r) for _, cell in columns)) for r in rows(page)]
     widths = [max(map(len, column)) for column in zip(*lines)]
     text = ["  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:]))]) for line in lines]
     text.insert(1, "  ".join("-" * w for w in widths))

@@ -15,7 +15,7 @@ class Verdict:
 
     Attributes:
         headline: one sentence.
-        deploy: None if nothing was judged.
+        deploy: None if nothing was judged, or if nothing learned from a log.
         reason: what the decision rests on.
         best: the row with the highest mean at the last evaluation.
         log: the policy that made its log.
@@ -39,8 +39,12 @@ class Verdict:
 
 
 def verdict(page: Page) -> Verdict:
-    """Judges the runs of a page."""
+    """Judges the runs of a page. What learned in the simulator is no candidate beside what learned from a log."""
     judged = [r for r in rows(page) if r.entry is not None and r.worth is not None and math.isfinite(r.worth.mean)]
+    beside = [r for r in judged if r.online]
+    judged = [r for r in judged if not r.online] or beside
+    if not judged and page.online:
+        return Verdict("No decision: these policies were not judged.", None, "No evaluation is finished yet.")
     if not judged:
         missing = "No simulator was named for this log" if page.task_name is None else "No evaluation is finished yet"
         return Verdict(
@@ -67,24 +71,27 @@ def verdict(page: Page) -> Verdict:
         )
     else:
         standing = "is best with" if len(judged) > 1 else "has"
-        headline = f"Do not deploy: {best.label} {standing} {level}, but {reason}."
+        headline = f"{'No decision' if deploy is None else 'Do not deploy'}: {best.label} {standing} {level}, but {reason}."
     return Verdict(
         headline, deploy, reason, best, log, cloning, over_log, over_cloning,
-        _beaten(page, judged, cloning, log), _caveats(page, judged, best),
+        [] if best.online else _beaten(page, judged, cloning, log), _caveats(judged, best, [] if best.online else beside),
     )  # fmt: skip
 
 
-def _decide(best: Row, log: Row | None, over_log: Difference | None) -> tuple[bool, str]:
+def _decide(best: Row, log: Row | None, over_log: Difference | None) -> tuple[bool | None, str]:
     assert best.entry is not None
     failed = best.entry.failed
+    no = None if best.online else False
     if not best.entry.status.get("finished"):
-        return False, f"the run of {best.label} is not finished"
+        return no, f"the run of {best.label} is not finished"
     if failed:
         seed, metric, step = failed[0]
-        return False, (
+        return no, (
             f"{len(failed)} of {len(best.entry.seeds)} lanes of {best.label} failed (seed {seed}: {metric} was not finite at "
             f"update {step:,}), so training it again may fail too"
         )
+    if best.online:
+        return None, "it learned by acting in the simulator, so there is no logged behaviour that it has to beat"
     if over_log is None or log is None or log.worth is None:
         return False, "what the logged behaviour itself is worth is not known, so there is nothing to be better than"
     gap = over_log.worth
@@ -153,10 +160,15 @@ def _misled(judged: list[Row]) -> list[str]:
             "largest mistake (thesis 4.1)."]  # fmt: skip
 
 
-def _caveats(page: Page, judged: list[Row], best: Row) -> list[str]:
-    assert best.entry is not None
+def _caveats(judged: list[Row], best: Row, beside: list[Row]) -> list[str]:
     out = ["This judgement ran the policies in the simulator. On a real system there is none: an estimate from the log alone "
            "(off-policy evaluation) is not part of this report yet."]  # fmt: skip
+    if best.online:
+        out = ["It was judged in the simulator that it learned in: nothing here shows how it fares where a system differs."]
+    if beside:
+        out.append(
+            f"{words([r.label for r in beside])} learned by acting in the simulator: shown to compare with, not to choose from."
+        )
     if len(judged) > 1:
         out.append(
             f"{best.label} was chosen as the best of {len(judged)} on the episodes that also measure it, which flatters it a "

@@ -1,4 +1,8 @@
-"""The Gymnasium faces of `ant` and `humanoid`, apart because they alone need gymnasium. The other robots' are its own."""
+"""The Gymnasium faces of `ant` and `humanoid`, apart because they alone need gymnasium. The other robots' are its own.
+
+Both are Gymnasium's v5 with the observations of v2, and take its options. Step by step they equal the tasks' simulators. The
+horizon is kept by Gymnasium's `TimeLimit`.
+"""
 
 from typing import Any, ClassVar, Literal
 
@@ -15,11 +19,7 @@ _WITHOUT_CONTACTS = {"contact_cost_weight": 0.0, "include_cfrc_ext_in_observatio
 
 
 class _Padded(MujocoEnv, EzPickle):
-    """Gymnasium's v5 with the observations of v2: contact forces cost nothing and are 84 zeros.
-
-    Step by step it is the task's `simulate([seed])`. The horizon is kept by Gymnasium's `TimeLimit`. Options are those of
-    Gymnasium's environment.
-    """
+    """What both have in common: contact forces cost nothing, and are zeros."""
 
     task: ClassVar[str]
     fixed: ClassVar[dict[str, Any]] = _WITHOUT_CONTACTS
@@ -49,13 +49,17 @@ class _Padded(MujocoEnv, EzPickle):
 
 
 class PaddedAntEnv(_Padded, AntEnv):
-    """Ant; see `_Padded`."""
+    """Ant-v5, whose 84 contact forces are zeros and cost nothing."""
 
     task = "ant"
 
 
 class PaddedHumanoidEnv(_Padded, HumanoidEnv):
-    """Humanoid; see `_Padded`. As in v2, the world is one of the bodies whose inertias and velocities are observed."""
+    """Humanoid-v5, whose 84 contact forces are zeros and cost nothing.
+
+    As in v2, the world is one of the bodies whose inertias and velocities are observed, and the motor forces begin with six
+    zeros for the root.
+    """
 
     task = "humanoid"
     fixed: ClassVar[dict[str, Any]] = _WITHOUT_CONTACTS | {

@@ -43,7 +43,7 @@ for (const chart of all("svg[data-hover]")) {
       .map((s) => ({ s, p: s.p.reduce((a, b) => Math.abs(b[0] - x) < Math.abs(a[0] - x) ? b : a) }));
     if (!near.length) return leave();
     const best = near.reduce((a, b) => Math.abs(b.p[0] - x) < Math.abs(a.p[0] - x) ? b : a).p;
-    tip.replaceChildren(document.createTextNode(`${best[2]} updates`));
+    tip.replaceChildren(document.createTextNode(`${best[2]} ${chart.dataset.across}`));
     for (const { s, p } of near.filter(({ p }) => Math.abs(p[0] - best[0]) < 24).sort((a, b) => a.p[1] - b.p[1])) {
       const line = document.createElement("div"), value = document.createElement("b");
       value.textContent = p[3];

@@ -1,0 +1,104 @@
+"""Runs that learned in the simulator: no log, nothing to deploy against, environment steps instead of updates."""
+
+import re
+import shlex
+
+import pytest
+from run_folders import write_run
+
+from deadreckon.cli.parse import parse
+from deadreckon.cli.train import TrainOnline
+from deadreckon.collect.online import Online
+from deadreckon.report import headline, table
+from deadreckon.report.entries import read
+from deadreckon.report.page import render
+from deadreckon.report.provenance import command
+from deadreckon.report.verdict import verdict
+
+TURNS = {"copies": 4, "explore": 40, "updates_per_step": 0.5, "block": 20}  # 10 updates after every 20 steps
+
+
+def online(path, **options):
+    return write_run(path, "sac", 90.0, task="halfcheetah", online=TURNS, promised=70.0, **options)
+
+
+def shown(text):
+    """What a reader sees."""
+    return re.sub(r"<[^>]*>", " ", re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S))
+
+
+def test_a_page_of_online_runs_speaks_of_no_log(tmp_path):
+    page = read([online(tmp_path / "run", metrics={"critic_loss": 5.0})])
+    text = render(page)
+    assert re.findall(r'<section id="(\w+)"', text) == ["decision", "scores", "learning", "values", "training", "provenance"]
+    seen = shown(text)
+    assert "Policies learned online in halfcheetah" in seen
+    assert "No decision" in seen
+    for nonsense in ("MMD", "0 rows", "fingerprint", "Offline", "imitation", "trained on a log", "cloning", "None", "nan"):
+        assert not re.search(rf"\b{nonsense}\b", seen)
+    assert "440 environment steps a seed, of them 40 of uniform actions at first" in seen
+    assert "environment_steps against" not in text  # it is no metric
+
+
+def test_curves_are_drawn_against_environment_steps(tmp_path):
+    entry = read([online(tmp_path / "run")]).entries[0]
+    assert entry.curve("score", environment=True)[0].tolist() == [240, 440]
+    assert entry.curve("loss", environment=True)[0].tolist() == [140, 240, 340, 440]
+    assert entry.environment_steps(0) == 0
+    text = render(read([tmp_path / "run"]))
+    assert 'data-across="environment steps"' in text
+    assert 'data-across="updates"' not in text
+
+
+def test_nothing_is_said_to_be_better_than_a_log_that_is_not_there(tmp_path):
+    found = verdict(read([online(tmp_path / "run")]))
+    assert (found.deploy, found.beaten, found.best.label) == (None, [], "SAC online")
+    assert "no logged behaviour" in found.reason
+    assert "simulator that it learned in" in found.caveats[0]
+    assert "not finished" in verdict(read([online(tmp_path / "now", finished=False)])).headline
+    assert "1 of 2 lanes" in verdict(read([online(tmp_path / "lane", failures={0: ("q", 100)})])).headline
+    for part in (tmp_path / "now" / "evaluations").iterdir():
+        part.unlink()
+    assert verdict(read([tmp_path / "now"])).reason == "No evaluation is finished yet."
+
+
+def test_beside_runs_on_a_log_it_is_shown_and_not_chosen(tmp_path):
+    runs = [write_run(tmp_path / agent, agent, level, task="halfcheetah") for agent, level in (("bc", 20.0), ("sac", 40.0))]
+    runs.append(online(tmp_path / "run"))
+    page = read(runs)
+    assert [e.label for e in page.entries] == ["BC", "SAC", "SAC online"]
+    found = verdict(page)
+    assert (found.deploy, found.best.label) == (True, "SAC")
+    assert "SAC online learned by acting" in " ".join(found.caveats)
+    assert "SAC online" not in " ".join(found.beaten)
+    assert headline(runs).startswith("Deploy SAC:")
+    text = render(page)
+    assert 'data-across="updates"' in text
+    assert 'data-across="environment steps"' not in text
+    assert "learned in the simulator" in text
+
+
+def test_the_table_has_the_columns_that_mean_something(tmp_path, runs):
+    one = online(tmp_path / "run")
+    both = [one, write_run(tmp_path / "cloned", "bc", task="halfcheetah")]
+    heads = [table(given).splitlines()[0].split() for given in ([one], both, runs)]
+    assert [("MMD" in head, "outside" in head, "steps" in head) for head in heads] == [
+        (False, False, True), (True, True, True), (True, True, False),
+    ]  # fmt: skip
+    assert "440" in table([one])
+
+
+@pytest.mark.parametrize("every", [100, None])
+def test_the_command_makes_the_run_again(tmp_path, every):
+    entry = read([online(tmp_path / "run")]).entries[0]
+    if every is None:  # what is recorded where nothing was asked for: a fiftieth, in whole blocks
+        entry.config["evaluation"]["every"] = 10
+    text = command(entry)
+    assert text.startswith("deadreckon train --agent sac --online --task halfcheetah --steps 440 --seeds 2")
+    assert ("--evaluate-every" in text) == (every is not None)
+    words = [word for word in shlex.split(text)[4:] if word != "--online"]
+    given = parse(TrainOnline, words[: words.index("--agent.hidden")], "train --online")
+    assert (given.task, given.seeds, given.episodes) == ("halfcheetah", 2, 6)
+    turns = Online(given.copies, given.explore, given.updates_per_step, given.block)
+    assert (turns, turns.updates(given.steps)) == (Online(**TURNS), 200)
+    assert given.evaluate_every == (None if every is None else 200)
