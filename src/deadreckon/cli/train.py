@@ -146,7 +146,7 @@ def summary(run) -> str:
     metrics = run.metrics.to_pydict()
     count = len(run.seeds)
     shown = [f"{k} {np.nanmean(v[-count:]):.4g}" for k, v in metrics.items()
-             if k not in ("step", "seed") and not np.isnan(v[-count:]).all()]  # fmt: skip
+             if k not in ("step", "seed", "environment_steps") and not np.isnan(v[-count:]).all()]  # fmt: skip
     lines.append("last metrics: " + ", ".join(shown) if shown else "no healthy lane at the end")
     evaluations = run.evaluations.to_pydict()
     if evaluations:

@@ -1,6 +1,7 @@
 """The score table, and the published numbers beside it."""
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -92,13 +93,17 @@ def left_out(page: Page) -> tuple[str, ...]:
 
 
 def _published(page: Page) -> Markup | None:
+    """The published suite that has the page's task or logs in it, those rows marked."""
     known = published()
-    if page.task_name not in known["tasks"]:
+    logs = {re.sub(r"-v\d+(@.*)?$", "", entry.config["data"]["name"]) for entry in page.entries}
+    here = {page.task_name, *logs}
+    suite = next((suite for suite in known["suites"] if here & suite.keys()), None)
+    if suite is None:
         return None
     head = tag("tr", tag("th", "task", scope="col"), [tag("th", m, scope="col") for m in known["methods"]])
     lines = []
-    for name, values in known["tasks"].items():
-        here = "here" if name == page.task_name else None
-        lines.append(tag("tr", tag("th", name, scope="row"), [tag("td", score(v)) for v in values], class_=here))
+    for name, values in suite.items():
+        cells = [tag("td", score(v)) for v in values]
+        lines.append(tag("tr", tag("th", name, scope="row"), cells, class_="here" if name in here else None))
     table = tag("table", tag("caption", known["title"]), tag("thead", head), tag("tbody", lines), class_="published")
     return tag("aside", scroll(table), note(known["source"] + "."))

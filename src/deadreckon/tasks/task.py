@@ -13,7 +13,7 @@ from deadreckon.errors import UserError
 
 @dataclass(frozen=True)
 class Reference:
-    """Mean undiscounted returns that define the scores 0 (uniform random actions) and 100 (expert), thesis 7.3."""
+    """Mean undiscounted returns that define the scores 0 (random actions) and 100 (expert), thesis 7.3."""
 
     random: float
     expert: float
@@ -131,8 +131,8 @@ class Task:
         observation_shape: of one observation.
         action_space: bounds of the environment.
         gym_id: the Gymnasium id of the same environment.
-        reference: measured on this simulator, for normalised scores.
-        published: the original benchmark's reference scores, where they exist; shown beside, never mixed in.
+        reference: for normalised scores: measured on this simulator, or the benchmark's where its scale is everybody's.
+        published: the original benchmark's reference scores, where they exist.
         split: "training" (settings may be tuned here) or "evaluation", thesis Table D.3.
         summary: one line on what is to be done.
     """
