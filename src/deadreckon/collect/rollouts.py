@@ -1,14 +1,16 @@
-"""Logs made by policies: whole episodes, one after the other, drawn in waves of copies side by side.
+"""Logs made by policies: whole episodes, run side by side and written one after the other.
 
-Episode `k` of an act starts from a seed of its own, and the waves follow from the seed and the rows so far alone. So a log
-depends on neither cores nor interruptions: what was on disk when a collection was killed is kept, and the rest is the same.
+Episode `k` of an act follows from the seed, the act and `k` alone: its start, and the draws of its actions. So a log depends
+on neither cores nor interruptions: what was on disk when a collection was killed is kept, and the rest is the same.
 """
 
+import itertools
 import json
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,8 +25,9 @@ from deadreckon.files import read_json, write_json
 from deadreckon.policies.policy import Deployed, Step
 from deadreckon.tasks.task import Simulator, Task
 
-WAVE = 64  # copies side by side; part of the recipe, so that a log does not depend on the machine
-_COLUMNS: tuple[str, ...] = ("observations", "actions", "rewards", "terminals", "timeouts", "behavior_log_probs")
+COPIES = 64  # side by side
+FLUSH = 4096  # rows that are kept in memory before they go to the disk
+COLUMNS: tuple[str, ...] = ("observations", "actions", "rewards", "terminals", "timeouts", "behavior_log_probs")
 
 
 @dataclass(frozen=True)
@@ -87,90 +90,137 @@ def _perform(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     total = sum(act.rows for act in acts)
-    simulator = task.simulate([0] * WAVE, threads)
+    simulator = task.simulate([0] * COPIES, threads)
     for which, act in enumerate(acts):
         before = sum(each.rows for each in acts[:which])
-        player = _Player(task, act.policy, jax.random.fold_in(jax.random.key(seed), which))
-        while (done := stage.rows - before) < act.rows:
-            episodes = stage.episodes[which] if which < len(stage.episodes) else 0
-            # As many episodes as the rows that are missing will take, going by those there are.
-            guess = done / episodes if episodes else task.horizon
-            count = int(np.clip(np.ceil((act.rows - done) / guess), 1, WAVE))
-            starts = np.random.SeedSequence([seed, which, episodes]).generate_state(count, np.uint64)
-            most = before + act.rows  # a wave may go beyond it
-            told = (lambda rows, d=before + done, m=most: progress(min(d + rows, m), total)) if progress else None
-            wave = _wave(task, simulator, player, [int(s) for s in starts], episodes, told)
-            stage.append(wave, act.rows - done, which)
+        if stage.rows - before >= act.rows:
+            continue
+        root = jax.random.fold_in(jax.random.key(seed), which)
+        scene = _Scene(task, simulator, act.policy, root, [seed, which])
+        first = stage.episodes[which] if which < len(stage.episodes) else 0
+        told = (lambda rows, b=before, m=before + act.rows: progress(min(b + rows, m), total)) if progress else None
+        for episodes in scene.play(first, stage.rows - before, act.rows, told):
+            stage.append(episodes, act.rows - (stage.rows - before), which)
             if progress:
                 progress(stage.rows, total)
 
 
 @eqx.filter_jit
-def _draw(policy: Deployed, observations: Array, key: PRNGKeyArray, low: Any, high: Any) -> tuple[Array, Array]:
-    """Actions (n, size) and their log-densities (n,), as `Deployed.log_prob` gives them for the actions that are logged."""
-    step = Step(observations, jnp.zeros(len(observations)), jnp.ones(len(observations), bool))
-    actions = policy.act(step, policy.start(len(observations)), key, greedy=False)[0]
-    actions = jnp.clip(actions, low, high)
-    return actions, policy.log_prob(observations, actions)
+def _draw(
+    policy: Deployed | None, observations: Array, root: PRNGKeyArray, episodes: Array, ages: Array, low: Any, high: Any
+) -> tuple[Array, Array]:
+    """Actions (n, size) and their log-densities (n,), as `Deployed.log_prob` gives them for the actions that are logged.
+
+    A row's draw follows from its episode and step alone, wherever it stands among the others.
+    """
+
+    def one(observation: Array, episode: Array, age: Array) -> tuple[Array, Array]:
+        key = jax.random.fold_in(jax.random.fold_in(root, episode), age)
+        if policy is None:
+            action = jax.random.uniform(key, low.shape, minval=low, maxval=high)
+            return action, -jnp.log(high - low).sum()
+        step = Step(observation[None], jnp.zeros(1), jnp.ones(1, bool))
+        action = jnp.clip(policy.act(step, policy.start(1), key, greedy=False)[0], low, high)
+        return action[0], policy.log_prob(observation[None], action)[0]
+
+    return jax.vmap(one)(observations, episodes, ages)
 
 
-class _Player:
-    """A policy, or uniform actions, as a function of a whole wave's observations."""
+class _Scene:
+    """Episodes of one act, side by side: a copy that has ended one begins the next.
 
-    def __init__(self, task: Task, policy: Deployed | None, root: PRNGKeyArray):
+    Attributes:
+        episode: (COPIES,) which each copy is in, -1 at rest.
+        age: (COPIES,) steps of it done.
+    """
+
+    def __init__(self, task: Task, simulator: Simulator, policy: Deployed | None, root: PRNGKeyArray, seed: list[int]):
         if not isinstance(task.action_space, Box):
             raise UserError(f"{task.name}: logs of policies need continuous actions")
-        self.policy, self.root = policy, root
+        self.task, self.simulator, self.policy, self.root, self.seed = task, simulator, policy, root, seed
         self.low, self.high = (np.asarray(side, np.float32) for side in (task.action_space.low, task.action_space.high))
+        self.episode, self.age = np.full(COPIES, -1), np.zeros(COPIES, int)
+        self.seen = np.zeros((COPIES, *task.observation_shape), np.float32)
+        kinds = column_kinds(task)
+        self.columns = {key: np.zeros((COPIES, task.horizon, *shape), dtype) for key, (shape, dtype) in kinds.items()}
 
-    def __call__(self, observations: np.ndarray, wave: int, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """(n, size) actions and (n,) log-densities; `wave` is the number of episodes before it, `t` the step."""
-        key = jax.random.fold_in(jax.random.fold_in(self.root, wave), t)
-        if self.policy is None:
-            actions = jax.random.uniform(key, (len(observations), len(self.low)), minval=self.low, maxval=self.high)
-            return np.array(actions), np.full(len(observations), -np.log(self.high - self.low).sum(), np.float32)
-        actions, log_probs = _draw(self.policy, jnp.asarray(observations), key, self.low, self.high)
-        return np.array(actions), np.asarray(log_probs)
+    def play(self, first: int, rows: int, wanted: int, progress: Callable[[int], None] | None) -> Iterator["list[Episode]"]:
+        """Runs the episodes `first`, `first` + 1, ... until `rows` and theirs are `wanted`; gives them in order, bit by bit.
+
+        The order is that of their numbers, not that in which they end: no episode is left out because it is long.
+        """
+        following, next_out = first, first
+        done: dict[int, Episode] = {}
+        ready: list[Episode] = []
+        ended = lengths = 0
+        for turn in itertools.count():
+            if rows >= wanted:
+                break
+            # As many side by side as will be needed, going by how long those before were.
+            guess = lengths / ended if ended else self.task.horizon
+            running = int((self.episode >= 0).sum())
+            expected = rows + sum(each.length for each in (*done.values(), *ready)) + running * guess
+            free = np.flatnonzero(self.episode < 0)
+            more = free[: int(np.clip(np.ceil((wanted - expected) / guess), int(running == 0), len(free)))]
+            if len(more):
+                self._begin(more, following)
+                following += len(more)
+            for number, each in self._step():
+                done[number] = each
+                ended, lengths = ended + 1, lengths + each.length
+            while next_out in done:
+                ready.append(done.pop(next_out))
+                next_out += 1
+            held = sum(each.length for each in ready)
+            if ready and (held >= FLUSH or rows + held >= wanted):
+                yield ready
+                rows, ready, held = rows + held, [], 0
+            if progress and turn % 50 == 49:
+                progress(rows + held)
+        self.episode[:] = -1  # those that were not needed in the end
+
+    def _begin(self, which: np.ndarray, first: int) -> None:
+        numbers = first + np.arange(len(which))
+        seeds = [int(np.random.SeedSequence([*self.seed, int(n)]).generate_state(1, np.uint64)[0]) for n in numbers]
+        self.seen[which] = self.simulator.reset(which, seeds)
+        self.episode[which], self.age[which] = numbers, 0
+
+    def _step(self) -> Iterator[tuple[int, "Episode"]]:
+        """One step of all copies; gives the numbers and rows of the episodes that ended with it."""
+        alive = np.flatnonzero(self.episode >= 0)
+        # Always the same number of rows, so that one compiled program serves.
+        where = jnp.asarray(self.episode), jnp.asarray(self.age)
+        drawn = _draw(self.policy, jnp.asarray(self.seen), self.root, *where, self.low, self.high)
+        actions, log_probs = np.array(drawn[0]), np.asarray(drawn[1])
+        actions[self.episode < 0] = 0.0
+        seen, rewards, terminals, timeouts = self.simulator.step(actions)
+        for key, part in zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs)):
+            self.columns[key][alive, self.age[alive]] = part[alive]
+        self.seen = seen.copy()
+        self.age[alive] += 1
+        for copy in alive[(terminals | timeouts)[alive]]:
+            length = self.age[copy]
+            columns = {key: column[copy, :length].copy() for key, column in self.columns.items()}
+            yield int(self.episode[copy]), Episode(columns, seen[copy].copy())
+            self.episode[copy] = -1
 
 
-def _wave(
-    task: Task,
-    simulator: Simulator,
-    player: _Player,
-    seeds: list[int],
-    before: int,
-    progress: Callable[[int], None] | None,
-) -> dict[str, np.ndarray]:
-    """One episode from each seed, side by side.
+class Episode(NamedTuple):
+    """Rows of one episode by column, and what was seen after the last of them."""
 
-    Returns:
-        Columns (rows, ...), one episode after the other; `final_observations` (episodes, *shape), `lengths` (episodes,).
-    """
-    count = len(seeds)
-    seen = np.zeros((WAVE, *task.observation_shape), np.float32)
-    seen[:count] = simulator.reset(np.arange(count), seeds)
-    finals = np.zeros_like(seen)
-    alive = np.arange(WAVE) < count
-    lengths, steps = np.zeros(WAVE, int), []
-    for t in range(task.horizon):
-        # Always the same number of rows: a policy's last bits may depend on how many it is asked for.
-        actions, log_probs = player(seen, before, t)
-        actions[~alive] = 0.0
-        following, rewards, terminals, timeouts = simulator.step(actions)
-        steps.append([part[:count] for part in (seen, actions, rewards, terminals, timeouts, log_probs)])
-        lengths += alive
-        over = alive & (terminals | timeouts)
-        finals[over] = following[over]
-        alive &= ~over
-        seen = following
-        if progress and t % 50 == 49:
-            progress(int(lengths.sum()))
-        if not alive.any():
-            break
-    columns = [np.stack(column, 1) for column in zip(*steps)]  # (episodes, steps, ...)
-    keep = np.arange(len(steps)) < lengths[:count, None]
-    out = {key: column[keep] for key, column in zip(_COLUMNS, columns)}
-    return out | {"final_observations": finals[:count], "lengths": lengths[:count]}
+    columns: dict[str, np.ndarray]
+    final: np.ndarray
+
+    @property
+    def length(self) -> int:
+        """Rows."""
+        return len(self.columns["rewards"])
+
+
+def column_kinds(task: Task) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Shape and dtype of a row of each of `COLUMNS`."""
+    kinds = (task.observation_shape, np.float32), ((task.action_space.size,), np.float32), ((), np.float32), ((), bool)
+    return dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
 
 
 class _Stage:
@@ -180,10 +230,7 @@ class _Stage:
         self.folder, self.task, self.asked = folder, task, asked
         self.rows, self.finals = 0, 0
         self.episodes: list[int] = []
-        size = task.action_space.size
-        kinds = (task.observation_shape, np.float32), ((size,), np.float32), ((), np.float32), ((), bool), ((), bool)
-        self.kinds: dict[str, tuple[tuple[int, ...], Any]] = dict(zip(_COLUMNS, (*kinds, ((), np.float32))))
-        self.kinds["final_observations"] = (task.observation_shape, np.float32)
+        self.kinds = {**column_kinds(task), "final_observations": (task.observation_shape, np.float32)}
         if not self._state.exists():
             return
         found = read_json(self._state)
@@ -195,23 +242,27 @@ class _Stage:
     def _state(self) -> Path:
         return self.folder / "state.json"
 
-    def append(self, wave: dict[str, np.ndarray], room: int, act: int) -> None:
-        """Adds a wave's rows, at most `room` of them, and says so once they are on the disk."""
-        ends = np.cumsum(wave["lengths"])
-        whole = int(np.searchsorted(ends, room, side="right"))  # episodes that fit
-        finals = wave["final_observations"][:whole]
-        rows = min(int(ends[-1]), room)
-        if whole < len(ends) and (whole == 0 or ends[whole - 1] < room):
-            # The episode in which the rows ran out: what followed its last row is its own next observation.
-            finals = np.concatenate([finals, wave["observations"][room][None]])
-            wave["timeouts"][room - 1] = True
-            whole += 1
-        for key in _COLUMNS:
-            self._write(key, wave[key][:rows], self.rows)
-        self._write("final_observations", finals, self.finals)
-        self.rows, self.finals = self.rows + rows, self.finals + len(finals)
+    def append(self, episodes: list[Episode], room: int, act: int) -> None:
+        """Adds episodes, at most `room` rows of them, and says so once they are on the disk."""
+        parts, finals = [], []
+        for columns, final in episodes:
+            length = min(len(columns["rewards"]), room)
+            if length == 0:
+                break
+            part = {key: column[:length] for key, column in columns.items()}
+            if length < len(columns["rewards"]):  # where the rows ran out: what followed is its own next observation
+                part["timeouts"][-1] = True
+                final = columns["observations"][length]
+            parts.append(part)
+            finals.append(final)
+            room -= length
+        for key in COLUMNS:
+            self._write(key, np.concatenate([part[key] for part in parts]), self.rows)
+        self._write("final_observations", np.stack(finals), self.finals)
+        self.rows += sum(len(part["rewards"]) for part in parts)
+        self.finals += len(finals)
         self.episodes += [0] * (act + 1 - len(self.episodes))
-        self.episodes[act] += whole
+        self.episodes[act] += len(finals)
         write_json(self._state, {"asked": self.asked, "rows": self.rows, "finals": self.finals, "episodes": self.episodes})
 
     def _write(self, key: str, rows: np.ndarray, at: int) -> None:
@@ -224,6 +275,8 @@ class _Stage:
                 file.truncate(at * each)
                 file.seek(at * each)
                 file.write(np.ascontiguousarray(rows, dtype).data)
+                file.flush()
+                os.fsync(file.fileno())
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror or error}") from error
 
