@@ -20,8 +20,8 @@ import tyro
 import deadreckon as dr
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.collect import collect
-from deadreckon.data.catalogue import cached_path
+from deadreckon.collect import collect, recipe
+from deadreckon.collect.recipes import default_path
 from deadreckon.report import table, write
 from deadreckon.runs.evaluate import bootstrap
 
@@ -134,11 +134,11 @@ def _train(folder: Path, log: str, rows: int | None, agent: str, fields: dict[st
 
 @lru_cache(1)
 def _log(name: str, steps: int | None) -> dr.Dataset:
-    part = name if steps is None else f"{name}@dr1-{steps}-steps"
-    if not cached_path(part).exists():
-        with Bar(f"collecting {name}", steps or 1, "steps") as bar:
-            collect(name, steps=steps, progress=bar)
-    return dr.load(part)
+    path = default_path(recipe(name), steps, 0)
+    if not path.exists():
+        with Bar(f"collecting {name}", steps or recipe(name).steps, "steps") as bar:
+            collect(name, steps=steps, out=path, progress=bar)
+    return dr.read(path)
 
 
 def markdown(shown: dict[str, list[Path]]) -> str:

@@ -19,3 +19,39 @@ def test_maze2d_table_runs_and_resumes(tmp_path, home):
     assert (tmp_path / "runs" / "report.html").exists()
     again = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     assert again.stdout == first.stdout
+
+
+@pytest.mark.slow
+def test_gym_tables_run_and_resume(tmp_path, home):
+    command = [sys.executable, str(ROOT / "examples" / "gym_tables.py"), "--hidden", "16", "16"]
+    command += ["--groups", "table", "ablations", "--logs", "hopper-medium-v2"]
+    command += ["--only", "bc", "bear", "bear-no-actor-maximisation"]
+    options = {"steps": 20, "seeds": 2, "episodes": 2, "log-steps": 4000, "out": tmp_path / "runs"}
+    command += [str(word) for name, value in options.items() for word in (f"--{name}", value)]
+    first = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280)
+    assert "| hopper-medium-v2 |" in first.stdout
+    page = tmp_path / "runs" / "hopper-medium-v2" / "report.html"
+    assert "halfcheetah-medium-expert" in page.read_text()  # the published suite
+    again = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert again.stdout == first.stdout
+
+
+@pytest.mark.slow
+def test_behavior_policies_are_trained_published_and_drawn(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import behavior_policies as example
+
+    from deadreckon.collect.online import Online
+
+    monkeypatch.setattr(example, "RUNS", {"hopper": example.Made(-1.0, 320, 96, 320)})
+    monkeypatch.setattr(example, "SETTINGS", Online(explore=64, updates_per_step=0.5))
+    monkeypatch.setattr(example, "EVERY", 64)
+    library = tmp_path / "library"
+    example.main(
+        example.Options(
+            only=("hopper",), train=True, publish=True, episodes=2, most=2, out=str(tmp_path), library=str(library),
+            picture=str(tmp_path / "curves.svg"),
+        )
+    )  # fmt: skip
+    assert len(list((library / "hopper").glob("*.npz"))) == 13
+    assert "D4RL expert" in (tmp_path / "curves.svg").read_text()

@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -88,3 +89,76 @@ def read_json(path: Path | str) -> Any:
         raise UserError(f"{path} is not valid JSON: {error}") from error
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
+    """Writes `data` at `offset` of a growing file, cuts off what was behind it, and sees it onto the disk.
+
+    Raises:
+        UserError: the file is shorter than `offset`, or cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "r+b" if path.exists() else "w+b") as file:
+            there = file.seek(0, os.SEEK_END)
+            if there < offset:  # it would be filled up with zeros
+                raise UserError(f"{path} has lost its end: {there} bytes are left of {offset}")
+            file.truncate(offset)
+            file.seek(offset)
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Lets one process at a time work on what will be `path`. The system frees the lock of a killed one.
+
+    Raises:
+        UserError: another process is at it, or the folder cannot be made. A folder made for nothing is removed.
+    """
+    path = path.absolute()
+    made = [folder for folder in path.parents if not folder.exists()]
+    lock = path.with_name(f".{path.name}.lock")
+    try:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        with _locked(lock):
+            yield
+    finally:
+        for folder in made:  # innermost first; one that holds something stays
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def _locked(lock: Path) -> Iterator[None]:
+    while True:
+        with open(lock, "ab") as file:
+            try:
+                if sys.platform == "win32":
+                    import msvcrt
+
+                    msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+                else:
+                    import fcntl
+
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except (BlockingIOError, PermissionError) as error:
+                raise UserError(f"another process is at work on this already: {lock} is locked") from error
+            # Whoever had it may have removed it between our opening and our locking it; then it is locked in vain.
+            try:
+                if not os.path.samestat(os.fstat(file.fileno()), lock.stat()):
+                    continue
+            except FileNotFoundError:
+                continue
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):  # where open files cannot be removed, it stays
+                    lock.unlink()
+            return

@@ -6,7 +6,8 @@ import pytest
 import deadreckon as dr
 from deadreckon.collect import gym, recipe, recipe_names
 from deadreckon.errors import UserError
-from deadreckon.policies import library
+from deadreckon.files import alone
+from deadreckon.policies import library, store
 from deadreckon.policies.policy import Deployed
 from deadreckon.tasks import gym_mujoco, task
 
@@ -89,6 +90,19 @@ def test_medium_replay_trains_again_and_goes_on_after_a_kill(monkeypatch, tmp_pa
     assert whole.provenance.extra["online"]["explore"] == 128
 
 
+def test_seeds_are_those_that_tell_logs_apart():
+    for seed in (-1, 2**32):
+        with pytest.raises(UserError, match="seed must be 0"):
+            dr.collect.generate("hopper-medium-v2", steps=10, seed=seed)
+
+
+def test_one_collection_at_a_time(tmp_path):
+    path = tmp_path / "log.hdf5"
+    with alone(path), pytest.raises(UserError, match="another process is at work on this already"):
+        dr.collect_log("hopper-uniform-v2", steps=10, out=path)
+    assert dr.collect_log("hopper-uniform-v2", steps=10, out=path) == path
+
+
 def test_too_few_steps_for_two_parts():
     with pytest.raises(UserError, match="steps must be 2 or more, got 1"):
         dr.collect.generate("hopper-medium-expert-v2", steps=1)
@@ -118,6 +132,9 @@ def test_shipped_policies(name):
     assert expert.sampled.mean > medium.sampled.mean > found[0].sampled.mean
     world = task(name)
     seen = np.zeros((3, *world.observation_shape), np.float32)
+    for each in found:
+        meta = store.meta(library.ROOT / name / f"{each.name}.npz")
+        assert (meta["name"], meta["updates"]) == (each.name, each.updates)
     for policy in policies:
         assert isinstance(policy, Deployed)
         assert policy.has_log_prob
@@ -132,15 +149,20 @@ def test_library_is_small():
 def test_stored_returns_are_those_of_the_shipped_policies():
     """The stored means are of other episodes: within five standard errors of those of a short evaluation."""
     each = library.snapshot("hopper", "medium")
-    found = dr.evaluate(each.policy(), "hopper", episodes=32, seed=5, greedy=False, discount=0.995)
-    error = np.hypot(found.returns.std(ddof=1) / np.sqrt(32), each.sampled.error)
-    assert abs(found.returns.mean() - each.sampled.mean) < 5 * error
+    for greedy, stored in ((False, each.sampled), (True, each.greedy)):
+        found = dr.evaluate(each.policy(), "hopper", episodes=32, seed=5, greedy=greedy, discount=0.995)
+        for ours, mean, theirs in ((found.returns, stored.mean, stored.error),
+                                   (found.discounted, stored.discounted, stored.discounted_error)):  # fmt: skip
+            assert abs(ours.mean() - mean) < 5 * np.hypot(ours.std(ddof=1) / np.sqrt(32), theirs)
 
 
 def test_behavior_returns():
+    medium, expert = (library.snapshot("hopper", name).sampled for name in ("medium", "expert"))
     half = gym.behavior_return("hopper", "medium-expert")
-    medium, expert = (gym.behavior_return("hopper", kind) for kind in ("medium", "expert"))
-    assert half == pytest.approx((medium + expert) / 2)
+    episodes = 1e6 / medium.length, 1e6 / expert.length  # in equal rows
+    assert half == pytest.approx((medium.mean * episodes[0] + expert.mean * episodes[1]) / sum(episodes))
+    assert medium.mean < half < (medium.mean + expert.mean) / 2
+    expert = expert.mean
     assert gym.behavior_return("hopper", "random") == library.snapshot("hopper", "snapshot-00").sampled.mean
     assert gym.behavior_return("hopper", "medium-replay") < expert
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import deadreckon as dr
 from deadreckon import agents, tasks
 from deadreckon.agents.agent import Agent
 from deadreckon.collect import gym
@@ -439,6 +440,23 @@ def test_medium_replay_has_any_number_of_rows_and_begins_like_a_longer_one(hoppe
         np.testing.assert_array_equal(part.actions[:first], whole.actions[:first])
     other = gym.collect_replay(hopper, name="h", steps=64, seed=1, scratch=tmp_path / "other")
     assert not (other.actions == whole.actions).any()
+
+
+def test_medium_replay_is_the_run_that_the_policies_came_from(hopper, tmp_path):
+    """Other capacity, chunks and pauses than `train_online` has, and yet the same rows."""
+    run = library.about("hopper")["run"]
+    settings, agent = Online(**run["online"]), Little(**gym._fields(run["agent"]))
+    steps = settings.explore + 5 * settings.block
+    out = dr.train_online(
+        agent, hopper, steps=steps + 4 * settings.block, settings=settings, chunk=100, evaluate_every=64, episodes=1,
+        out=tmp_path / "run",
+    )  # fmt: skip
+    theirs = replay_log(
+        out.path / "replay" / "seed0.bin", hopper, settings.copies, steps, name="x", provenance=Provenance()
+    )
+    made = gym.collect_replay(hopper, name="h", steps=steps, scratch=tmp_path / "again")
+    for key in ("observations", "actions", "rewards", "terminals", "timeouts"):
+        np.testing.assert_array_equal(getattr(made, key), getattr(theirs, key))
 
 
 def test_medium_replay_does_not_go_on_with_another_collection(hopper, tmp_path):

@@ -18,7 +18,7 @@ from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies import Deployed
+from deadreckon.policies import Deployed, library
 from deadreckon.policies.policy import TanhGaussian
 
 # Bounds that are neither symmetric nor of width 2, and episodes that end both ways.
@@ -230,6 +230,33 @@ def test_a_log_does_not_depend_on_how_many_run_side_by_side(both, tmp_path, monk
     assert log(tmp_path).fingerprint == both[0].fingerprint
 
 
+@pytest.mark.parametrize("name", ["hopper", "halfcheetah"])
+def test_a_rows_bits_do_not_depend_on_its_place(name):
+    """What makes a log the same after a kill; full-size networks take other paths through a matrix product than small ones."""
+    each, rng = library.snapshot(name, "medium").policy(), np.random.default_rng(0)
+    seen = rng.normal(size=(rollouts.COPIES, each.inner.net.weights[0].shape[0])).astype(np.float32)
+    episodes, ages = np.arange(rollouts.COPIES), rng.integers(0, 1000, rollouts.COPIES)
+    low, high = np.full(len(each.low), -1.0, np.float32), np.full(len(each.low), 1.0, np.float32)
+    draw = lambda order: rollouts._draw(each, seen[order], jax.random.key(0), episodes[order], ages[order], low, high)  # noqa: E731
+    order = rng.permutation(rollouts.COPIES)
+    for straight, mixed in zip(draw(episodes), draw(order)):
+        np.testing.assert_array_equal(np.asarray(straight)[order], np.asarray(mixed))
+
+
+def test_a_column_that_lost_rows_is_told(tmp_path):
+    with pytest.raises(Killed):
+        log(tmp_path, progress=lambda done, total: _kill_at(done, 900))
+    column = tmp_path / "observations.bin"
+    column.write_bytes(column.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"observations\.bin has lost its end: 1000 bytes are left of"):
+        log(tmp_path)
+
+
+def _kill_at(done, most):
+    if done >= most:
+        raise Killed
+
+
 @pytest.mark.parametrize("rows", [1, 15, 16, 17])
 def test_any_number_of_rows(rows, tmp_path):
     made = log(tmp_path, [Act(None, rows)])
@@ -259,6 +286,8 @@ def test_kinds_of_log_are_acts_in_equal_parts(tmp_path, monkeypatch):
     from deadreckon.policies import library
 
     class Shipped:
+        updates = 7
+
         def __init__(self, task, name):
             assert (task, name) == ("hopper", "expert")
 
@@ -270,6 +299,7 @@ def test_kinds_of_log_are_acts_in_equal_parts(tmp_path, monkeypatch):
     assert made.name == "hopper-uniform-expert-v2@dr1"
     assert made.provenance.extra["rows"] == [30, 31]
     assert made.provenance.extra["policies"] == ["uniform", "expert"]
+    assert made.provenance.extra["updates"] == {"expert": 7}
     assert {"mujoco", "gymnasium", "numpy", "jax", "deadreckon"} <= set(made.provenance.versions)
     log_probs = made.extras["behavior_log_probs"]
     np.testing.assert_allclose(log_probs[:30], -np.log(np.prod(HIGH - LOW)), rtol=1e-6)

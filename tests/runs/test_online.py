@@ -16,6 +16,7 @@ import deadreckon as dr
 from deadreckon import tasks
 from deadreckon.cli.train import summary
 from deadreckon.collect.online import Online, row_width
+from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate
@@ -198,6 +199,16 @@ def test_a_run_made_longer_equals_one_that_was_long_from_the_beginning(run, long
     assert longer.metrics.slice(0, 6).equals(run.metrics)
     with pytest.raises(dr.UserError, match="holds another run: steps was 72, now 48"):
         train(tmp_path / "r", resume=True)
+
+
+def test_made_longer_without_its_replay_file_it_stays_as_it_is(run, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(run.path, folder)
+    shutil.rmtree(folder / "replay")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(UserError, match="cannot read"):
+        train(folder, steps=STEPS + 32, resume=True)
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
 def test_made_longer_it_keeps_its_period_of_evaluations(run, longer, tmp_path):

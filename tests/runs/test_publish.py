@@ -1,6 +1,8 @@
 """Policies of an online run, shipped with their measured returns."""
 
+import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -77,13 +79,38 @@ def test_measuring_goes_on_where_it_was_stopped(run, shipped, tmp_path):
         publish(options, kill)
     told.clear()
     path = publish(options, told.append)
-    assert len(told) == 1 + 26 - 7
+    assert len(told) == 1 + 2 * 11 - 7  # medium and expert are among the snapshots
     assert json.loads(path.read_text()) == json.loads((shipped / "hopper.json").read_text())
 
 
 def test_episodes_are_added_until_the_error_is_small(run, tmp_path):
     path = publish(Publish(str(run), medium=24, expert=80, episodes=4, most=12, error=0.0, out=str(tmp_path)))
     assert json.loads(path.read_text())["policies"]["snapshot-01"]["sampled"]["episodes"] == 12
+
+
+def test_more_episodes_are_measured_when_asked_for(run, tmp_path):
+    options = Publish(str(run), medium=24, expert=80, episodes=2, most=2, out=str(tmp_path))
+    publish(options)
+    path = publish(dataclasses.replace(options, episodes=3, most=3))
+    about = json.loads(path.read_text())
+    counts = {each[mode]["episodes"] for each in about["policies"].values() for mode in ("sampled", "greedy")}
+    assert counts | {about["uniform"]["episodes"]} == {3}
+    publish(dataclasses.replace(options, episodes=3, most=7, error=0.0))
+    about = json.loads(path.read_text())
+    assert {each["greedy"]["episodes"] for each in about["policies"].values()} == {6}
+
+
+def test_a_library_stays_whole_while_another_is_measured(run, shipped, tmp_path):
+    shutil.copytree(shipped, tmp_path, dirs_exist_ok=True)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def kill(line):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        publish(Publish(str(run), medium=16, expert=72, episodes=5, most=5, out=str(tmp_path)), kill)
+    assert {path: path.read_bytes() for path in before} == before
+    assert [path.name for path in tmp_path.glob("*.json")] == ["hopper.json"]
 
 
 def test_refusals(run, tmp_path):

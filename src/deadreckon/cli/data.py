@@ -103,12 +103,13 @@ def data(args: Sequence[str]) -> None:
 
 
 def _list(options: List) -> None:
+    from deadreckon.collect import recipe
     from deadreckon.data.catalogue import ENTRIES, at_hand
 
     rows = [["log", "steps", "task", "at hand", "original (D4RL)", "Minari twin"]]
     for e in ENTRIES.values():
         copies = ", ".join(at_hand(e)) or "-"
-        rows.append([e.name, f"{e.rows:,}", e.task, copies, e.original or "-", e.minari or "-"])
+        rows.append([e.name, f"{recipe(e.recipe).steps:,}", e.task, copies, e.original or "-", e.minari or "-"])
     print(table(rows, right=(1,)))
     print("\n`deadreckon data collect NAME` makes one, offline; it is named NAME@dr1, never the original.")
     print("`deadreckon data get NAME --source d4rl|minari` downloads the original, NAME@d4rl, or its twin, NAME@minari.")

@@ -21,6 +21,7 @@ class Bar:
         self.label, self.total, self.unit = label, total, unit
         self.begun = self.told = time.monotonic()
         self.first: int | None = None
+        self.ended = False  # whether the last line has been told
         self.bar: Any = None
         self.note = ""
 
@@ -47,8 +48,8 @@ class Bar:
         text = f"{self._amount(rate)}{'' if self.unit == 'bytes' else f' {self.unit}'}/s" if rate else ""
         if self.bar is not None:
             self.bar.update(self.task, completed=done, total=total, rate=text, note=note)
-        elif now - self.told > PLAIN_EVERY or (total is not None and done >= total):
-            self.told = now
+        elif now - self.told > PLAIN_EVERY or (total is not None and done >= total and not self.ended):
+            self.told, self.ended = now, total is not None and done >= total
             left = f", {(total - done) / rate:,.0f} s left" if rate and total is not None and done < total else ""
             of = "" if total is None else f" of {self._amount(total)}"
             line = f"{self.label}: {self._amount(done)}{of}" + (f", {text}{left}" if text else "")

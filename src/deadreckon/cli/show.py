@@ -46,7 +46,7 @@ def tasks(args: Sequence[str]) -> None:
         references = (f"{t.reference.random:.1f}", f"{t.reference.expert:.1f}")
         rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
-    print("\nrandom and expert: mean returns that define the scores 0 and 100; Maze2D's are measured on this simulator.")
+    print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D.")
     _library([task for task in found if task.domain == "gym"])
 
 
@@ -70,7 +70,8 @@ def _library(tasks: Sequence) -> None:
             policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, f"{s.greedy.mean:.1f}", scores[1]])
     if len(logs) > 1:
         print("\n" + table(logs, right=(1, 2, 3)))
-        print("\nreturn: mean of an episode of the behaviour, measured. `deadreckon data collect NAME` makes a log, offline.")
+        print("\nreturn: mean of an episode; of two parts, from the measured returns and lengths of both. `deadreckon data")
+        print("collect NAME` makes a log, offline.")
         print("\n" + table(policies, right=(1, 2, 3, 4, 5, 6, 7)))
         print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives the 11.")
 

@@ -1,6 +1,5 @@
 """How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
 
-import json
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
@@ -11,12 +10,11 @@ import jax
 from deadreckon._version import __version__
 from deadreckon.agents.sac import SAC
 from deadreckon.collect.online import Exploration, Online, replay_log
-from deadreckon.collect.rollouts import Act, perform
+from deadreckon.collect.rollouts import Act, asked_for, perform, same_collection
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
 from deadreckon.policies import library
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.fit import Fit
@@ -37,7 +35,7 @@ CHUNK = 2000  # updates between checkpoints of the training that medium-replay r
 def behavior_return(task: str, kind: str) -> float:
     """Mean undiscounted return of an episode of a kind of log: measured in the simulator, of medium-replay in the buffer.
 
-    Of kinds with two parts it is the mean of both; a log holds equal rows of them, and so more of the shorter episodes.
+    A log with two parts has equal rows of them, and so more of the shorter episodes.
 
     Args:
         task: such as `hopper`.
@@ -46,8 +44,9 @@ def behavior_return(task: str, kind: str) -> float:
     about = library.about(task)
     if kind == "medium-replay":
         return about["medium_replay"]["mean"]
-    means = [about["uniform"]["mean"] if p == UNIFORM else library.snapshot(task, p).sampled.mean for p in KINDS[kind]]
-    return sum(means) / len(means)
+    uniform = library.Returns(**about["uniform"])
+    parts = [uniform if part == UNIFORM else library.snapshot(task, part).sampled for part in KINDS[kind]]
+    return sum(part.mean / part.length for part in parts) / sum(1.0 / part.length for part in parts)
 
 
 def collect_gym(
@@ -79,7 +78,8 @@ def collect_gym(
     first = steps // len(parts)
     rows = [first] * (len(parts) - 1) + [steps - first * (len(parts) - 1)]
     acts = [Act(None if part == UNIFORM else library.snapshot(task.name, part).policy(), n) for part, n in zip(parts, rows)]
-    extra = {"task": task.name, "policies": list(parts), "rows": rows, "actions": "drawn"}
+    taken = {part: library.snapshot(task.name, part).updates for part in parts if part != UNIFORM}
+    extra = {"task": task.name, "policies": list(parts), "updates": taken, "rows": rows, "actions": "drawn"}
     return perform(
         task, acts, name=f"{name}@{VERSION}", seed=seed, provenance=_provenance(name, seed, extra), threads=threads,
         scratch=scratch, progress=progress,
@@ -120,11 +120,7 @@ def collect_replay(
     path = folder / "rows.bin"
     extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first"}
     provenance = _provenance(name, seed, extra)
-    asked = {"name": name, "seed": seed, "rows": steps, "versions": provenance.versions, "extra": provenance.extra}
-    if not (folder / "asked.json").exists():
-        write_json(folder / "asked.json", asked)
-    elif read_json(folder / "asked.json") != json.loads(json.dumps(asked)):
-        raise UserError(f"{scratch} holds the beginning of another collection; delete it, or ask for the same one again")
+    same_collection(folder, asked_for(name, seed, [steps], provenance))
     experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)
     job = Fit(lanes, experience, [seed], updates, CHUNK, folder / "checkpoints")
     job.resume()
@@ -133,7 +129,6 @@ def collect_replay(
             raise UserError(f"{name}: training with seed {seed} failed, {done.failures[0].metric} was not finite")
         if progress:
             progress(min(experience.count, steps), steps)
-    experience.flush()
     return replay_log(path, task, settings.copies, steps, name=f"{name}@{VERSION}", provenance=provenance)
 
 

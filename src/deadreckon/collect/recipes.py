@@ -10,6 +10,7 @@ from typing import Protocol
 from deadreckon.data.catalogue import ENTRIES, VERSION, cached_path, entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
+from deadreckon.files import alone
 from deadreckon.policies.library import about, library_tasks
 from deadreckon.tasks import gym_mujoco, maze2d, registry
 from deadreckon.tasks.gym_mujoco import GymMujoco
@@ -101,8 +102,8 @@ def _make(
     steps = found.steps if steps is None else steps
     if steps < 1:
         raise UserError(f"{found.name}: steps must be 1 or more, got {steps}")
-    if seed < 0:
-        raise UserError(f"{found.name}: seed must be 0 or more, got {seed}")
+    if not 0 <= seed < 2**32:
+        raise UserError(f"{found.name}: seed must be 0 .. 2^32 - 1, got {seed}")
     return found.make(name=found.name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress)
 
 
@@ -136,8 +137,9 @@ def collect(
     found = recipe(name)
     path = Path(out) if out is not None else default_path(found, steps, seed)
     scratch = path.parent / f".{path.name}.part"
-    write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
-    shutil.rmtree(scratch, ignore_errors=True)
+    with alone(path):
+        write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
+        shutil.rmtree(scratch, ignore_errors=True)
     return path
 
 

@@ -6,7 +6,6 @@ on neither cores nor interruptions: what was on disk when a collection was kille
 
 import itertools
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +20,11 @@ from jaxtyping import Array, PRNGKeyArray
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
+from deadreckon.files import read_json, write_at, write_json
 from deadreckon.policies.policy import Deployed, Step
 from deadreckon.tasks.task import Simulator, Task
 
+SCHEME = 1  # of how draws follow from the seed; a collection begun under another one is not gone on with
 COPIES = 64  # side by side
 FLUSH = 4096  # rows that are kept in memory before they go to the disk
 COLUMNS: tuple[str, ...] = ("observations", "actions", "rewards", "terminals", "timeouts", "behavior_log_probs")
@@ -73,10 +73,7 @@ def perform(
     Raises:
         UserError: `scratch` holds the beginning of another log, or cannot be written.
     """
-    asked = {"name": name, "seed": seed, "rows": [act.rows for act in acts], "versions": provenance.versions,
-             "extra": provenance.extra}  # fmt: skip
-    asked = json.loads(json.dumps(asked))
-    stage = _Stage(scratch, task, asked)
+    stage = _Stage(scratch, task, asked_for(name, seed, [act.rows for act in acts], provenance))
     _perform(task, acts, stage, seed, threads, progress)
     return stage.log(name, provenance)
 
@@ -177,7 +174,6 @@ class _Scene:
                 rows, ready, held = rows + held, [], 0
             if progress and turn % 50 == 49:
                 progress(rows + held)
-        self.episode[:] = -1  # those that were not needed in the end
 
     def _begin(self, which: np.ndarray, first: int) -> None:
         numbers = first + np.arange(len(which))
@@ -196,7 +192,7 @@ class _Scene:
         seen, rewards, terminals, timeouts = self.simulator.step(actions)
         for key, part in zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs)):
             self.columns[key][alive, self.age[alive]] = part[alive]
-        self.seen = seen.copy()
+        self.seen = seen
         self.age[alive] += 1
         for copy in alive[(terminals | timeouts)[alive]]:
             length = self.age[copy]
@@ -223,20 +219,37 @@ def column_kinds(task: Task) -> dict[str, tuple[tuple[int, ...], Any]]:
     return dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
 
 
+def asked_for(name: str, seed: int, rows: list[int], provenance: Provenance) -> dict[str, Any]:
+    """What tells one collection from another, as JSON values."""
+    what = {"scheme": SCHEME, "name": name, "seed": seed, "rows": rows}
+    return json.loads(json.dumps(what | {"versions": provenance.versions, "extra": provenance.extra}))
+
+
+def same_collection(scratch: Path, asked: dict[str, Any]) -> None:
+    """Notes in `scratch` what is collected there, or makes sure that it is this.
+
+    Raises:
+        UserError: it is something else.
+    """
+    note = scratch / "asked.json"
+    if not note.exists():
+        write_json(note, asked)
+    elif read_json(note) != asked:
+        raise UserError(f"{scratch} holds the beginning of another collection; delete it, or ask for the same one again")
+
+
 class _Stage:
     """Columns that grow on disk: a raw file each, and a JSON file that says how many rows of them count."""
 
     def __init__(self, folder: Path, task: Task, asked: dict[str, Any]):
-        self.folder, self.task, self.asked = folder, task, asked
+        self.folder, self.task = folder, task
         self.rows, self.finals = 0, 0
         self.episodes: list[int] = []
         self.kinds = {**column_kinds(task), "final_observations": (task.observation_shape, np.float32)}
-        if not self._state.exists():
-            return
-        found = read_json(self._state)
-        if found.get("asked") != asked:
-            raise UserError(f"{folder} holds the beginning of another collection; delete it, or ask for the same one again")
-        self.rows, self.finals, self.episodes = found["rows"], found["finals"], found["episodes"]
+        same_collection(folder, asked)
+        if self._state.exists():
+            found = read_json(self._state)
+            self.rows, self.finals, self.episodes = found["rows"], found["finals"], found["episodes"]
 
     @property
     def _state(self) -> Path:
@@ -263,22 +276,12 @@ class _Stage:
         self.finals += len(finals)
         self.episodes += [0] * (act + 1 - len(self.episodes))
         self.episodes[act] += len(finals)
-        write_json(self._state, {"asked": self.asked, "rows": self.rows, "finals": self.finals, "episodes": self.episodes})
+        write_json(self._state, {"rows": self.rows, "finals": self.finals, "episodes": self.episodes})
 
     def _write(self, key: str, rows: np.ndarray, at: int) -> None:
         shape, dtype = self.kinds[key]
         each = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        path = self.folder / f"{key}.bin"
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with open(path, "r+b" if path.exists() else "wb") as file:
-                file.truncate(at * each)
-                file.seek(at * each)
-                file.write(np.ascontiguousarray(rows, dtype).data)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        write_at(self.folder / f"{key}.bin", at * each, np.ascontiguousarray(rows, dtype).data)
 
     def log(self, name: str, provenance: Provenance) -> Dataset:
         """The log of all rows so far, memory-mapped."""

@@ -14,7 +14,6 @@ import re
 import shutil
 import socket
 import ssl
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -32,7 +31,7 @@ from deadreckon._version import __version__
 from deadreckon.data.catalogue import ORIGINAL, TWIN, Entry, cached_path, entry, record_path
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_json, reserve, write_json
+from deadreckon.files import alone, read_json, reserve, write_json
 
 # source: (environment variable that overrides the root, the root)
 ROOTS = {
@@ -133,7 +132,7 @@ def get(
     if source == ORIGINAL and found.sha256:
         sums["the catalogue"] = ("sha256", found.sha256.lower())
     try:
-        with _alone(path):
+        with alone(path):
             if path.exists() and not force:  # another process was faster
                 return _there(found, source, path, wanted)
             make = _original if source == ORIGINAL else _twin
@@ -578,51 +577,3 @@ def _make_room(part: Path, size: int | None, have: int) -> None:
         raise UserError(f"no room for {size - have:,} bytes in {part.parent}: {error.strerror or error}") from error
     finally:
         spare.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Lets one process at a time download to `path`. The system frees the lock of a killed one.
-
-    Raises:
-        UserError: another process is at it, or the folder cannot be made. A folder made for nothing is removed.
-    """
-    made = [folder for folder in path.parents if not folder.exists()]
-    lock = path.with_name(f".{path.name}.lock")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(lock):
-            yield
-    finally:
-        for folder in made:  # innermost first; one that holds a log or a part stays
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-
-
-@contextlib.contextmanager
-def _locked(lock: Path) -> Iterator[None]:
-    while True:
-        with open(lock, "ab") as file:
-            try:
-                if sys.platform == "win32":
-                    import msvcrt
-
-                    msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-                else:
-                    import fcntl
-
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except (BlockingIOError, PermissionError) as error:
-                raise UserError(f"another process is downloading this log already: {lock} is locked") from error
-            # Whoever had it may have removed it between our opening and our locking it; then it is locked in vain.
-            try:
-                if not os.path.samestat(os.fstat(file.fileno()), lock.stat()):
-                    continue
-            except FileNotFoundError:
-                continue
-            try:
-                yield
-            finally:
-                with contextlib.suppress(OSError):  # where open files cannot be removed, it stays
-                    lock.unlink()
-            return

@@ -27,6 +27,9 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
         policy: as an agent gives it.
         meta: JSON values to keep beside it (agent, data, scores, ...).
         half: store the networks as float16 and compress them, a third of the size; read back, they are float32 again.
+
+    Raises:
+        UserError: a number is beyond float16, or the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
 
@@ -37,7 +40,10 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
         if isinstance(value, tuple):
             return [encode(v, f"{name}.{i}") for i, v in enumerate(value)]
         if hasattr(value, "shape"):
-            arrays[name] = np.asarray(value, np.float16 if half and name.startswith("policy.inner.") else None)
+            with np.errstate(over="ignore"):
+                arrays[name] = np.asarray(value, np.float16 if half and name.startswith("policy.inner.") else None)
+            if np.isfinite(np.asarray(value)).all() and not np.isfinite(arrays[name]).all():
+                raise UserError(f"{path}: {name} holds numbers beyond float16; save it with half=False")
             return f"@{name}"
         return value
 

@@ -85,12 +85,13 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
     """
     returns, lengths = log.returns(), log.lengths
     whole = bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon
-    picks = np.random.default_rng(seed).integers(0, len(returns), (1000, len(returns)))
+    rng, means = np.random.default_rng(seed), np.empty(1000)
+    for i in range(len(means)):  # one at a time: a log may have very many short episodes
+        picks = rng.integers(0, len(returns), len(returns))
+        means[i] = returns[picks].mean() if whole else returns[picks].sum() / lengths[picks].sum() * task.horizon
     if whole:
-        means = returns[picks].mean(1)
         mean, how = returns.mean(), "mean return of the logged episodes"
     else:
-        means = returns[picks].sum(1) / lengths[picks].sum(1) * task.horizon
         mean = returns.sum() / lengths.sum() * task.horizon
         how = f"mean logged reward a step, times the horizon of {task.horizon}"
     low, high = np.percentile(means, [2.5, 97.5])

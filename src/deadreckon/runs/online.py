@@ -94,18 +94,19 @@ def train_online(
     longer = "online" in before and before.get("steps", updates) < updates
     for text in folder.begin(config | {"steps": before["steps"]} if longer else config, resume=resume):
         warnings.warn(text, stacklevel=2)
+    job.resume()
     if longer:
         for number in numbers:
             folder.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
         write_json(folder.config, before | {"steps": updates})
-    job.resume()
     folder.drop_after(job.step)
 
     recorder = Recorder(folder, job, task, None, job.stops, episodes)
     try:
-        recorder.catch_up()
         if job.step == 0:
             recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
+        else:
+            recorder.catch_up()
         for progress in job.chunks():
             recorder.record(progress)
             watch(progress, updates)

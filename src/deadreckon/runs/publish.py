@@ -5,6 +5,7 @@ has been measured is kept as it goes: after a kill, the same command goes on.
 """
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,53 +54,65 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     """
     folder = Folder(Path(options.run))
     config = read_json(folder.config)
-    if "online" not in config or len(config["seeds"]) != 1:
-        raise UserError(f"{options.run}: an online run of one seed is needed")
-    seed, total, task = config["seeds"][0], options.updates or config["steps"], config["task"]
+    # The recipe of medium-replay calls the run with seed 0 the one that the policies come from.
+    if "online" not in config or config["seeds"] != [0]:
+        raise UserError(f"{options.run}: an online run of seed 0 alone is needed")
+    total, task = options.updates or config["steps"], config["task"]
     spaced = [round(i * total / (library.SNAPSHOTS - 1)) for i in range(library.SNAPSHOTS)]
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
     wanted |= {"medium": options.medium, "expert": options.expert}
     kept = folder.policy_steps()
     if missing := [step for step in wanted.values() if step not in kept]:
         raise UserError(f"{options.run}: no policy was kept after {missing[0]} updates; those kept are {kept}")
+    if 0 in (options.medium, options.expert):
+        raise UserError("medium and expert are updates after which a policy was kept, above 0")
     steps = Online(**config["online"]).steps
 
-    out = Path(options.out)
-    path = out / f"{task}.json"
-    about = read_json(path) if path.exists() else {}
-    run = {"agent": config["agent"]["fields"], "online": config["online"], "seed": seed, "updates": total,
+    # The library that is there stays whole until the new one is.
+    out, work = Path(options.out), Path(options.out) / f".{task}.part"
+    state, published = work / "about.json", out / f"{task}.json"
+    about = read_json(state if state.exists() else published) if state.exists() or published.exists() else {}
+    run = {"agent": config["agent"]["fields"], "online": config["online"], "seed": 0, "updates": total,
            "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
-    if about.get("run") != run:
-        about = {"task": task, "run": run, "policies": {}}
-    about["medium_replay"] = _replay(folder, seed, task, config["online"]["copies"], steps(options.medium))
-    if about.get("uniform", {"episodes": 0})["episodes"] < options.episodes:
-        about["uniform"] = dataclasses.asdict(_measure(_uniform(task), task, False, options))
-        write_json(path, about)
-        watch(f"{task} uniform: {about['uniform']['mean']:.1f} +- {about['uniform']['error']:.1f}")
-    about["policies"] = {n: each for n, each in about["policies"].items() if each["updates"] == wanted.get(n)}
+    measured: dict[str, dict[str, Any]] = about.get("measured") or _by_updates(about)
+    if about.get("run", run) != run:
+        measured = {}
+    replay = _replay(folder, task, config["online"]["copies"], steps(options.medium))
+
+    def measure(key: str, mode: str, policy: Any) -> dict[str, Any]:
+        found = measured.setdefault(key, {})
+        if mode not in found or not _enough(Returns(**found[mode]), options):
+            found[mode] = dataclasses.asdict(_measure(policy, task, mode == "greedy", options))
+            write_json(state, {"run": run, "measured": measured})
+            watch(f"{task} {key} {mode}: {found[mode]['mean']:.1f} +- {found[mode]['error']:.1f}")
+        return found[mode]
+
+    uniform = measure("uniform", "sampled", _uniform(task))
+    policies = {}
     for name, step in wanted.items():
-        file = out / task / f"{name}.npz"
-        entry = about["policies"].setdefault(name, {"updates": step, "environment_steps": steps(step)})
-        if "greedy" not in entry or not file.exists():
-            # What is measured is what is shipped: the policy as it is read back from float16.
-            meta = {"task": task, "name": name, "updates": step, "agent": config["agent"]["name"]}
-            store.save(file, store.load(folder.policy(seed, step)), meta, half=True)
-        # The expert is often the last snapshot: measured once.
-        done = (n for n, each in about["policies"].items() if n != name and each["updates"] == step and "greedy" in each)
-        twin = next(done, None)
-        for mode in ("sampled", "greedy"):
-            if mode in entry and entry[mode]["episodes"] >= options.episodes:
-                continue
-            if twin is not None:
-                entry[mode] = about["policies"][twin][mode]
-            else:
-                entry[mode] = dataclasses.asdict(_measure(store.load(file), task, mode == "greedy", options))
-            write_json(path, about)
-            watch(f"{task} {name} {mode}: {entry[mode]['mean']:.1f} +- {entry[mode]['error']:.1f}")
-    order = ("task", "run", "medium_replay", "uniform", "policies")
-    about["policies"] = {name: about["policies"][name] for name in wanted}
-    write_json(path, {key: about[key] for key in order})
-    return path
+        # What is measured is what is shipped: the policy as it is read back from float16.
+        meta = {"task": task, "name": name, "updates": step, "agent": config["agent"]["name"]}
+        store.save(work / f"{name}.npz", store.load(folder.policy(0, step)), meta, half=True)
+        policy = store.load(work / f"{name}.npz")
+        worth = {mode: measure(str(step), mode, policy) for mode in ("sampled", "greedy")}
+        policies[name] = {"updates": step, "environment_steps": steps(step), **worth}
+    (out / task).mkdir(parents=True, exist_ok=True)
+    for name in policies:
+        (work / f"{name}.npz").replace(out / task / f"{name}.npz")
+    write_json(published, {"task": task, "run": run, "medium_replay": replay, "uniform": uniform, "policies": policies})
+    shutil.rmtree(work)
+    return published
+
+
+def _by_updates(about: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What a published library has measured, by the updates of the policies."""
+    found = {str(each["updates"]): {m: each[m] for m in ("sampled", "greedy")} for each in about.get("policies", {}).values()}
+    return found | ({"uniform": {"sampled": about["uniform"]}} if "uniform" in about else {})
+
+
+def _enough(returns: Returns, options: Publish) -> bool:
+    small = returns.discounted_error < options.error
+    return returns.episodes >= options.episodes and (small or returns.episodes + options.episodes > options.most)
 
 
 def _uniform(task: str) -> BlackBoxPolicy:
@@ -108,9 +121,9 @@ def _uniform(task: str) -> BlackBoxPolicy:
     return BlackBoxPolicy(lambda seen, rng: rng.uniform(space.low, space.high, (len(seen), space.size)))
 
 
-def _replay(folder: Folder, seed: int, task: str, copies: int, steps: int) -> dict[str, Any]:
+def _replay(folder: Folder, task: str, copies: int, steps: int) -> dict[str, Any]:
     """Length and mean return of the log that the run's first `steps` environment steps make."""
-    log = replay_log(folder.replay(seed), find_task(task), copies, steps, name=task, provenance=Provenance())
+    log = replay_log(folder.replay(0), find_task(task), copies, steps, name=task, provenance=Provenance())
     return {"environment_steps": steps, "episodes": log.episodes, "mean": float(log.returns().mean())}
 
 
@@ -127,9 +140,10 @@ def _measure(policy: Any, task: str, greedy: bool, options: Publish) -> Returns:
         )
         count = len(returns)
         error, discounted_error = (float(x.std(ddof=1) / np.sqrt(count)) for x in (returns, discounted))
-        if discounted_error < options.error or count + options.episodes > options.most:
-            mean, worth = float(returns.mean()), float(discounted.mean())
-            return Returns(count, mean, error, worth, discounted_error, DISCOUNT, float(lengths.mean()))
+        mean, worth = float(returns.mean()), float(discounted.mean())
+        found = Returns(count, mean, error, worth, discounted_error, DISCOUNT, float(lengths.mean()))
+        if _enough(found, options):
+            return found
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Rows that grow while a learner learns: what `fit` asks of them, and the buffer that keeps them."""
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.data.spec import Spec
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
+from deadreckon.files import write_at
 
 
 class Experience(Protocol):
@@ -84,6 +84,7 @@ class Replay:
 
     def append(self, rows: Float[np.ndarray, "lanes k w"]) -> None:
         """Adds rows behind those that are there; they are on disk after the next `flush`."""
+        assert self.count + rows.shape[1] <= self.buffer.shape[1], "the replay buffer is full"
         self.buffer = _write(self.buffer, self.learnable(rows), self.count)
         self.count += rows.shape[1]
         if self.paths:
@@ -100,16 +101,7 @@ class Replay:
         rows = np.concatenate(self._waiting, 1)
         start = self.count - rows.shape[1]
         for path, part in zip(self.paths, rows):
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                with open(path, "r+b" if path.exists() else "wb") as file:
-                    file.truncate(start * self.width * 4)  # what a killed run wrote beyond its last checkpoint
-                    file.seek(start * self.width * 4)
-                    file.write(np.ascontiguousarray(part).data)
-                    file.flush()
-                    os.fsync(file.fileno())
-            except OSError as error:
-                raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+            write_at(path, start * self.width * 4, np.ascontiguousarray(part).data)
         self._waiting = []
 
     def restore(self, count: int) -> None:
