@@ -125,7 +125,7 @@ def test_shipped_policies(name):
     for each in found:
         for returns in (each.sampled, each.greedy):
             assert returns.discount == 0.995
-            assert returns.episodes >= 100
+            assert returns.episodes >= 20
             assert returns.error > 0
             assert abs(returns.discounted) <= abs(returns.mean) + 300
     expert, medium = found[12], found[11]
@@ -163,7 +163,7 @@ def test_behavior_returns():
     assert half == pytest.approx((medium.mean * episodes[0] + expert.mean * episodes[1]) / sum(episodes))
     assert medium.mean < half < (medium.mean + expert.mean) / 2
     expert = expert.mean
-    assert gym.behavior_return("hopper", "random") == library.snapshot("hopper", "snapshot-00").sampled.mean
+    assert gym.behavior_return("hopper", "random") == pytest.approx(library.snapshot("hopper", "snapshot-00").sampled.mean)
     assert gym.behavior_return("hopper", "medium-replay") < expert
 
 
