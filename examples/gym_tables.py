@@ -8,7 +8,6 @@ Logs are collected where they are missing; runs go on where they were stopped; e
 all logs is printed as Markdown.
 """
 
-import sys
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -47,7 +46,7 @@ ABLATIONS = {
     "bear-gaussian": ("bear", {"kernel": "gaussian"}),
     "bear-mixture": ("bear", {"kernel": "mixture"}),
     "bear-actor": ("bear", {"test_action": "actor"}),
-    "bear-no-actor-maximisation": ("bear", {"warm_start": sys.maxsize}),
+    "bear-no-actor-maximisation": ("bear", {"warm_start": 2**31 - 1}),  # longer than any run
     "bear-density-weighting": ("bear", {"density_weighting": True}),
     "bear-vae": ("bear", {"behavior": "vae"}),
 }
@@ -121,9 +120,6 @@ def _train(folder: Path, log: str, rows: int | None, agent: str, fields: dict[st
     data = _log(log, options.log_steps)
     if rows is not None:
         data = data.select(np.arange(np.searchsorted(data.ends, rows)), name=f"{data.name}-{rows}-rows")
-    fields = dict(fields)
-    if fields.get("warm_start") == sys.maxsize:
-        fields["warm_start"] = options.steps
     with Bar(f"{folder.name} on {folder.parent.name}", options.steps, "updates") as bar:
         dr.train(
             dr.agents.agent_class(agent)(hidden=options.hidden, **fields), data, steps=options.steps, seeds=options.seeds,

@@ -5,7 +5,6 @@ import contextlib
 import hashlib
 import io
 import json
-import resource
 import shutil
 import socket
 import threading
@@ -27,6 +26,7 @@ from deadreckon.data.download import Patience, fetch, get
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.data.minari import write_minari
 from deadreckon.errors import UserError
+from tests.limits import files_up_to
 
 NAME = "hopper-medium-v2"
 ORIGINAL = "/d4rl/gym_mujoco_v2/hopper_medium-v2.hdf5"
@@ -694,17 +694,6 @@ def test_twins_that_are_none(server, twin, home, patience):
 
 
 # ---- the disk, and others ----------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def files_up_to(size):
-    """A limit on the size of files stands for a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_file_that_does_not_fit_is_not_begun(server, original, home, patience):

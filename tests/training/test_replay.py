@@ -1,13 +1,12 @@
 """The buffer of an online run: what learners see of it, and what a kill, a torn file or a full disk leave of it."""
 
-import contextlib
-import resource
 
 import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.training.replay import Replay, read_rows
+from tests.limits import files_up_to
 
 WIDTH, CAPACITY, LANES = 3, 20, 2
 
@@ -107,23 +106,12 @@ def test_files_that_hold_too_little_are_refused(paths):
     replay(paths).restore(0)  # where nothing counts, nothing is missed
 
 
-@contextlib.contextmanager
-def largest_file(size):
-    """A limit on file sizes, which stands for a full disk: the write fails in the middle."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def test_a_full_disk_is_one_line_and_can_be_got_over(paths):
     one = replay(paths)
     one.append(rows(5))
     one.flush()
     one.append(rows(9, 1))
-    with largest_file(9 * WIDTH * 4), pytest.raises(UserError, match=r"cannot write .*seed0.bin: File too large$"):
+    with files_up_to(9 * WIDTH * 4), pytest.raises(UserError, match=r"cannot write .*seed0.bin: File too large$"):
         one.flush()
     again = replay(paths)
     again.restore(5)  # what the checkpoint counts is whole

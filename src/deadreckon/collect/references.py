@@ -4,6 +4,8 @@
 Gym-MuJoCo tasks, of which Humanoid's is used.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deadreckon.collect.maze2d import Pursuit
@@ -26,13 +28,7 @@ def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, s
     starts, actions, jitter = np.random.SeedSequence(seed).spawn(3)
     seeds = [int(s) for s in starts.generate_state(max(episodes, expert_episodes), np.uint64)]
 
-    simulator = task.simulate(seeds[:episodes])
-    simulator.reset()
-    generator = np.random.default_rng(actions)
-    random = 0.0
-    for _ in range(task.horizon):
-        random += simulator.step(generator.uniform(-1.0, 1.0, (episodes, 2)))[1].mean(dtype=np.float64)
-
+    random = uniform_return(task, seeds[:episodes], np.random.default_rng(actions))
     simulator = task.simulate(seeds[:expert_episodes])
     controller = Pursuit(task, expert_episodes, np.random.default_rng(jitter), patience=task.horizon, fixed=True)
     seen = simulator.reset()
@@ -46,13 +42,12 @@ def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, s
     return Reference(random, expert, source)
 
 
-def uniform_return(task: Task, *, episodes: int = 1000, seed: int = 0) -> float:
-    """Mean return of episodes of uniform actions, from the starts `range(episodes)`."""
+def uniform_return(task: Task, seeds: Sequence[int], generator: np.random.Generator) -> float:
+    """Mean return of one episode of uniform actions from each seed; the generator draws them."""
     assert isinstance(task.action_space, Box)
-    space = task.action_space
-    simulator = task.simulate(range(episodes))
+    space, episodes = task.action_space, len(seeds)
+    simulator = task.simulate(seeds)
     simulator.reset()
-    generator = np.random.default_rng(seed)
     returns, alive = np.zeros(episodes), np.ones(episodes, bool)
     while alive.any():
         _, rewards, terminals, timeouts = simulator.step(generator.uniform(space.low, space.high, (episodes, space.size)))
@@ -67,7 +62,7 @@ def main() -> None:
         found = measure(task)
         print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
     for task in gym_mujoco.TASKS:
-        print(f"{task.name}, uniform actions: {uniform_return(task):.4f}")
+        print(f"{task.name}, uniform actions: {uniform_return(task, range(1000), np.random.default_rng(0)):.4f}")
 
 
 if __name__ == "__main__":

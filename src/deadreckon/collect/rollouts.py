@@ -149,16 +149,17 @@ class _Scene:
         following, next_out = first, first
         done: dict[int, Episode] = {}
         ready: list[Episode] = []
+        given, held = rows, 0  # rows that are out, and rows that are ready to go
         ended = lengths = 0
         for turn in itertools.count():
-            if rows >= wanted:
+            if given >= wanted:
                 break
             # As many side by side as will be needed, going by how long those before were.
             guess = lengths / ended if ended else self.task.horizon
-            running = int((self.episode >= 0).sum())
-            expected = rows + sum(each.length for each in (*done.values(), *ready)) + running * guess
             free = np.flatnonzero(self.episode < 0)
-            more = free[: int(np.clip(np.ceil((wanted - expected) / guess), int(running == 0), len(free)))]
+            running = COPIES - len(free)
+            missing = wanted - (rows + lengths + running * guess)
+            more = free[: int(np.clip(np.ceil(missing / guess), int(running == 0), len(free)))]
             if len(more):
                 self._begin(more, following)
                 following += len(more)
@@ -167,13 +168,13 @@ class _Scene:
                 ended, lengths = ended + 1, lengths + each.length
             while next_out in done:
                 ready.append(done.pop(next_out))
+                held += ready[-1].length
                 next_out += 1
-            held = sum(each.length for each in ready)
-            if ready and (held >= FLUSH or rows + held >= wanted):
+            if ready and (held >= FLUSH or given + held >= wanted):
                 yield ready
-                rows, ready, held = rows + held, [], 0
+                given, ready, held = given + held, [], 0
             if progress and turn % 50 == 49:
-                progress(rows + held)
+                progress(given + held)
 
     def _begin(self, which: np.ndarray, first: int) -> None:
         numbers = first + np.arange(len(which))

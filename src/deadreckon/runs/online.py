@@ -10,11 +10,10 @@ from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
 from deadreckon.collect.online import Exploration, Online
 from deadreckon.data.spec import Spec
-from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.runs.folder import Folder, versions
-from deadreckon.runs.recorder import Recorder
-from deadreckon.runs.train import Run, Watcher, fields_of, lanes_of, load
+from deadreckon.runs.recorder import Recorder, Watcher
+from deadreckon.runs.train import Run, check_plan, fields_of, lanes_of, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -57,12 +56,7 @@ def train_online(
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
-    if seeds < 1 or chunk < 1 or episodes < 1:
-        raise UserError(f"seeds, chunk and episodes must be >= 1, got {seeds}, {chunk}, {episodes}")
-    if not 0 <= seed <= 2**32 - seeds:
-        raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
-    if evaluate_every is not None and evaluate_every < 1:
-        raise UserError(f"evaluate_every must be >= 1, got {evaluate_every}")
+    check_plan(seed, evaluate_every, seeds=seeds, chunk=chunk, episodes=episodes)
     settings = settings or Online()
     task = find_task(task) if isinstance(task, str) else task
     updates = settings.updates(steps)
@@ -107,10 +101,7 @@ def train_online(
             recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
         else:
             recorder.catch_up()
-        for progress in job.chunks():
-            recorder.record(progress)
-            watch(progress, updates)
-        recorder.finish()
+        recorder.follow(watch)
     finally:
         recorder.close()
     return load(folder.path)

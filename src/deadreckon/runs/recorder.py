@@ -1,5 +1,6 @@
 """What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
 
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -18,6 +19,7 @@ from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit, Progress
 
 RECORDED = 8  # episodes a policy whose observations are kept for pictures
+Watcher = Callable[[Progress, int], None]  # gets each chunk's progress and the number of updates in all
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 
 
@@ -63,6 +65,13 @@ class Recorder:
                     self.folder.policy(seed, step).unlink(missing_ok=True)
             elif not self.folder.part("evaluations", step).exists():
                 self._submit(step)
+
+    def follow(self, watch: Watcher) -> None:
+        """Walks the fit to its end: every chunk is recorded, then told."""
+        for progress in self.job.chunks():
+            self.record(progress)
+            watch(progress, self.job.steps)
+        self.finish()
 
     def record(self, progress: Progress) -> None:
         """Called after every chunk, before its checkpoint is written."""

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,10 @@ from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder, versions
-from deadreckon.runs.recorder import Recorder
+from deadreckon.runs.recorder import Recorder, Watcher
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
-from deadreckon.training.fit import Failure, Fit, Progress
-
-Watcher = Callable[[Progress, int], None]  # gets each chunk's progress and the number of updates in all
+from deadreckon.training.fit import Failure, Fit
 
 
 @dataclasses.dataclass
@@ -103,12 +101,7 @@ def train(
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
-    if steps < 1 or seeds < 1 or chunk < 1 or episodes < 1:
-        raise UserError(f"steps, seeds, chunk and episodes must be >= 1, got {steps}, {seeds}, {chunk}, {episodes}")
-    if not 0 <= seed <= 2**32 - seeds:
-        raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
-    if evaluate_every is not None and evaluate_every < 1:
-        raise UserError(f"evaluate_every must be >= 1, got {evaluate_every}")
+    check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
     judge = _judge(task, log)
     if judge is not None and judge.observation_shape != log.spec.observation_shape:
@@ -146,10 +139,7 @@ def train(
     try:
         recorder.picture(log)
         recorder.catch_up()
-        for progress in job.chunks():
-            recorder.record(progress)
-            watch(progress, steps)
-        recorder.finish()
+        recorder.follow(watch)
     finally:
         recorder.close()
     return load(folder.path)
@@ -185,6 +175,22 @@ def _judge(task: Task | str | None, log: Dataset) -> Task | None:
         return find_task(task)
     known = catalogue.ENTRIES.get(log.name.split("@")[0])
     return None if known is None else find_task(known.task)
+
+
+def check_plan(seed: int, evaluate_every: int | None, **counts: int) -> None:
+    """Refuses what no run, on a log or online, can be made of; `counts` hold `seeds`.
+
+    Raises:
+        UserError: names what is too small or too large.
+    """
+    if min(counts.values()) < 1:
+        *names, last = counts
+        got = ", ".join(map(str, counts.values()))
+        raise UserError(f"{', '.join(names)} and {last} must be >= 1, got {got}")
+    if not 0 <= seed <= 2**32 - counts["seeds"]:
+        raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
+    if evaluate_every is not None and evaluate_every < 1:
+        raise UserError(f"evaluate_every must be >= 1, got {evaluate_every}")
 
 
 def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
