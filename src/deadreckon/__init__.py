@@ -16,7 +16,7 @@ from deadreckon._version import __version__
 from deadreckon.errors import UserError
 
 if TYPE_CHECKING:
-    from deadreckon import agents, collect, data, policies, report, runs, tasks
+    from deadreckon import agents, collect, data, ope, policies, report, runs, tasks, theory
     from deadreckon.collect.recipes import collect as collect_log
     from deadreckon.data.catalogue import load
     from deadreckon.data.dataset import Dataset
@@ -39,10 +39,10 @@ _HOMES = {
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
 }
-_PACKAGES = ("agents", "collect", "data", "policies", "report", "runs", "tasks")
+_PACKAGES = ("agents", "collect", "data", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "evaluate", "load",
-    "load_policies", "load_run", "policies", "read", "report", "runs", "tasks", "train", "train_online",
+    "load_policies", "load_run", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train", "train_online",
 ]  # fmt: skip
 
 

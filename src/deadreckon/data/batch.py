@@ -33,6 +33,7 @@ class Batch(NamedTuple):
     behavior_log_prob: Any = None  # of the logged action, where the log has it
     initial_observation: Any = None  # `initial` rows, drawn from the episodes' starts
     mask: Any = None  # windows: 1.0 inside the episode, 0.0 beyond its end
+    extra: dict[str, Any] | None = None  # columns of the method's own, by name
 
 
 @dataclass(frozen=True)
@@ -63,15 +64,30 @@ class Rows:
 
     Training either keeps `take(everything)` on the device or fetches each batch with it; both see the same numbers.
 
+    Args:
+        log: where the rows come from.
+        needs: what every batch holds.
+        extra: (rows, *shape) columns of the method's own, a row for each of the log's; batches hold them in `extra`.
+        initial_extra: (episodes, *shape) likewise, drawn with the initial observations.
+
     Attributes:
         view: the coordinates that the columns are in.
         count: rows to draw from; where successors are asked for, those whose successor is known.
         fields: per column its shape and dtype, as `take` gives it.
-        initial: (episodes, *shape) initial observations, or None.
+        initial: (episodes, *shape) initial observations and what goes with them, or None.
     """
 
-    def __init__(self, log: Dataset, needs: Needs):
-        self.log, self.needs = log, needs
+    def __init__(
+        self,
+        log: Dataset,
+        needs: Needs,
+        extra: dict[str, np.ndarray] | None = None,
+        initial_extra: dict[str, np.ndarray] | None = None,
+    ):
+        self.log, self.needs, self.extra = log, needs, extra or {}
+        for name, column in self.extra.items():
+            if len(column) != len(log) or name in Batch._fields:
+                raise ValueError(f"{name}: an extra column has a name of its own and as many rows as the log")
         self.view = View.of(log.spec, needs.standardise)
         for name in needs.columns:
             if name not in _COLUMNS:
@@ -90,7 +106,10 @@ class Rows:
         self.count = len(log) if self._index is None else len(self._index)
         if self.count == 0:
             raise UserError(f"{log.name}: no row has a known successor")
-        self.initial = self.view.observe(np.asarray(log.observations[log.starts])) if needs.initial else None
+        self.initial: dict[str, np.ndarray] | None = None
+        if needs.initial:
+            first = self.view.observe(np.asarray(log.observations[log.starts]))
+            self.initial = {"initial_observation": first, **(initial_extra or {})}
         probe = self.take(np.zeros(1, np.int64))
         self.fields = {name: (column.shape[1:], column.dtype) for name, column in probe.items()}
 
@@ -109,6 +128,7 @@ class Rows:
         flat = index.reshape(-1)
         rows = flat if self._index is None else self._index[flat]
         columns = {name: _COLUMNS[name](self, rows) for name in self.needs.columns}
+        columns |= {name: column[rows] for name, column in self.extra.items()}
         if self.needs.window:
             columns["_left"] = (self._left[rows] - self._blind[self.log.episode_of[rows]]).astype(np.float32)
         return {name: column.reshape(*index.shape, *column.shape[1:]) for name, column in columns.items()}

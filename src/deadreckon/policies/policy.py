@@ -191,13 +191,29 @@ class BlackBoxPolicy:
     """Any Python function `fn(observations, rng) -> actions` on numpy arrays as a policy.
 
     Args:
-        fn: gets observations (n, *shape) and a `numpy.random.Generator`, gives actions (n, size).
+        fn: gets observations (n, *shape) and a `numpy.random.Generator`, gives actions (n, size), or (n,) discrete ones.
+        log_prob: gets observations and actions, gives their log-densities (n,); None where it is not known.
+        action_probs: of discrete actions: gets observations, gives (n, actions) probabilities; None where it is not known.
     """
 
-    has_log_prob = False
+    def __init__(
+        self,
+        fn: Callable[[np.ndarray, np.random.Generator], np.ndarray],
+        log_prob: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+        action_probs: Callable[[np.ndarray], np.ndarray] | None = None,
+    ):
+        self.fn, self._log_prob, self.action_probs = fn, log_prob, action_probs
 
-    def __init__(self, fn: Callable[[np.ndarray, np.random.Generator], np.ndarray]):
-        self.fn = fn
+    @property
+    def has_log_prob(self) -> bool:
+        """Whether `log_prob` is defined."""
+        return self._log_prob is not None
+
+    def log_prob(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """(n,) log-densities of actions, where the function came with them."""
+        if self._log_prob is None:
+            raise UserError("this BlackBoxPolicy has no log-probabilities; give it log_prob=")
+        return np.asarray(self._log_prob(observations, actions))
 
     def start(self, n: int) -> tuple[()]:
         """Nothing is carried; what the function remembers is its own affair."""

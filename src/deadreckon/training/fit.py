@@ -136,16 +136,18 @@ def _indices(
     return jax.vmap(lambda step: jax.vmap(lambda root: _draw(plan, root, step, rows))(roots))(steps)
 
 
-def _batch(plan: _Plan, taken: dict[str, Array], initial: Array | None, root: PRNGKeyArray, step: Array) -> Batch:
+def _batch(plan: _Plan, taken: dict[str, Array], initial: dict[str, Array] | None, root: PRNGKeyArray, step: Array) -> Batch:
     fields = _unpack(taken, plan.layout, 2 if plan.window else 1)
     if plan.window:
         left = fields.pop("_left")[:, :1]
         fields["mask"] = (jnp.arange(plan.window) <= left).astype(jnp.float32)
     if initial is not None:
         key = jax.random.fold_in(jax.random.fold_in(root, STARTS), step)
-        fields["initial_observation"] = initial[jax.random.randint(key, (plan.initial,), 0, initial.shape[0])]
+        index = jax.random.randint(key, (plan.initial,), 0, len(initial["initial_observation"]))
+        fields |= {name: column[index] for name, column in initial.items()}
+    known = {name: fields.pop(name) for name in Batch._fields if name in fields}
     # Keeps the compiler from fusing the fetch into the update, whose bits then do not depend on where rows come from.
-    return jax.lax.optimization_barrier(Batch(**fields))
+    return jax.lax.optimization_barrier(Batch(**known, extra=fields or None))
 
 
 @eqx.filter_jit
@@ -154,7 +156,7 @@ def _advance(
     plan: _Plan,
     states: Any,
     data: dict[str, Array],
-    initial: Array | None,
+    initial: dict[str, Array] | None,
     roots: PRNGKeyArray,
     start: Int[Array, ""],
     stop: Int[Array, ""],

@@ -51,7 +51,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "noise": (0.0, math.inf), "noise_clip": (0.0, math.inf), "alpha": (0.0, math.inf), "multiplier": (0.0, math.inf),
     "temperature": (1e-30, math.inf), "bandwidth": (1e-30, math.inf), "density_clip": (1.0, math.inf),
     "delta": (1e-6, 1.0), "ratio_min": (0.0, math.inf), "ratio_max": (0.0, math.inf),
-    "warm_start": (0, math.inf), "refresh": (0, math.inf),
+    "warm_start": (0, math.inf), "refresh": (0, math.inf), "range": (-math.inf, math.inf), "confidence": (0.0, 1.0),
+    "max_weight": (1e-30, math.inf), "decay": (0.0, math.inf), "penalty": (0.0, math.inf),
 }  # fmt: skip
 
 
@@ -94,7 +95,7 @@ def check_fields(learner: eqx.Module) -> None:
                 raise UserError(f"{name} takes a tuple of numbers, got {value!r}")
             for entry in value:
                 _check(name, f.name, entry, arguments[0])
-                if entry <= 0:
+                if entry <= 0 and f.name.rpartition("_")[2] != "range":
                     raise UserError(f"{name} takes numbers above 0, got {value!r}")
         else:
             _check(name, f.name, value, hint)

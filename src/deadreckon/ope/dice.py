@@ -1,0 +1,182 @@
+"""DICE: ratios of state-action occupancies by one regularised Lagrangian (Yang et al. 2020; thesis 8.5).
+
+    max over zeta, min over Q and lambda of
+      (1 - g) E[Q(s_0, a_0)] + lambda
+      + E_log[ zeta(s, a) (reward r + g Q(s', a') - Q(s, a) - lambda) ] + primal E[Q^2 / 2] - dual E_log[zeta^2 / 2]
+
+where a_0 and a' are the policy's, g is the discount, and E_log[zeta r] / (1 - g) the estimate. Its settings give DualDICE,
+GenDICE and BestDICE (`PRESETS`).
+
+Where episodes end, Q(s', a') is zero, and the occupancy of the log's states sums to less than one: the constraint of lambda is
+then E_log[zeta (1 - g (1 - terminal))] = 1 - g, which every occupancy meets, and which is E_log[zeta] = 1 where nothing ends.
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array
+
+from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.ope.critics import Fitted, create, expected, taken
+from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.fqe import Scale
+from deadreckon.ope.intervals import spread
+from deadreckon.training.learner import static
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "best": {"primal": 0.0, "dual": 1.0, "reward": 1.0, "norm": True, "positive": True},
+    "dual": {"primal": 0.0, "dual": 1.0, "reward": 0.0, "norm": False, "positive": False},
+    "gen": {"primal": 1.0, "dual": 0.0, "reward": 0.0, "norm": True, "positive": True},
+}
+
+
+class State(NamedTuple):
+    """Q, zeta and lambda (members, policies, ...) with their optimisers, and a running mean of zeta's parameters."""
+
+    q: MLP
+    zeta: MLP
+    multiplier: Array
+    mean: MLP
+    q_opt: optax.OptState
+    zeta_opt: optax.OptState
+    multiplier_opt: optax.OptState
+
+
+def positive_part(out: Array, positive: bool) -> Array:
+    """A network's output as a ratio."""
+    return jax.nn.softplus(out) if positive else out
+
+
+class Saddle(eqx.Module):
+    """What `fit` trains."""
+
+    lr: float
+    discount: float
+    reward_std: float
+    primal: float
+    dual: float
+    reward: float
+    average: float
+    norm: bool = eqx.field(static=True)
+    positive: bool = eqx.field(static=True)
+    members: int = eqx.field(static=True)
+    policies: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Transitions and as many initial states, each with what the policies do there and the members' weights."""
+        return Needs(batch_size=self.batch_size, initial=self.batch_size, standardise=True)
+
+    def init(self, spec, key):
+        """Fresh networks."""
+        kq, kz = jax.random.split(key)
+        q, zeta = (create(spec, self.hidden, self.members, self.policies, k) for k in (kq, kz))
+        multiplier = jnp.zeros((self.members, self.policies))
+        return State(q, zeta, multiplier, copy(zeta), begin(q), begin(zeta), begin(multiplier))
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step down for Q and lambda, one up for zeta, from the same point."""
+        arguments = (state.q, state.multiplier), state.zeta
+        (down, up), metrics = jax.grad(self.lagrangian, (0, 1), has_aux=True)(*arguments, batch)
+        q, q_opt = descend(state.q, down[0], state.q_opt, self.lr)
+        multiplier, multiplier_opt = state.multiplier, state.multiplier_opt
+        if self.norm:
+            multiplier, multiplier_opt = descend(multiplier, down[1], multiplier_opt, self.lr)
+        zeta, zeta_opt = descend(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, self.lr)
+        # Descent against ascent circles around the saddle point; the mean of its way is nearer than where it happens to stop.
+        mean = track(state.mean, zeta, jnp.maximum(self.average, 1.0 / (step + 1)))
+        return State(q, zeta, multiplier, mean, q_opt, zeta_opt, multiplier_opt), metrics
+
+    def lagrangian(self, primal: tuple[MLP, Array], dual: MLP, batch: Batch):
+        """The sum over members and policies of the Lagrangian above."""
+        q_net, multiplier = primal
+        extra = batch.extra
+        assert extra is not None
+        lasts = 1.0 - batch.terminal
+        q = taken(q_net, batch.observation, batch.action)
+        future = expected(q_net, batch.next_observation, extra["policy"])
+        first = expected(q_net, batch.initial_observation, extra["initial_policy"])
+        zeta = positive_part(taken(dual, batch.observation, batch.action), self.positive)
+        mass = (1.0 - self.discount * lasts) / (1.0 - self.discount)
+        error = self.reward * batch.reward / self.reward_std + self.discount * lasts * future - q
+        weight, initial_weight = extra["weight"].T[:, None, :], extra["initial_weight"].T[:, None, :]
+        inside = zeta * error + self.primal * jnp.square(q) / 2 - self.dual * jnp.square(zeta) / 2
+        if self.norm:
+            inside = inside - zeta * multiplier[..., None] * mass
+        value = (1.0 - self.discount) * (initial_weight * first).mean(-1) + (weight * inside).mean(-1)
+        value = value + multiplier if self.norm else value
+        return value.sum(), {"lagrangian": value.mean(), "ratio": zeta.mean(), "q": q.mean()}
+
+
+class DICE(Estimator):
+    """Marginalised importance sampling by a saddle point: BestDICE, or DualDICE and GenDICE by `DICE.preset`."""
+
+    primal: float = 0.0  # regularisation of Q
+    dual: float = 1.0  # regularisation of zeta
+    reward: float = 1.0  # share of the reward in the Lagrangian: 0 or 1
+    norm: bool = static(True)  # constrain zeta to an occupancy's mass by lambda
+    positive: bool = static(True)  # zeta through a softplus
+    members: int = static(3)  # pairs of networks a policy, each on redrawn episodes
+    hidden: tuple[int, ...] = static((64, 64))  # width of each hidden layer
+    steps: int = static(100_000)  # updates
+    batch_size: int = static(2048)  # rows a batch
+    lr: float = 1e-4  # learning rate
+    average: float = 1e-3  # rate of the running mean of zeta's parameters, which the estimate uses; 1 for the last ones
+    samples: int = static(1)  # actions drawn at each next observation, once
+    initial_samples: int = static(10)  # actions drawn at each initial observation
+
+    @classmethod
+    def preset(cls, name: Literal["best", "dual", "gen"], **changes: Any) -> "DICE":
+        """BestDICE, DualDICE or GenDICE."""
+        return cls(**(PRESETS[name] | changes))
+
+    def ratios(self, case: Case) -> np.ndarray:
+        """(members, policies, rows) occupancy of the policy over that of the log."""
+        return case.once(self, lambda: self._fit(case))
+
+    def _fit(self, case: Case) -> np.ndarray:
+        data = case.data
+        learner = Saddle(
+            self.lr, case.discount, Scale.of(case).std, self.primal, self.dual, self.reward,
+            self.average, self.norm, self.positive, self.members, len(case.policies), self.hidden, self.batch_size,
+        )  # fmt: skip
+        rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
+        state = case.train(learner, rows, self.steps, "dice")
+        found = Fitted(state.mean, 1.0, rows.view).of_actions(data.observations, data.actions)
+        return np.asarray(positive_part(jnp.asarray(found), self.positive))
+
+    def solve(self, case: Case) -> Estimates:
+        """Logged rewards weighted by the ratios."""
+        found = weighted_rewards(case, self.ratios(case), self.members)
+        low, high = spread(found)
+        return Estimates(self.label, case.names, found.mean(0), low, high, case.discount, redraws=found)
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        fields = {name: getattr(self, name) for name in PRESETS["best"]}
+        return next((f"{name.capitalize()}DICE" for name, preset in PRESETS.items() if preset == fields), "DICE")
+
+
+def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial_samples: int) -> Rows:
+    """The log for learners of occupancies: transitions and initial states, with the policies' actions and members' weights."""
+    redrawn = case.redrawn(members)
+    extra = {"policy": case.next_actions(samples), "weight": redrawn[case.data.episode_of]}
+    initial = {"initial_policy": case.initial_actions(initial_samples), "initial_weight": redrawn}
+    return Rows(case.data, learner.needs(case.data.spec), extra, initial)
+
+
+def weighted_rewards(case: Case, ratios: np.ndarray, members: int) -> np.ndarray:
+    """(members, policies) mean of ratio times reward over the rows that each member saw, as a discounted return."""
+    data = case.data
+    weight = case.redrawn(members)[data.episode_of].T * data.usable
+    rewards = np.asarray(data.rewards, np.float64)
+    total = np.stack([own @ (seen * rewards) for own, seen in zip(ratios, weight)])
+    return total / weight.sum(1)[:, None] / (1.0 - case.discount)

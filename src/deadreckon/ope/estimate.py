@@ -1,0 +1,337 @@
+"""What every estimator is asked (`Case`) and answers (`Estimates`).
+
+The value of a policy is, everywhere: the expected discounted return sum_t discount^t r_t of an episode, from the initial
+states of the log. Terminals end it; where the log cuts an episode off (a timeout) it goes on, for estimators that can look
+beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount) times it.
+"""
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.view import View
+from deadreckon.errors import UserError
+from deadreckon.files import read_json, write_json
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.ope.tables import Actor
+from deadreckon.policies import behavior as models
+from deadreckon.policies.policy import Deployed, Policy, TanhGaussian
+from deadreckon.training.fit import Fit
+from deadreckon.training.learner import check_fields, static
+
+Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
+NEXT, INITIAL, CURRENT = range(3)  # purposes of draws
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What an estimator says about each policy.
+
+    Attributes:
+        method: the estimator.
+        names: of the policies.
+        value: (policies,) expected discounted return of an episode.
+        low, high: (policies,) 95 % interval; NaN where the method gives none.
+        discount: of the returns.
+        redraws: (n, policies) estimates of redrawn logs or of members of an ensemble, the same redraws for all policies, so
+            that differences between policies can be judged; None where there are none.
+        effective: (policies,) episodes that the weights amount to, (sum w)^2 / sum w^2; None where nothing is weighted.
+        warnings: why not to trust it, one line each.
+        seconds: it took, without what was there already for another estimator.
+    """
+
+    method: str
+    names: tuple[str, ...]
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    discount: float
+    redraws: np.ndarray | None = field(default=None, repr=False)
+    effective: np.ndarray | None = None
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def average(self) -> np.ndarray:
+        """(policies,) discounted average reward, (1 - discount) times the value."""
+        return (1.0 - self.discount) * self.value
+
+    @property
+    def best(self) -> int:
+        """Index of the policy with the highest estimate."""
+        return int(np.argmax(np.where(np.isnan(self.value), -np.inf, self.value)))
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names))
+        lines = [f"{self.method}, discounted return ({self.discount:g}) with 95 % intervals"]
+        for i, name in enumerate(self.names):
+            weight = "" if self.effective is None else f"   {self.effective[i]:,.1f} effective episodes"
+            lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
+        return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])
+
+
+class BehaviorModel(eqx.Module):
+    """The policy that made the log, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5)."""
+
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    lr: float = 3e-4  # learning rate
+    steps: int = static(50_000)  # updates
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec):
+        """Observations and actions."""
+        return Needs(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
+
+    def init(self, spec, key):
+        """Network and optimiser."""
+        net = MLP.create(spec.observation_size, self.hidden, spec.action_size * (1 if spec.discrete else 2), key)
+        return net, begin(net)
+
+    def update(self, state, batch: Batch, *, step, key):
+        """One step of maximum likelihood."""
+        net, opt = state
+        grads, metrics = jax.grad(self.loss, has_aux=True)(net, batch, key)
+        net, opt = descend(net, grads, opt, self.lr)
+        return (net, opt), metrics
+
+    def loss(self, net, batch, key):
+        """Negative log-likelihood of the logged actions."""
+        if batch.action.ndim > 1:
+            return models.loss(net, batch.observation, batch.action, key)
+        chosen = jax.nn.log_softmax(net(batch.observation))[jax.numpy.arange(len(batch.action)), batch.action]
+        return -chosen.mean(), {"behavior_nll": -chosen.mean()}
+
+
+class Case:
+    """A log, the policies to judge by it, and all that estimators share about them, each made when first asked for.
+
+    Args:
+        data: the log.
+        policies: a policy, a run, or a sequence of these.
+        discount: of the returns, below one.
+        seed: of everything random.
+        greedy: the policies' best guesses instead of their draws.
+        names: of the policies.
+        out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
+        watch: called with what is fitted, the updates done and those in all.
+
+    Raises:
+        UserError: a log or policies that no estimator can work with.
+    """
+
+    def __init__(
+        self,
+        data: Dataset,
+        policies: Any,
+        *,
+        discount: float = 0.995,
+        seed: int = 0,
+        greedy: bool = False,
+        names: Sequence[str] | None = None,
+        out: Path | str | None = None,
+        watch: Watcher = lambda what, step, steps: None,
+    ):
+        if not 0.0 <= discount < 1.0:
+            raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+        if not 0 <= seed < 2**32:
+            raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
+        self.policies = _policies(policies)
+        if not self.policies:
+            raise UserError("no policy to judge")
+        self.names = tuple(names) if names is not None else tuple(f"policy {i}" for i in range(len(self.policies)))
+        if len(self.names) != len(self.policies):
+            raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
+        if len(data.spec.observation_shape) != 1:
+            raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
+        self.data, self.discount, self.seed, self.greedy = data, discount, seed, greedy
+        self.out, self.watch = None if out is None else Path(out), watch
+        self.actor = Actor(self.policies, self.names, data.spec, greedy, seed)
+        self._kept: dict[Any, Any] = {}
+
+    # ---- what policies do -------------------------------------------------------------------------------------------
+
+    def next_actions(self, samples: int) -> np.ndarray:
+        """(rows, policies, ...) table of what the policies do after each row; see `Actor.table`."""
+        return self.once(("next", samples), lambda: self.actor.table(_Following(self.data), samples, NEXT))
+
+    def initial_actions(self, samples: int) -> np.ndarray:
+        """(episodes, policies, ...) table of what the policies do at the initial observations."""
+        first = np.asarray(self.data.observations[self.data.starts])
+        return self.once(("initial", samples), lambda: self.actor.table(first, samples, INITIAL))
+
+    def current_actions(self, samples: int) -> np.ndarray:
+        """(rows, policies, ...) table of what the policies do at each row."""
+        return self.once(("current", samples), lambda: self.actor.table(self.data.observations, samples, CURRENT))
+
+    @cached_property
+    def log_probs(self) -> np.ndarray:
+        """(policies, rows) log-probabilities of the logged actions."""
+        return self.actor.log_probs(self.data.observations, self.data.actions)
+
+    def behavior_log_probs(self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel) -> np.ndarray:
+        """(rows,) log-probabilities of the logged actions under the policy that made the log.
+
+        Args:
+            kind: `logged` takes the log's column `behavior_log_probs`, `learned` fits `model`, `auto` fits it where there is
+                no such column.
+            model: how it is learned.
+        """
+        column = self.data.extras.get("behavior_log_probs")
+        if kind == "logged" and column is None:
+            raise UserError(f"{self.data.name} has no column behavior_log_probs; ask for behavior='learned'")
+        if kind != "learned" and column is not None:
+            return np.asarray(column, np.float64)
+        return self.once(("behavior", model), lambda: self._learned(model))
+
+    def _learned(self, model: BehaviorModel) -> np.ndarray:
+        rows = Rows(self.data, model.needs(self.data.spec))
+        net, _ = self.train(model, rows, model.steps, "behaviour")
+        if self.data.spec.discrete:
+            policy: Any = _Categorical(net, rows.view)
+        else:
+            policy = Deployed.of(TanhGaussian(net), rows.view)
+        return Actor([policy], ["the behaviour model"], self.data.spec, False, 0).log_probs(
+            self.data.observations, self.data.actions
+        )[0]
+
+    # ---- fits -------------------------------------------------------------------------------------------------------
+
+    def train(self, learner: Any, rows: Rows, steps: int, what: str) -> Any:
+        """The state of a learner after `steps` updates, gone on with from its checkpoints where there are some.
+
+        Raises:
+            UserError: its numbers went bad.
+        """
+        folder = None if self.out is None else self._folder(learner, steps, what)
+        job = Fit([learner], rows, [self.seed], steps, folder=folder)
+        job.resume()
+        for progress in job.chunks():
+            self.watch(what, progress.step, steps)
+        if job.failures[0] is not None:
+            metric, step = job.failures[0]
+            raise UserError(f"{what}: {metric} was not finite at update {step}; a lower learning rate may help")
+        return jax.tree.map(lambda leaf: leaf[0], job.states)
+
+    def _folder(self, learner: Any, steps: int, what: str) -> Path:
+        """Where a fit's checkpoints lie: only the same fit is gone on with."""
+        assert self.out is not None
+        asked = {
+            "learner": str(learner), "steps": steps, "log": self.data.fingerprint, "policies": self._manner,
+            "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
+        }  # fmt: skip
+        folder = self.out / what
+        note = folder / "asked.json"
+        if not note.exists():
+            write_json(note, asked)
+        elif read_json(note) != asked:
+            raise UserError(f"{folder} holds estimates of another log or of other policies; delete it, or name another folder")
+        return folder
+
+    @cached_property
+    def _manner(self) -> str:
+        """Tells sets of policies apart by what they do at the log's first observations."""
+        done = self.actor.table(np.asarray(self.data.observations[:64]), 1)
+        return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make` gives, made once."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
+
+    def redrawn(self, members: int) -> np.ndarray:
+        """(episodes, members) how often each episode counts for each member of an ensemble: redrawn with replacement.
+
+        One member alone counts every episode once.
+        """
+        episodes = self.data.episodes
+        if members == 1:
+            return np.ones((episodes, 1), np.float32)
+        rng = np.random.default_rng([self.seed, 1])
+        counts = [np.bincount(rng.integers(0, episodes, episodes), minlength=episodes) for _ in range(members)]
+        return np.stack(counts, 1).astype(np.float32)
+
+
+class Estimator(eqx.Module):
+    """Hyperparameters in, estimates out."""
+
+    def estimate(
+        self,
+        data: Dataset,
+        policies: Any,
+        *,
+        discount: float = 0.995,
+        seed: int = 0,
+        greedy: bool = False,
+        names: Sequence[str] | None = None,
+        out: Path | str | None = None,
+        watch: Watcher = lambda what, step, steps: None,
+    ) -> Estimates:
+        """The value of each policy, from the log alone; see `Case` for the arguments."""
+        case = Case(data, policies, discount=discount, seed=seed, greedy=greedy, names=names, out=out, watch=watch)
+        return self.on(case)
+
+    def on(self, case: Case) -> Estimates:
+        """The same on a case that several estimators share."""
+        check_fields(self)
+        begun = time.perf_counter()
+        found = self.solve(case)
+        return dataclasses.replace(found, seconds=time.perf_counter() - begun)
+
+    def solve(self, case: Case) -> Estimates:
+        """What the estimator is."""
+        raise NotImplementedError
+
+    def replace(self, **changes: Any) -> Any:
+        """The same estimator with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
+
+class _Following:
+    """The observations after each row, made block by block."""
+
+    def __init__(self, data: Dataset):
+        self.data = data
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        return self.data.next_observations_at(np.arange(*rows.indices(len(self.data))))
+
+
+@dataclass(frozen=True)
+class _Categorical:
+    """A network's logits as a policy."""
+
+    net: MLP
+    view: View
+    has_log_prob = True
+
+    def start(self, n: int) -> tuple[()]:
+        return ()
+
+    def action_probs(self, observations: np.ndarray) -> np.ndarray:
+        return np.asarray(jax.nn.softmax(self.net(self.view.observe(observations))))
+
+
+def _policies(given: Any) -> list[Any]:
+    if hasattr(given, "policies"):
+        return list(given.policies)
+    if isinstance(given, Policy):
+        return [given]
+    if isinstance(given, Sequence) and not isinstance(given, str | bytes):
+        return [policy for one in given for policy in _policies(one)]
+    raise UserError(f"policies must be policies or runs, got {type(given).__name__}")

@@ -1,0 +1,191 @@
+"""FQE-D: fitted Q evaluation of the distribution of returns (Paine et al. 2020; thesis 8.5; settings of FACTS 4).
+
+Each critic gives probabilities of `atoms` returns, evenly spaced over what is possible (C51, Bellemare et al. 2017). The target
+is the distribution of r + discount Z(s', a'), put back on the atoms, from a copy of the critics that is renewed every so often.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.nets.mlp import ensemble
+from deadreckon.nets.optim import begin, copy, descend
+from deadreckon.ope.critics import in_blocks
+from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.fqe import Scale
+from deadreckon.ope.intervals import spread
+from deadreckon.training.learner import static
+
+
+class NormMLP(eqx.Module):
+    """Dense layers; the first is normalised and goes through a tanh, the others through an ELU (Acme's LayerNormMLP)."""
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    gain: Array
+    shift: Array
+
+    @classmethod
+    def create(cls, sizes: tuple[int, ...], key: PRNGKeyArray) -> "NormMLP":
+        """Uniform in +-1/sqrt(inputs)."""
+        keys = jax.random.split(key, len(sizes) - 1)
+        weights = tuple(
+            jax.random.uniform(k, (i, o), minval=-1.0, maxval=1.0) / jnp.sqrt(i) for k, i, o in zip(keys, sizes, sizes[1:])
+        )
+        first = sizes[1] if len(sizes) > 2 else 0
+        return cls(weights, tuple(jnp.zeros(o) for o in sizes[1:]), jnp.ones(first), jnp.zeros(first))
+
+    def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
+        """The network's output."""
+        last = len(self.weights) - 1
+        for i, (w, b) in enumerate(zip(self.weights, self.biases)):
+            x = x @ w + b
+            if i == last:
+                break
+            if i == 0:
+                x = (x - x.mean(-1, keepdims=True)) * jax.lax.rsqrt(x.var(-1, keepdims=True) + 1e-5)
+                x = jnp.tanh(x * self.gain + self.shift)
+            else:
+                x = jax.nn.elu(x)
+        return x
+
+
+class State(NamedTuple):
+    """Critics (members, policies, ...), the copies that targets come from, and the optimiser."""
+
+    critics: NormMLP
+    targets: NormMLP
+    opt: optax.OptState
+
+
+def project(
+    probabilities: Float[Array, "*n b z"], reward: Float[Array, "b"], discount: Float[Array, "b"], atoms: Float[Array, "z"]
+) -> Float[Array, "*n b z"]:
+    """The distribution of r + discount Z on Z's own atoms: what falls between two of them is shared by nearness."""
+    moved = jnp.clip(reward[:, None] + discount[:, None] * atoms, atoms[0], atoms[-1])
+    share = jnp.clip(1.0 - jnp.abs(moved[:, None, :] - atoms[:, None]) / (atoms[1] - atoms[0]), 0.0, 1.0)  # (b, to, from)
+    return jnp.einsum("btf,...bf->...bt", share, probabilities)
+
+
+class Distributions(eqx.Module):
+    """What `fit` trains."""
+
+    lr: float
+    discount: float
+    reward_std: float
+    low: float
+    high: float
+    clip: float
+    renew: int = eqx.field(static=True)
+    atoms: int = eqx.field(static=True)
+    members: int = eqx.field(static=True)
+    policies: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    @property
+    def support(self) -> Float[Array, "z"]:
+        """(atoms,) what a critic's probabilities are of."""
+        return self.low + (self.high - self.low) * jnp.linspace(0.0, 1.0, self.atoms)
+
+    def needs(self, spec):
+        """Transitions, with the columns `policy` and `weight` beside them."""
+        return Needs(batch_size=self.batch_size, standardise=True)
+
+    def init(self, spec, key):
+        """Fresh critics; targets are copies."""
+        inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
+        sizes = (inputs, *self.hidden, self.atoms * (spec.action_size if spec.discrete else 1))
+        critics = ensemble(lambda k: ensemble(lambda key: NormMLP.create(sizes, key), self.policies, k), self.members, key)
+        return State(critics, copy(critics), begin(critics))
+
+    def logits(self, critics: NormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
+        """Of the returns after one action a row, the same for all critics."""
+        if action.ndim == 1:
+            every = self._every(critics, observation)
+            return jnp.take_along_axis(every, action[None, None, :, None, None], -2)[..., 0, :]
+        inputs = jnp.concatenate([observation, action], -1)
+        return jax.vmap(jax.vmap(lambda net: net(inputs)))(critics)
+
+    def _every(self, critics: NormMLP, observation: Array) -> Float[Array, "m p b n z"]:
+        out = jax.vmap(jax.vmap(lambda net: net(observation)))(critics)
+        return out.reshape(*out.shape[:-1], -1, self.atoms)
+
+    def mixture(self, critics: NormMLP, observation: Array, table: Array) -> Float[Array, "m p b z"]:
+        """Probabilities of the returns of what the policies do; see `critics.expected` for the table."""
+        if table.ndim == 3:
+            return jnp.einsum("mpbnz,bpn->mpbz", jax.nn.softmax(self._every(critics, observation)), table)
+        seen = jnp.broadcast_to(observation[:, None], (*table.shape[:1], table.shape[2], observation.shape[-1]))
+
+        def one(net: NormMLP, own: Float[Array, "b s a"]) -> Array:
+            return jax.nn.softmax(net(jnp.concatenate([seen, own], -1))).mean(1)
+
+        return jax.vmap(lambda member: jax.vmap(one, (0, 1))(member, table))(critics)
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step of every critic towards the projected target; copies are renewed every `renew` steps."""
+        assert batch.extra is not None
+        future = self.mixture(state.targets, batch.next_observation, batch.extra["policy"])
+        reward = (1.0 - self.discount) * batch.reward / self.reward_std
+        target = project(future, reward, self.discount * (1.0 - batch.terminal), self.support)
+        grads, metrics = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
+        # Every critic's gradient is clipped by its own norm.
+        square = sum(jnp.square(g).sum(tuple(range(2, g.ndim))) for g in jax.tree.leaves(grads))
+        scale = jnp.minimum(1.0, self.clip / jnp.sqrt(jnp.maximum(square, 1e-12)))
+        grads = jax.tree.map(lambda g: g * scale.reshape(*scale.shape, *[1] * (g.ndim - 2)), grads)
+        critics, opt = descend(state.critics, grads, state.opt, self.lr)
+        over = (step + 1) % self.renew == 0
+        targets = jax.tree.map(lambda new, old: jnp.where(over, new, old), critics, state.targets)
+        return State(critics, targets, opt), metrics
+
+    def loss(self, critics: NormMLP, batch: Batch, target: Float[Array, "m p b z"]):
+        """Cross entropy, weighted by how often the row's episode counts for the member; summed over critics."""
+        assert batch.extra is not None
+        log_probs = jax.nn.log_softmax(self.logits(critics, batch.observation, batch.action))
+        error = -(jax.lax.stop_gradient(target) * log_probs).sum(-1)
+        q = (jnp.exp(log_probs) * self.support).sum(-1)
+        return (error * batch.extra["weight"].T[:, None, :]).mean(-1).sum(), {"loss": error.mean(), "q": q.mean()}
+
+
+@eqx.filter_jit
+def _values(learner: Distributions, critics: NormMLP, observation: Array, table: Array) -> Float[Array, "m p b"]:
+    return (learner.mixture(critics, observation, table) * learner.support).sum(-1)
+
+
+class FQED(Estimator):
+    """Fitted Q evaluation of return distributions."""
+
+    members: int = static(3)  # critics a policy, each on redrawn episodes
+    hidden: tuple[int, ...] = static((512, 512, 256))  # width of each hidden layer
+    atoms: int = static(51)  # returns that have a probability
+    steps: int = static(100_000)  # updates
+    batch_size: int = static(1024)  # rows a batch
+    lr: float = 1e-4  # learning rate
+    renew: int = static(100)  # updates between copies of the critics for targets
+    gradient_clip: float = 40.0  # norm of each critic's gradient
+    samples: int = static(1)  # actions drawn at each next observation, once
+    initial_samples: int = static(10)  # actions drawn at each initial observation
+
+    def solve(self, case: Case) -> Estimates:
+        """Mean of the distributions at the initial observations."""
+        data, scale = case.data, Scale.of(case)
+        learner = Distributions(
+            self.lr, case.discount, scale.std, scale.low, scale.high, self.gradient_clip, self.renew, self.atoms, self.members,
+            len(case.policies), self.hidden, self.batch_size,
+        )  # fmt: skip
+        redrawn = case.redrawn(self.members)
+        extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}
+        rows = Rows(data, learner.needs(data.spec), extra)
+        state = case.train(learner, rows, self.steps, "fqe-d")
+        first = rows.view.observe(np.asarray(data.observations[data.starts]))
+        of = lambda seen, table: _values(learner, state.targets, seen, table)  # noqa: E731
+        values = scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
+        found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
+        low, high = spread(found)
+        return Estimates("FQE-D", case.names, found.mean(0), low, high, case.discount, redraws=found)

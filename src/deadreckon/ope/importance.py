@@ -1,0 +1,92 @@
+"""Importance sampling: logged rewards, weighted by how likely the policy is to act as the log did (thesis 8.5).
+
+Precup, Sutton and Singh 2000. What is summed, and how ended and cut-off episodes count, is in `ope/weights.py`.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope import intervals
+from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.weights import Episodes
+from deadreckon.training.learner import static
+
+PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation that the thesis used
+
+
+class ImportanceSampling(Estimator):
+    """Trajectory-wise or per-decision importance sampling, plain (unbiased) or self-normalised."""
+
+    kind: Literal["trajectory", "per_decision"] = static("per_decision")  # one weight an episode, or one a step
+    normalised: bool = static(True)  # divide by the weights' sum instead of their number: biased, far less variance
+    behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
+    model: BehaviorModel = static(BehaviorModel())  # how the behaviour policy is learned
+    log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
+    alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
+    interval: Literal["bootstrap", "t", "hoeffding", "bernstein"] = static("bootstrap")  # the last two hold for every n
+    return_range: tuple[float, float] | None = static(None)  # least and greatest return of an episode; for the last two
+    max_weight: float | None = static(None)  # greatest weight of an episode; for the last two
+
+    def solve(self, case: Case) -> Estimates:
+        """Weighted sums of the logged rewards."""
+        episodes = case.once("episodes", lambda: Episodes(case.data, case.discount, case.seed))
+        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range)
+        rewards = np.asarray(case.data.rewards, np.float64)
+        bounds = self._bounds()
+        values, lows, highs, effective, redraws = [], [], [], [], []
+        for row in ratios:
+            log_rho = episodes.cumulate(row)
+            if self.kind == "trajectory":
+                sums = episodes.whole(log_rho, rewards, normalised=self.normalised)
+            else:
+                sums = episodes.sums(log_rho, rewards, normalised=self.normalised, alive_only=self.alive_only)
+            values.append(sums.value())
+            redraws.append(sums.redraw(episodes.counts))
+            if self.interval == "bootstrap":
+                low, high = episodes.percentiles(redraws[-1])
+            else:
+                each = sums.value() + sums.influence()
+                if not self.normalised:
+                    each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
+                low, high = self._interval(each, bounds)
+            lows.append(low)
+            highs.append(high)
+            effective.append(sums.effective)
+        effective = np.asarray(effective)
+        return Estimates(
+            self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.discount,
+            redraws=np.stack(redraws, 1), effective=effective, warnings=tuple(episodes.warnings(case.names, effective)),
+        )  # fmt: skip
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        short = {"trajectory": "IS", "per_decision": "PDIS"}[self.kind]
+        return f"{'W' if self.normalised else ''}{short}"
+
+    def _bounds(self) -> tuple[float, float] | None:
+        if self.interval not in ("hoeffding", "bernstein"):
+            return None
+        if self.return_range is None or self.max_weight is None or self.normalised:
+            raise UserError(
+                f"interval={self.interval!r} needs normalised=False, return_range=(least, greatest) and max_weight: "
+                "it holds for every number of episodes because it knows what an episode can contribute"
+            )
+        low, high = self.return_range
+        return min(0.0, low * self.max_weight), max(0.0, high * self.max_weight)
+
+    def _interval(self, each: np.ndarray, bounds: tuple[float, float] | None) -> tuple[float, float]:
+        if bounds is None:
+            return intervals.student(each)
+        bound = intervals.hoeffding if self.interval == "hoeffding" else intervals.empirical_bernstein
+        return bound(each, *bounds)
+
+
+def log_ratios(
+    case: Case, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, within: tuple[float, float] | None
+) -> np.ndarray:
+    """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action."""
+    ratios = case.log_probs - case.behavior_log_probs(behavior, model)
+    return ratios if within is None else np.clip(ratios, *within)

@@ -1,0 +1,152 @@
+"""How good estimates are, against true values (thesis E.1), and what a choice by them risks."""
+
+import json
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from deadreckon.errors import UserError
+
+RESAMPLES = 1000  # of the policies
+PUBLIC_CLIP = 2.0  # what the public notebook cuts normalised estimates at, which makes ties of overestimates
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Of one estimator on one set of policies. Each pair is a mean and a standard deviation over redrawn policies.
+
+    Attributes:
+        absolute_error: mean |estimate - truth| (E.1), on the scale that was asked for.
+        rank_correlation: Spearman's (E.3 on ranks).
+        regret: of the best of the k policies with the highest estimates (E.2), on the same scale.
+        k: of `regret`.
+        count: policies.
+    """
+
+    absolute_error: tuple[float, float]
+    rank_correlation: tuple[float, float]
+    regret: tuple[float, float]
+    k: int
+    count: int
+
+
+def normalise(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(x - worst) / (best - worst) by the true values (thesis 8.5).
+
+    Raises:
+        UserError: all true values are the same.
+    """
+    low, high = float(np.min(truth)), float(np.max(truth))
+    if low == high:
+        raise UserError("all policies have the same true value, so nothing can be normalised by their range")
+    return (np.asarray(values, float) - low) / (high - low)
+
+
+def absolute_error(estimates: np.ndarray, truth: np.ndarray) -> float:
+    """Mean |estimate - truth| (E.1)."""
+    return float(np.abs(np.asarray(estimates) - truth).mean())
+
+
+def rank_correlation(estimates: np.ndarray, truth: np.ndarray) -> float:
+    """Spearman's rank correlation; NaN where all estimates, or all true values, are the same."""
+    if np.ptp(estimates) == 0 or np.ptp(truth) == 0:
+        return float("nan")
+    return float(np.corrcoef(stats.rankdata(estimates), stats.rankdata(truth))[0, 1])
+
+
+def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:
+    """The best true value less the best among the k policies with the highest estimates (E.2).
+
+    Among equal estimates the expected regret of choosing at random is given, by the mean over all orders that k allows.
+    """
+    estimates, truth = np.asarray(estimates, float), np.asarray(truth, float)
+    edge = np.sort(estimates)[::-1][k - 1]
+    sure, tied = truth[estimates > edge], np.sort(truth[estimates == edge])
+    free, floor = k - len(sure), max(sure, default=-np.inf)
+    # The largest of `free` draws from n ties is the j-th smallest with probability C(j, free - 1) / C(n, free), j from 0.
+    weights = np.array([math.comb(j, free - 1) for j in range(len(tied))]) / math.comb(len(tied), free)
+    return float(truth.max() - weights @ np.maximum(tied, floor))
+
+
+def metrics(
+    estimates: np.ndarray,
+    truth: np.ndarray,
+    *,
+    k: int = 1,
+    normalised: bool = True,
+    clip: float | None = None,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> Metrics:
+    """All three, with a bootstrap over policies.
+
+    Args:
+        estimates: (policies,).
+        truth: (policies,).
+        k: of the regret.
+        normalised: on the scale where the worst policy is 0 and the best 1, by the whole set (thesis 8.5).
+        clip: cut normalised estimates above this (the public notebook: `PUBLIC_CLIP`); None: as they are.
+        resamples: redrawn sets of policies.
+        seed: of the redraws.
+
+    Raises:
+        UserError: not as many true values as estimates, too few policies, or estimates that are not finite.
+    """
+    estimates, truth = np.asarray(estimates, float), np.asarray(truth, float)
+    if estimates.shape != truth.shape or estimates.ndim != 1:
+        raise UserError(f"as many true values as estimates are needed, got {truth.shape} and {estimates.shape}")
+    if not 1 <= k <= len(truth) or len(truth) < 2:
+        raise UserError(f"k must be 1 .. the number of policies, of which there are {len(truth)}, got {k}")
+    if not np.isfinite(estimates).all():
+        raise UserError(f"the estimate of policy {int(np.flatnonzero(~np.isfinite(estimates))[0])} is not finite")
+    if normalised:
+        estimates, truth = normalise(estimates, truth), normalise(truth, truth)
+    if clip is not None:
+        estimates = np.minimum(estimates, clip)
+    draws = np.random.default_rng(seed).integers(0, len(truth), (resamples, len(truth)))
+    # A set of one policy, drawn over and over, has no ranks.
+    draws = draws[(draws != draws[:, :1]).any(1)]
+    found = {}
+    for name, of in (("absolute_error", absolute_error), ("rank_correlation", rank_correlation)):
+        found[name] = _mean_and_spread([of(estimates[d], truth[d]) for d in draws])
+    regrets = [regret(estimates[d], truth[d], min(k, len(d))) for d in draws]
+    return Metrics(**found, regret=_mean_and_spread(regrets), k=k, count=len(truth))
+
+
+def _mean_and_spread(values: list[float]) -> tuple[float, float]:
+    kept = np.asarray(values)[np.isfinite(values)]
+    return (float(kept.mean()), float(kept.std())) if len(kept) else (float("nan"), float("nan"))
+
+
+def sharpe_ratio(estimates: np.ndarray, truth: np.ndarray, behavior: float, k: int) -> float:
+    """(best true value among the k with the highest estimates - the logged policy's) / their standard deviation.
+
+    SharpeRatio@k (Kiyohara et al. 2024): what trying these k out would gain, for its risk. NaN for a deviation of zero.
+    """
+    top = np.asarray(truth, float)[np.argsort(-np.asarray(estimates), kind="stable")[:k]]
+    return float((top.max() - behavior) / top.std()) if top.std() > 0 else float("nan")
+
+
+def error_rates(estimates: np.ndarray, truth: np.ndarray, threshold: float) -> tuple[float, float]:
+    """Type I and type II error rates of deploying what is estimated at `threshold` or above.
+
+    Type I: of the policies truly below, the share that is deployed. Type II: of those truly at or above, the share that is
+    not. NaN where there are none.
+    """
+    good, taken = np.asarray(truth) >= threshold, np.asarray(estimates) >= threshold
+    first = float(taken[~good].mean()) if (~good).any() else float("nan")
+    return first, float((~taken[good]).mean()) if good.any() else float("nan")
+
+
+@lru_cache
+def published() -> dict[str, Any]:
+    """The six tables of thesis E.2: metric -> `d4rl` or `rl_unplugged` -> task -> method -> [mean, std] or None.
+
+    What the scan lost is None.
+    """
+    return json.loads((Path(__file__).parent / "published.json").read_text())

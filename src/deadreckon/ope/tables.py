@@ -1,0 +1,180 @@
+"""What policies do on the rows of a log, as arrays: estimators see these and never a policy's network.
+
+So policies of different kinds share one compiled program, and any Python function is a policy.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.data.spec import Spec
+from deadreckon.data.view import View
+from deadreckon.errors import UserError
+from deadreckon.policies.policy import Deployed, Step
+
+BLOCK = 8192  # rows at a time
+LIMIT = 2**30  # bytes of a table above which it lies in a file
+NOISE = 0.01  # standard deviation, on the scale where actions are in [-1, 1], given to policies that draw nothing (8.5)
+DRAWS = 100  # of a discrete policy that does not tell its probabilities
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Policies as one thing that acts on batches of observations.
+
+    Attributes:
+        policies: with continuous actions, or all discrete ones.
+        names: one each.
+        spec: of the log.
+        greedy: each policy's best guess instead of draws.
+        seed: of all draws; row `i` of a table is drawn alike whatever is asked for besides it.
+    """
+
+    policies: Sequence[Any]
+    names: Sequence[str]
+    spec: Spec
+    greedy: bool
+    seed: int
+
+    def __post_init__(self):
+        for policy, name in zip(self.policies, self.names):
+            if jax.tree.leaves(policy.start(1)):
+                raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
+
+    def table(self, observations: Any, samples: int, purpose: int = 0) -> np.ndarray:
+        """What each policy does at each observation.
+
+        Args:
+            observations: (rows, *shape) raw, an array or what gives slices of one.
+            samples: draws a row, of continuous actions.
+            purpose: told apart in the draws.
+
+        Returns:
+            (rows, policies, samples, size) float32 actions in [-1, 1], or (rows, policies, n) probabilities of discrete ones.
+        """
+        rows = len(observations)
+        inner = (self.spec.action_size,) if self.spec.discrete else (1 if self.greedy else samples, self.spec.action_size)
+        out = _room((rows, len(self.policies), *inner))
+        for start in range(0, rows, BLOCK):
+            part = np.asarray(observations[start : start + BLOCK])
+            for i, (policy, name) in enumerate(zip(self.policies, self.names)):
+                key = [self.seed, purpose, start, i]
+                if self.spec.discrete:
+                    found = self._probabilities(policy, part, key)
+                else:
+                    found = self._actions(policy, part, key, inner[0])
+                if found.shape[1:] != inner:
+                    size = self.spec.action_size
+                    raise UserError(f"{name} gives actions of shape {found.shape[2:]}, {self.spec.name} has ({size},)")
+                if not np.isfinite(found).all():
+                    raise UserError(f"{name} gives actions that are not finite")
+                out[start : start + len(part), i] = found
+        return out
+
+    def log_probs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """(policies, rows) float64 log-densities of the environment's actions, or log-probabilities of discrete ones.
+
+        A policy that draws nothing is given Gaussian noise of `NOISE` (thesis 8.5).
+
+        Raises:
+            UserError: a policy draws its actions and does not tell how likely they are.
+        """
+        out = np.empty((len(self.policies), len(actions)))
+        view = View.of(self.spec)
+        for start in range(0, len(actions), BLOCK):
+            seen, taken = np.asarray(observations[start : start + BLOCK]), np.asarray(actions[start : start + BLOCK])
+            for i, (policy, name) in enumerate(zip(self.policies, self.names)):
+                key = [self.seed, 0, start, i]
+                if self.spec.discrete:
+                    chosen = self._probabilities(policy, seen, key)[np.arange(len(taken)), taken]
+                    with np.errstate(divide="ignore"):
+                        found = np.log(chosen)
+                elif self.greedy or _draws_nothing(policy):
+                    unit = self._actions(policy, seen, key, 1)[:, 0]
+                    z = (view.to_unit(taken) - unit) / NOISE
+                    found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(NOISE * np.sqrt(2 * np.pi)) - view.log_scale
+                elif policy.has_log_prob:
+                    own = isinstance(policy, Deployed)
+                    found = _padded(_log_prob, policy, seen, taken) if own else policy.log_prob(seen, taken)
+                else:
+                    raise UserError(
+                        f"{name} draws its actions and does not tell how likely they are; use BlackBoxPolicy(fn, log_prob=...) "
+                        "or an estimator that needs no probabilities, such as FQE"
+                    )
+                out[i, start : start + len(taken)] = np.asarray(found)
+        if np.isnan(out).any() or np.isposinf(out).any():
+            bad = int(np.argwhere(np.isnan(out) | np.isposinf(out))[0][0])
+            raise UserError(f"{self.names[bad]} gives log-probabilities that are not finite")
+        return out
+
+    def _actions(self, policy: Any, observations: np.ndarray, key: list[int], samples: int) -> np.ndarray:
+        """(rows, samples, size) in [-1, 1]."""
+        view = View.of(self.spec)
+        if isinstance(policy, Deployed):
+            seed = jnp.uint32(np.random.SeedSequence(key).generate_state(1)[0])
+            drawn = _padded(_draw, policy, observations, seed=seed, samples=samples, greedy=self.greedy)
+        else:
+            rng = np.random.default_rng(key)
+            step = Step(observations, np.zeros(len(observations)), np.ones(len(observations), bool))
+            drawn = np.stack([policy.act(step, (), rng, greedy=self.greedy)[0] for _ in range(samples)], 1)
+        if drawn.ndim != 3 or drawn.shape[2] != self.spec.action_size:
+            return drawn
+        return np.asarray(view.to_unit(np.asarray(drawn, np.float32)))
+
+    def _probabilities(self, policy: Any, observations: np.ndarray, key: list[int]) -> np.ndarray:
+        """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased."""
+        tells = getattr(policy, "action_probs", None)
+        if tells is not None and not self.greedy:
+            return np.asarray(tells(observations), np.float32)
+        rng = np.random.default_rng(key)
+        rows = np.arange(len(observations))
+        counts = np.zeros((len(observations), self.spec.action_size), np.float32)
+        step = Step(observations, np.zeros(len(rows)), np.ones(len(rows), bool))
+        draws = 1 if self.greedy else DRAWS
+        for _ in range(draws):
+            chosen = np.asarray(policy.act(step, (), rng, greedy=self.greedy)[0])
+            if chosen.shape != rows.shape or chosen.min(initial=0) < 0 or chosen.max(initial=0) >= self.spec.action_size:
+                raise UserError(f"a policy of this log gives one of 0 .. {self.spec.action_size - 1} a row")
+            counts[rows, chosen.astype(int)] += 1.0 / draws
+        return counts
+
+
+def _draws_nothing(policy: Any) -> bool:
+    """Whether a policy of ours has nothing random in it."""
+    return isinstance(policy, Deployed) and type(policy.inner).__name__ == "Deterministic"
+
+
+def _room(shape: tuple[int, ...]) -> np.ndarray:
+    """A float32 array in memory, or above `LIMIT` in a file that goes with it."""
+    if 4 * int(np.prod(shape)) <= LIMIT:
+        return np.empty(shape, np.float32)
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, np.float32, "w+", shape=shape)
+
+
+def _padded(function: Any, policy: Deployed, *columns: np.ndarray, **options: Any) -> np.ndarray:
+    """`function` on whole blocks, so that one compiled program serves the last, shorter block too."""
+    rows = len(columns[0])
+    size = min(BLOCK, 1 << (rows - 1).bit_length())
+    wide = [np.concatenate([c, np.repeat(c[-1:], size - rows, 0)]) if size > rows else c for c in columns]
+    return np.asarray(function(policy, *map(jnp.asarray, wide), **options))[:rows]
+
+
+@eqx.filter_jit
+def _draw(policy: Deployed, observations: Any, *, seed: Any, samples: int, greedy: bool) -> Any:
+    """(rows, samples, size) environment actions."""
+    step = Step(observations, jnp.zeros(len(observations)), jnp.ones(len(observations), bool))
+    keys = jax.random.split(jax.random.key(seed), samples)
+    one = lambda key: policy.act(step, policy.start(len(observations)), key, greedy=greedy)[0]  # noqa: E731
+    return jnp.moveaxis(jax.vmap(one)(keys), 0, 1)
+
+
+@eqx.filter_jit
+def _log_prob(policy: Deployed, observations: Any, actions: Any) -> Any:
+    return policy.log_prob(observations, actions)

@@ -1,0 +1,126 @@
+"""VPM: the variational power method for occupancy ratios (Wen et al. 2020; thesis 8.5).
+
+A policy's discounted occupancy d is the fixed point of d' = (1 - g) start + g P d, where `start` is the initial states with the
+policy's actions and P a step followed by the policy's action: iterated from anywhere, d' comes to it (the power method). With
+d = tau log, tau the ratio to the log's own distribution, one iteration is the density ratio d' / log. Every f-divergence has a
+variational form whose solution is that ratio and which needs only expectations; with the squared one it is
+
+    tau' = argmin E_log[tau^2] / 2 - (1 - g) E_start[tau] - g E_log[tau_k(s, a) (1 - terminal) tau(s', a')]
+
+(least-squares importance fitting), so a single network does it, where other divergences need a second one. A penalty keeps the
+mass of an occupancy, E_log[tau (1 - g (1 - terminal))] = 1 - g. The weights need no behaviour policy.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, copy, descend
+from deadreckon.ope.critics import Fitted, create, expected, taken
+from deadreckon.ope.dice import occupancy_rows, weighted_rewards
+from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.intervals import spread
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """The ratio of this iteration, that of the one before, and the optimiser."""
+
+    tau: MLP
+    before: MLP
+    opt: optax.OptState
+
+
+class Power(eqx.Module):
+    """What `fit` trains."""
+
+    lr: float
+    discount: float
+    penalty: float
+    inner: int = eqx.field(static=True)
+    members: int = eqx.field(static=True)
+    policies: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Transitions and as many initial states, each with what the policies do there and the members' weights."""
+        return Needs(batch_size=self.batch_size, initial=self.batch_size, standardise=True)
+
+    def init(self, spec, key):
+        """Fresh networks."""
+        tau = create(spec, self.hidden, self.members, self.policies, key)
+        return State(tau, copy(tau), begin(tau))
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step of the fit; every `inner` steps an iteration is over and the next begins."""
+        grads, metrics = jax.grad(self.loss, has_aux=True)(state.tau, state.before, batch)
+        tau, opt = descend(state.tau, grads, state.opt, self.lr)
+        over = (step + 1) % self.inner == 0
+        before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
+        return State(tau, before, opt), metrics
+
+    def loss(self, tau_net: MLP, before_net: MLP, batch: Batch):
+        """The objective above, summed over members and policies."""
+        extra = batch.extra
+        assert extra is not None
+        lasts = 1.0 - batch.terminal
+        tau = jax.nn.softplus(taken(tau_net, batch.observation, batch.action))
+        before = jax.nn.softplus(taken(before_net, batch.observation, batch.action))
+        future = _expected_ratio(tau_net, batch.next_observation, extra["policy"])
+        first = _expected_ratio(tau_net, batch.initial_observation, extra["initial_policy"])
+        weight, initial_weight = extra["weight"].T[:, None, :], extra["initial_weight"].T[:, None, :]
+        fit = (weight * (jnp.square(tau) / 2 - self.discount * before * lasts * future)).mean(-1)
+        fit = fit - (1.0 - self.discount) * (initial_weight * first).mean(-1)
+        mass = (weight * tau * (1.0 - self.discount * lasts)).mean(-1) / (1.0 - self.discount)
+        return (fit + self.penalty * jnp.square(mass - 1.0) / 2).sum(), {"loss": fit.mean(), "mass": mass.mean()}
+
+
+def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:
+    """As `critics.expected`, of the positive outputs: (members, policies, b)."""
+    return expected(net, observation, table, jax.nn.softplus)
+
+
+class VPM(Estimator):
+    """The variational power method."""
+
+    members: int = static(3)  # networks a policy, each on redrawn episodes
+    hidden: tuple[int, ...] = static((64, 64))  # width of each hidden layer
+    steps: int = static(100_000)  # updates
+    inner: int = static(10)  # updates an iteration of the power method
+    batch_size: int = static(2048)  # rows a batch
+    lr: float = 1e-4  # learning rate
+    penalty: float = 1.0  # of a mass other than one
+    samples: int = static(1)  # actions drawn at each next observation, once
+    initial_samples: int = static(10)  # actions drawn at each initial observation
+
+    def ratios(self, case: Case) -> np.ndarray:
+        """(members, policies, rows) occupancy of the policy over that of the log."""
+        return case.once(self, lambda: self._fit(case))
+
+    def _fit(self, case: Case) -> np.ndarray:
+        data = case.data
+        learner = Power(
+            self.lr, case.discount, self.penalty, self.inner, self.members, len(case.policies), self.hidden, self.batch_size
+        )
+        rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
+        state = case.train(learner, rows, self.steps, "vpm")
+        found = Fitted(state.tau, 1.0, rows.view).of_actions(data.observations, data.actions)
+        return np.asarray(jax.nn.softplus(jnp.asarray(found)))
+
+    def solve(self, case: Case) -> Estimates:
+        """The weighted average of the logged rewards."""
+        data, ratios = case.data, self.ratios(case)
+        mass = (1.0 - case.discount * (1.0 - np.asarray(data.terminals, np.float64))) / (1.0 - case.discount)
+        weight = case.redrawn(self.members)[data.episode_of].T * data.usable
+        masses = np.stack([own @ (seen * mass) for own, seen in zip(ratios, weight)]) / weight.sum(1)[:, None]
+        found = weighted_rewards(case, ratios, self.members) / masses
+        low, high = spread(found)
+        return Estimates("VPM", case.names, found.mean(0), low, high, case.discount, redraws=found)

@@ -1,0 +1,168 @@
+"""Sums over episodes, weighted by likelihood ratios: what importance sampling and doubly robust estimates have in common.
+
+With rho_t the product of the ratios pi(a|s) / beta(a|s) of an episode's first t + 1 actions, an estimate is the sum over t of
+N_t / D_t, where N_t = sum_i discount^t rho_t^i x_t^i over the episodes i, and D_t is their number or, self-normalised, the sum
+of their rho_t. An episode that has ended keeps its last ratio: nothing follows it, and that counts. One that the log has cut
+off (a timeout) is no longer counted: what would have followed is not known.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.ope.intervals import ALPHA, RESAMPLES
+
+GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
+FEW = 10.0  # effective episodes below which one is warned
+
+
+@dataclass(frozen=True)
+class Sums:
+    """N and D of one policy, for groups of episodes.
+
+    Attributes:
+        numerators: (groups, steps).
+        denominators: (groups, steps).
+        effective: episodes that the weights amount to, (sum w)^2 / sum w^2, a mean over steps with weights discount^t.
+    """
+
+    numerators: np.ndarray
+    denominators: np.ndarray
+    effective: float
+
+    def value(self) -> float:
+        """The estimate."""
+        return float(_ratios(self.numerators.sum(0), self.denominators.sum(0)).sum())
+
+    def partial(self) -> np.ndarray:
+        """(steps,) the estimate up to each step."""
+        return np.cumsum(_ratios(self.numerators.sum(0), self.denominators.sum(0)))
+
+    def redraw(self, counts: np.ndarray) -> np.ndarray:
+        """(n,) estimates of redrawn logs; `counts` (n, groups) says how often each group counts."""
+        return _ratios(counts @ self.numerators, counts @ self.denominators).sum(-1)
+
+    def influence(self) -> np.ndarray:
+        """(groups,) how far each pulls the estimate, to first order; their mean is zero, their sum over n^2 the variance."""
+        total = self.denominators.sum(0)
+        ratio = _ratios(self.numerators.sum(0), total)
+        pulls = _ratios(self.numerators - ratio * self.denominators, total[None])
+        return len(pulls) * pulls.sum(1)
+
+
+def _ratios(numerators: np.ndarray, denominators: np.ndarray) -> np.ndarray:
+    """Where nothing has weight, nothing is added."""
+    return np.divide(numerators, denominators, out=np.zeros(np.broadcast_shapes(numerators.shape, denominators.shape)),
+                     where=denominators > 0)  # fmt: skip
+
+
+def _accumulated(shape: tuple[int, ...], where: tuple[np.ndarray, ...], logs: np.ndarray) -> np.ndarray:
+    """Log of the running sum along the last axis of what `logs` says is added at `where`; what lies beyond is left out."""
+    out = np.full((*shape[:-1], shape[-1] + 1), -np.inf)
+    np.logaddexp.at(out, where, logs)
+    return np.logaddexp.accumulate(out[..., :-1], -1)
+
+
+class Episodes:
+    """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
+
+    def __init__(self, data: Dataset, discount: float, seed: int):
+        self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
+        self.first = data.starts
+        self.of = data.episode_of
+        self.time = np.arange(len(data)) - self.first[self.of]
+        self.ended = np.asarray(data.terminals)[data.ends]  # else cut off
+        self.steps = int(self.lengths.max())
+        rng = np.random.default_rng([seed, 2])
+        self.groups = min(self.count, GROUPS)
+        self.group = rng.permutation(np.arange(self.count) % self.groups)  # (episodes,)
+        draws = rng.integers(0, self.groups, (RESAMPLES, self.groups))
+        self.counts = np.stack([np.bincount(draw, minlength=self.groups) for draw in draws]).astype(float)
+
+    def cumulate(self, log_ratios: np.ndarray) -> np.ndarray:
+        """(rows,) log of rho_t: sums of the log-ratios over each episode so far."""
+        # Minus infinity, an action that the policy never takes, stays so for the rest of the episode.
+        never = np.isneginf(log_ratios)
+        total = np.cumsum(np.where(never, 0.0, log_ratios))
+        total -= np.repeat(total[self.first] - np.where(never, 0.0, log_ratios)[self.first], self.lengths)
+        if never.any():
+            misses = np.cumsum(never)
+            misses = misses - np.repeat(misses[self.first] - never[self.first], self.lengths)
+            total[misses > 0] = -np.inf
+        return total
+
+    def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
+        """Of one policy: `log_rho` and `x` (rows,). `alive_only` forgets ended episodes, as the public code does."""
+        last = log_rho[self.first + self.lengths - 1]
+        stays = self.ended & (not alive_only)
+        # Sums of the ended episodes' last ratios, in logarithms: (groups, steps) and (steps,).
+        where = self.group[stays], self.lengths[stays]
+        kept = _accumulated((self.groups, self.steps), where, last[stays])
+        kept_plain = _accumulated((self.steps,), where[1:], last[stays])
+        kept_squares = _accumulated((self.steps,), where[1:], 2 * last[stays])
+        # Weights are taken relative to the largest of their step, so that none overflows.
+        top = kept_plain.copy()
+        np.maximum.at(top, self.time, log_rho)
+        top = np.where(np.isfinite(top), top, 0.0)
+        cell = self.group[self.of] * self.steps + self.time
+        size, shape = self.groups * self.steps, (self.groups, self.steps)
+        relative = np.exp(log_rho - top[self.time])
+        if normalised:
+            rho = weights = relative
+            rest = np.exp(kept - top)
+        else:
+            with np.errstate(over="ignore"):
+                rho = np.exp(log_rho)
+            weights = np.ones(len(rho))
+            rest = np.exp(_accumulated((self.groups, self.steps), where, np.zeros(len(where[0]))))
+        numerators = np.bincount(cell, rho * x * self.discount**self.time, size).reshape(shape)
+        denominators = np.bincount(cell, weights, size).reshape(shape) + rest
+        plain = np.bincount(self.time, relative, self.steps) + np.exp(kept_plain - top)
+        squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)
+        effective = _ratios(np.square(plain), squares)
+        fade = self.discount ** np.arange(self.steps)
+        return Sums(numerators, denominators, float((fade * effective).sum() / fade.sum()))
+
+    def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool) -> np.ndarray:
+        """(episodes,) what each adds without normalisation: their mean is the unbiased estimate."""
+        with np.errstate(over="ignore"):
+            rho = np.exp(np.repeat(log_rho[self.first + self.lengths - 1], self.lengths) if whole else log_rho)
+        return np.bincount(self.of, rho * x * self.discount**self.time, self.count)
+
+    def whole(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool) -> Sums:
+        """The same with one weight an episode, its last, for its whole discounted sum of `x`."""
+        total = np.bincount(self.of, x * self.discount**self.time, self.count)
+        last = log_rho[self.first + self.lengths - 1]
+        top = last.max()
+        shift = top if np.isfinite(top) else 0.0
+        with np.errstate(over="ignore"):
+            rho = np.exp(last - (shift if normalised else 0.0))
+        relative = np.exp(last - shift)
+        numerators = np.bincount(self.group, rho * total, self.groups)[:, None]
+        denominators = np.bincount(self.group, rho if normalised else np.ones(self.count), self.groups)[:, None]
+        effective = _ratios(np.square(relative.sum()), np.square(relative).sum())
+        return Sums(numerators, denominators, float(effective))
+
+    def percentiles(self, draws: np.ndarray) -> tuple[float, float]:
+        """The bootstrap's interval."""
+        low, high = np.percentile(draws, [100 * ALPHA / 2, 100 * (1 - ALPHA / 2)])
+        return float(low), float(high)
+
+    def warnings(self, names: tuple[str, ...], effective: np.ndarray) -> list[str]:
+        """Why weighted sums of this log may not be trusted."""
+        found = []
+        few = np.flatnonzero(effective < min(FEW, self.count))
+        if len(few):
+            worst = int(few[np.argmin(effective[few])])
+            others = f", and {len(few) - 1} more below {FEW:g}" if len(few) > 1 else ""
+            found.append(f"the weights of {names[worst]} rest on {effective[worst]:.1f} of {self.count:,} episodes{others}")
+        cut = ~self.ended
+        if cut.any():
+            left = float(self.discount ** self.lengths[cut].mean())
+            if left > 0.02:
+                found.append(
+                    f"{cut.sum():,} of {self.count:,} episodes are cut off, after {self.lengths[cut].mean():,.0f} steps on "
+                    f"average, where {100 * left:.0f} % of the discounted time is still to come and is not counted"
+                )
+        return found

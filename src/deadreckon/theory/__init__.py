@@ -1,0 +1,5 @@
+"""Finite worlds that are solved exactly: ground truth for estimators and agents, and the arguments of the thesis in small."""
+
+from deadreckon.theory.tabular import MDP, chain, garnet, gridworld
+
+__all__ = ["MDP", "chain", "garnet", "gridworld"]

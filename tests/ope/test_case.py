@@ -1,0 +1,190 @@
+"""What a case takes and refuses, and what is shared, resumed and repeated."""
+
+import numpy as np
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.ope import FQE, BehaviorModel, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope.tables import NOISE
+from deadreckon.policies import BlackBoxPolicy
+from deadreckon.theory import garnet
+from tests.ope.worlds import as_policy, tables
+
+TINY = FQE(members=2, hidden=(8,), steps=60, batch_size=16)
+
+
+def linear(gain: float, noise: float, low=-5.0, high=5.0) -> BlackBoxPolicy:
+    """a = gain s + noise N(0, 1), with its density."""
+
+    def density(seen, actions):
+        z = (actions[:, 0] - gain * seen[:, 0]) / noise
+        return -0.5 * z**2 - np.log(noise * np.sqrt(2 * np.pi))
+
+    return BlackBoxPolicy(lambda seen, rng: gain * seen + noise * rng.standard_normal(seen.shape), log_prob=density)
+
+
+def lqr(gain: float, noise: float, episodes: int, steps: int, seed: int = 0) -> Dataset:
+    """s' = 0.9 s + 0.5 a + 0.1 N(0, 1), r = -(s^2 + 0.1 a^2), from s = N(0, 1): a log of `linear(gain, noise)`."""
+    rng = np.random.default_rng(seed)
+    s, columns = rng.standard_normal((episodes, 1)), []
+    for _ in range(steps):
+        a = gain * s + noise * rng.standard_normal(s.shape)
+        after = 0.9 * s + 0.5 * a + 0.1 * rng.standard_normal(s.shape)
+        columns.append((s, a, -(s[:, 0] ** 2 + 0.1 * a[:, 0] ** 2)))
+        s = after
+    seen, taken, got = (np.stack(column, 1) for column in zip(*columns))
+    last = np.zeros((episodes, steps), bool)
+    last[:, -1] = True
+    flat = [x.reshape(episodes * steps, *x.shape[2:]) for x in (seen, taken, got, last)]
+    return Dataset.from_arrays(
+        observations=flat[0], actions=flat[1], rewards=flat[2], timeouts=flat[3], final_observations=s,
+        action_space=Box((-5.0,), (5.0,)), name="lqr",
+    )  # fmt: skip
+
+
+def riccati(gain: float, noise: float, discount: float) -> float:
+    """Mean value of `linear(gain, noise)` at s = N(0, 1): -(p s^2 + c) with p and c from the Bellman equation."""
+    closed = 0.9 + 0.5 * gain
+    p = (1 + 0.1 * gain**2) / (1 - discount * closed**2)
+    c = (0.1 * noise**2 + discount * p * ((0.5 * noise) ** 2 + 0.1**2)) / (1 - discount)
+    return -(p + c)
+
+
+def test_fqe_on_lqr_has_the_riccati_value():
+    log = lqr(-0.5, 0.5, 300, 40)
+    policies = [linear(-0.5, 0.5), linear(-1.0, 0.2), linear(0.0, 0.3)]
+    exact = [riccati(-0.5, 0.5, 0.9), riccati(-1.0, 0.2, 0.9), riccati(0.0, 0.3, 0.9)]
+    estimator = FQE(members=2, hidden=(32, 32), steps=4000, lr=2e-3, batch_size=256, target_rate=0.02)
+    found = estimator.estimate(log, policies, discount=0.9, names=["logged", "better", "idle"])
+    np.testing.assert_allclose(found.value, exact, rtol=0.08)
+    assert found.names[found.best] == "better"
+    assert "better" in str(found)
+    np.testing.assert_allclose(found.average, 0.1 * found.value)
+
+
+def test_importance_sampling_with_a_learned_behaviour_policy():
+    """With the densities that the log was made with, and with learned ones."""
+    log = lqr(-0.5, 0.5, 2000, 8)
+    target = linear(-0.6, 0.45)
+    true = lqr(-0.6, 0.45, 20_000, 8, seed=1).returns(0.9).mean()
+    column = linear(-0.5, 0.5).log_prob(log.observations, log.actions)
+    told = Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts,
+        final_observations=log.final_observations, action_space=log.action_space, behavior_log_probs=column,
+    )  # fmt: skip
+    given = ImportanceSampling().estimate(told, target, discount=0.9)
+    model = BehaviorModel(hidden=(32,), steps=3000, lr=3e-3)
+    learned = ImportanceSampling(model=model).estimate(log, target, discount=0.9)
+    assert given.low[0] < true < given.high[0]
+    assert abs(learned.value[0] - given.value[0]) < given.high[0] - given.low[0]
+    with pytest.raises(UserError, match="no column behavior_log_probs; ask for behavior='learned'"):
+        ImportanceSampling(behavior="logged").estimate(log, target)
+
+
+def test_a_policy_that_draws_nothing_gets_noise():
+    log = lqr(-0.5, 0.5, 2, 5)
+    case = Case(log, linear(-0.5, 0.5), greedy=True)
+    case.policies[0].fn = lambda seen, rng: -0.5 * seen
+    z = (log.actions[:, 0] + 0.5 * log.observations[:, 0]) / 5.0 / NOISE
+    expected = -0.5 * z**2 - np.log(NOISE * np.sqrt(2 * np.pi)) - np.log(5.0)
+    np.testing.assert_allclose(case.log_probs[0], expected, rtol=1e-3)
+
+
+def test_what_one_policy_draws_does_not_depend_on_the_others():
+    log = lqr(-0.5, 0.5, 3, 5)
+    two = Case(log, [linear(-0.5, 0.5), linear(-1.0, 0.2)]).next_actions(4)
+    one = Case(log, [linear(-0.5, 0.5)]).next_actions(4)
+    assert two.shape == (15, 2, 4, 1)
+    np.testing.assert_array_equal(two[:, :1], one)
+    assert np.abs(np.diff(one, axis=2)).min() > 0
+    # Tables are in [-1, 1]: here the actions over 5.
+    assert abs(np.corrcoef(one[:, 0, :, 0].mean(1), log.next_observations[:, 0])[0, 1]) > 0.7
+
+
+def test_probabilities_that_are_not_told_are_counted():
+    true = garnet(states=4, actions=3)
+    table = tables(true, 1, 1.0)[0]
+    log = true.log(table, 20, 5, np.random.default_rng(0))
+    told = as_policy(table)
+    silent = BlackBoxPolicy(told.fn)
+    found = Case(log, [told, silent]).current_actions(1)
+    np.testing.assert_allclose(found[:, 0], table[log.observations.argmax(1)], rtol=1e-6)
+    assert 0 < np.abs(found[:, 1] - found[:, 0]).max() < 0.2
+    np.testing.assert_allclose(found[:, 1].sum(-1), 1.0, rtol=1e-5)
+
+
+def test_estimators_share_what_they_fit(monkeypatch):
+    true = garnet(states=4, actions=2, ending=0.2)
+    log = true.log(tables(true, 1, 0.3)[0], 30, 20, np.random.default_rng(0))
+    case = Case(log, as_policy(tables(true, 1, 0.5, seed=1)[0]), discount=0.9)
+    fits = []
+    train = Case.train
+
+    def count(self, learner, rows, steps, what):
+        fits.append(what)
+        return train(self, learner, rows, steps, what)
+
+    monkeypatch.setattr(Case, "train", count)
+    for estimator in (TINY, DoublyRobust(fqe=TINY), DoublyRobust(kind="magic", fqe=TINY), ImportanceSampling()):
+        estimator.on(case)
+    assert fits == ["fqe"]
+
+
+def test_a_killed_fit_goes_on(tmp_path):
+    true = garnet(states=4, actions=2, ending=0.2)
+    log = true.log(tables(true, 1, 0.3)[0], 30, 20, np.random.default_rng(0))
+    policy = as_policy(tables(true, 1, 0.5, seed=1)[0])
+    long = TINY.replace(steps=2500)
+    whole = long.estimate(log, policy, discount=0.9)
+
+    class Killed(Exception):
+        pass
+
+    def kill(what, step, steps):
+        if step >= 2000:
+            raise Killed
+
+    with pytest.raises(Killed):
+        long.estimate(log, policy, discount=0.9, out=tmp_path / "ope", watch=kill)
+    seen = []
+    rest = long.estimate(log, policy, discount=0.9, out=tmp_path / "ope", watch=lambda what, step, steps: seen.append(step))
+    assert seen == [2000, 2500]
+    np.testing.assert_array_equal(rest.value, whole.value)
+    other = as_policy(tables(true, 1, 0.5, seed=2)[0])
+    for asked in ((log.select(np.arange(20)), policy), (log, other)):
+        with pytest.raises(UserError, match="holds estimates of another log or of other policies"):
+            long.estimate(*asked, discount=0.9, out=tmp_path / "ope")
+
+
+def test_refusals():
+    log = lqr(-0.5, 0.5, 3, 5)
+    silent = BlackBoxPolicy(lambda seen, rng: seen)
+    with pytest.raises(UserError, match=r"discount must be 0 \.\. 1 without 1, got 1.0"):
+        Case(log, silent, discount=1.0)
+    with pytest.raises(UserError, match="no policy to judge"):
+        Case(log, [])
+    with pytest.raises(UserError, match="policies must be policies or runs, got int"):
+        Case(log, 3)
+    with pytest.raises(UserError, match="2 policies need as many names, got 1"):
+        Case(log, [silent, silent], names=["a"])
+    with pytest.raises(UserError, match="policy 0 draws its actions and does not tell how likely they are"):
+        ImportanceSampling(behavior="auto", model=BehaviorModel(steps=1)).estimate(log, silent)
+    with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(2,\), lqr has \(1,\)"):
+        TINY.estimate(log, BlackBoxPolicy(lambda seen, rng: np.tile(seen, 2)))
+    with pytest.raises(UserError, match="policy 0 gives actions that are not finite"):
+        TINY.estimate(log, BlackBoxPolicy(lambda seen, rng: np.nan * seen))
+    with pytest.raises(UserError, match=r"FQE.lr takes a finite number >= 0"):
+        FQE(lr=-1.0).estimate(log, silent)
+    with pytest.raises(UserError, match="fqe: .* was not finite at update"):
+        TINY.replace(lr=1e30).estimate(log, silent)
+
+
+def test_warnings_say_when_not_to_trust():
+    true = garnet(states=4, actions=2)
+    log = true.log(tables(true, 1, 0.1)[0], 40, 30, np.random.default_rng(0))
+    found = ImportanceSampling(kind="trajectory").estimate(log, as_policy(tables(true, 1, 3.0, seed=1)[0]), discount=0.98)
+    assert found.effective[0] < 10
+    assert any("the weights of policy 0 rest on" in line for line in found.warnings)
+    assert any("40 of 40 episodes are cut off, after 30 steps" in line for line in found.warnings)

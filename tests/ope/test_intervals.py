@@ -1,0 +1,128 @@
+"""Intervals: constants by hand, and how often they hold the truth."""
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.ope import Case, DoublyRobust, ImportanceSampling, intervals
+from deadreckon.ope.weights import Episodes
+from deadreckon.theory import garnet
+from tests.ope.worlds import as_policy, tables
+
+
+def test_constants_by_hand():
+    x = np.array([0.0, 1.0, 1.0, 0.0, 1.0])
+    assert intervals.student(x) == pytest.approx((0.6 - 2.776445 * 0.5477226 / 5**0.5, 0.6 + 2.776445 * 0.5477226 / 5**0.5))
+    half = np.sqrt(np.log(40) / 10)
+    assert intervals.hoeffding(x, 0.0, 1.0) == pytest.approx((0.6 - half, 0.6 + half))
+    half = np.sqrt(2 * 0.3 * np.log(80) / 5) + 7 * np.log(80) / (3 * 4)
+    assert intervals.empirical_bernstein(x, 0.0, 1.0) == pytest.approx((0.6 - half, 0.6 + half))
+    # A range of 2 is twice as wide a Hoeffding interval.
+    low, high = intervals.hoeffding(2 * x, 0.0, 2.0)
+    assert high - low == pytest.approx(2 * 2 * np.sqrt(np.log(40) / 10))
+    assert intervals.student(x[:1]) == (-np.inf, np.inf)
+
+
+def test_spread_is_the_interval_of_one_more_draw():
+    """A truth that is one more draw of what the members are drawn from lies inside in 95 % of cases."""
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((4, 20_000))
+    low, high = intervals.spread(draws[:3])
+    assert abs(((low < draws[3]) & (draws[3] < high)).mean() - 0.95) < 0.01
+    assert np.isnan(intervals.spread(draws[:1])[0]).all()
+
+
+COVERED = {
+    "pdis, t": ImportanceSampling(normalised=False, interval="t"),
+    "pdis, bootstrap": ImportanceSampling(normalised=False),
+    "wpdis, t": ImportanceSampling(interval="t"),
+    "wpdis, bootstrap": ImportanceSampling(),
+    "dr, t": DoublyRobust(kind="dr"),
+    "wdr, bootstrap": DoublyRobust(kind="wdr"),
+}
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """600 logs of one world with a value function that knows nothing of them."""
+    true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
+    rng = np.random.default_rng(0)
+    cases = []
+    for _ in range(600):
+        case = Case(true.log(behavior, 100, 60, rng), [as_policy(target)], discount=0.9)
+        # The true values with an error, as a fit of another log might have them.
+        q = 0.8 * true.q(target, 0.9) + 0.2
+        state, after = case.data.observations.argmax(1), case.data.next_observations.argmax(1)
+        v = (target * q).sum(1)
+        errors = case.data.rewards + 0.9 * np.where(case.data.terminals, 0.0, v[after]) - q[state, case.data.actions]
+        for each in ("dr, t", "wdr, bootstrap"):
+            estimator = COVERED[each]
+            kept = errors[None].astype(float), v[state[case.data.starts]][None, None]
+            case.once(("errors", estimator.fqe, estimator.samples), lambda kept=kept: kept)
+        cases.append(case)
+    return cases, true.value(target, 0.9)
+
+
+@pytest.mark.parametrize("name", COVERED)
+def test_coverage(logs, name):
+    cases, exact = logs
+    inside = [found.low[0] <= exact <= found.high[0] for found in map(COVERED[name].on, cases)]
+    assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
+
+
+def test_bounds_that_hold_for_every_number_of_episodes(logs):
+    cases, exact = logs
+    bounded = {"return_range": (-20.0, 20.0), "max_weight": 8.0, "normalised": False, "kind": "trajectory"}
+    wide = {}
+    for interval in ("t", "bernstein", "hoeffding"):
+        found = ImportanceSampling(interval=interval, **bounded).on(cases[0])
+        assert found.low[0] < exact < found.high[0]
+        wide[interval] = found.high[0] - found.low[0]
+    assert wide["t"] < wide["bernstein"]
+    assert wide["t"] < wide["hoeffding"]
+    with pytest.raises(UserError, match="needs normalised=False, return_range"):
+        ImportanceSampling(interval="hoeffding").on(cases[0])
+
+
+def test_sums_by_hand():
+    """Two episodes, one ended after its first step: its weight counts at the second step too."""
+    true = garnet(states=3, actions=2, ending=0.4)
+    log = true.log(tables(true, 1, 0.1)[0], 400, 10, np.random.default_rng(0))
+    pick = [int(np.flatnonzero((log.lengths == 1) & log.terminals[log.ends])[0]), int(np.flatnonzero(log.lengths == 2)[0])]
+    two = log.select(pick)
+    episodes = Episodes(two, 0.5, 0)
+    log_rho = episodes.cumulate(np.log([3.0, 2.0, 0.5]))
+    np.testing.assert_allclose(np.exp(log_rho), [3.0, 2.0, 1.0])
+    x = np.array([10.0, 20.0, 40.0])
+    plain = episodes.sums(log_rho, x, normalised=False)
+    assert plain.value() == pytest.approx((30 + 40) / 2 + 0.5 * 40 / 2)
+    weighted = episodes.sums(log_rho, x, normalised=True)
+    assert weighted.value() == pytest.approx((30 + 40) / 5 + 0.5 * 40 / (3 + 1))
+    public = episodes.sums(log_rho, x, normalised=True, alive_only=True)
+    assert public.value() == pytest.approx((30 + 40) / 5 + 0.5 * 40 / 1)
+    assert weighted.effective == pytest.approx((25 / 13 + 0.5 * 16 / 10) / 1.5)
+    whole = episodes.whole(log_rho, x, normalised=True)
+    assert whole.value() == pytest.approx((3 * 10 + 1 * (20 + 20)) / 4)
+    np.testing.assert_allclose(episodes.contributions(log_rho, x, whole=False), [30, 40 + 20])
+    # Redrawing every episode once is the estimate itself.
+    assert weighted.redraw(np.ones((1, 2)))[0] == pytest.approx(weighted.value())
+    assert abs(weighted.influence().sum()) < 1e-12
+
+
+def test_weights_do_not_overflow():
+    """A thousand steps, each e^2 times likelier: self-normalised weights stay finite."""
+    true = garnet(states=3, actions=2)
+    log = true.log(tables(true, 1, 0.1)[0], 5, 1000, np.random.default_rng(0))
+    episodes = Episodes(log, 0.99, 0)
+    ratios = np.full(len(log), 2.0) + np.repeat(np.arange(5), 1000) * 1e-3
+    sums = episodes.sums(episodes.cumulate(ratios), np.asarray(log.rewards, float), normalised=True)
+    assert np.isfinite(sums.value())
+    assert np.isfinite(sums.redraw(episodes.counts)).all()
+    assert 1.0 <= sums.effective <= 5.0
+    # An action that the policy never takes leaves the episode without weight from there on.
+    ratios[3000] = -np.inf
+    log_rho = episodes.cumulate(ratios)
+    assert np.isneginf(log_rho[3000:4000]).all()
+    assert np.isfinite(log_rho[2000:3000]).all()
+    assert np.isfinite(log_rho[4000:]).all()

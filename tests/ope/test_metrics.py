@@ -1,0 +1,93 @@
+"""Metrics by hand, and the published tables against their own medians."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.ope import metrics as m
+
+
+def test_by_hand():
+    truth = np.array([0.0, 10.0, 5.0])
+    estimates = np.array([3.0, 8.0, 9.0])
+    assert m.absolute_error(estimates, truth) == pytest.approx(3.0)
+    assert m.rank_correlation(estimates, truth) == pytest.approx(0.5)
+    assert m.regret(estimates, truth) == 5.0
+    assert m.regret(estimates, truth, 2) == 0.0
+    np.testing.assert_allclose(m.normalise(estimates, truth), [0.3, 0.8, 0.9])
+    assert m.sharpe_ratio(estimates, truth, behavior=4.0, k=2) == pytest.approx((10.0 - 4.0) / 2.5)
+    # Above 4 are the last two in truth; the estimates put the first at 3 and both others above.
+    assert m.error_rates(estimates, truth, 4.0) == (0.0, 0.0)
+    assert m.error_rates(estimates, truth, 2.5) == (1.0, 0.0)
+    assert m.error_rates(estimates, truth, 8.5) == (0.5, 1.0)
+
+
+def test_rank_correlation_is_that_of_ranks():
+    """E.3 is Pearson's formula; on ranks a monotone map changes nothing."""
+    rng = np.random.default_rng(0)
+    a, b = rng.standard_normal((2, 11))
+    assert m.rank_correlation(np.exp(3 * a), b) == pytest.approx(m.rank_correlation(a, b))
+    assert m.rank_correlation(a, a**3) == pytest.approx(1.0)
+    assert np.isnan(m.rank_correlation(np.ones(3), np.arange(3)))
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_regret_among_ties_is_a_mean_over_orders(k):
+    truth, estimates = np.array([1.0, 4.0, 2.0, 9.0]), np.array([5.0, 5.0, 5.0, 1.0])
+    orders = [truth[list(order)][:k].max() for order in itertools.permutations(range(3))]
+    assert m.regret(estimates, truth, k) == pytest.approx(9.0 - np.mean(orders))
+
+
+def test_clipping_makes_ties_of_overestimates():
+    """The public notebook's form: two policies estimated above twice the range cannot be told apart."""
+    truth = np.array([0.0, 1.0, 0.5])
+    estimates = np.array([0.0, 2.5, 3.0])
+    plain, clipped = (m.metrics(estimates, truth, clip=clip) for clip in (None, m.PUBLIC_CLIP))
+    assert clipped.regret[0] < plain.regret[0]
+    assert clipped.absolute_error[0] < plain.absolute_error[0]
+
+
+def test_bootstrap_over_policies():
+    rng = np.random.default_rng(0)
+    truth = rng.standard_normal(11)
+    found = m.metrics(truth + 0.1 * rng.standard_normal(11), truth)
+    assert found.count == 11
+    assert 0.9 < found.rank_correlation[0] <= 1.0
+    assert 0.0 <= found.regret[0] < 0.1
+    assert 0.0 < found.absolute_error[1] < found.absolute_error[0]
+    assert found == m.metrics(truth + 0.1 * np.random.default_rng(0).standard_normal(22)[11:], truth)
+
+
+def test_refusals():
+    with pytest.raises(UserError, match="as many true values"):
+        m.metrics(np.zeros(3), np.zeros(4))
+    with pytest.raises(UserError, match=r"k must be 1 \.\. the number of policies, of which there are 3, got 4"):
+        m.metrics(np.arange(3), np.arange(3), k=4)
+    with pytest.raises(UserError, match="same true value"):
+        m.metrics(np.arange(3), np.ones(3))
+    with pytest.raises(UserError, match="policy 1 is not finite"):
+        m.metrics(np.array([0.0, np.inf, 1.0]), np.arange(3))
+
+
+def test_published_tables_have_their_printed_medians():
+    """Where the scan has all cells of a column, its median is the printed one; else the printed one is within reach."""
+    published, checked = m.published(), 0
+    for metric, domains in published["median"].items():
+        for domain, printed in domains.items():
+            table = published[metric][domain]
+            for method, median in printed.items():
+                cells = [row.get(method) for row in table.values()]
+                known = [cell[0] for cell in cells if cell is not None]
+                lost = len(cells) - len(known)
+                if median is None:
+                    continue
+                reach = [np.median([*known, *[fill] * lost]) for fill in (-np.inf, np.inf)]
+                assert reach[0] - 0.6 <= median <= reach[1] + 0.6
+                if not lost:
+                    digits = 0.006 if median < 100 else 0.6
+                    assert np.median(known) == pytest.approx(median, abs=digits)
+                    checked += 1
+    assert checked == 19
+    assert published["regret_at_1"]["d4rl"]["hopper-medium"]["IS"] == [0.38, 0.28]
