@@ -2,12 +2,17 @@
 
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.fqe_d import FQED
 from deadreckon.ope.importance import ImportanceSampling
+from deadreckon.ope.metrics import Metrics, metrics
+from deadreckon.ope.model_based import ModelBased
+from deadreckon.ope.registry import ESTIMATORS, estimator
+from deadreckon.ope.select import Choice, select
 from deadreckon.ope.vpm import VPM
 
 __all__ = [
-    "DICE", "FQE", "FQED", "VPM", "BehaviorModel", "Case", "DoublyRobust", "Estimates", "Estimator", "ImportanceSampling",
+    "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimates",
+    "Estimator", "ImportanceSampling", "Metrics", "ModelBased", "estimator", "metrics", "select",
 ]  # fmt: skip

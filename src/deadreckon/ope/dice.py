@@ -145,7 +145,7 @@ class DICE(Estimator):
         data = case.data
         learner = Saddle(
             self.lr, case.discount, Scale.of(case).std, self.primal, self.dual, self.reward,
-            self.average, self.norm, self.positive, self.members, len(case.policies), self.hidden, self.batch_size,
+            self.average, self.norm, self.positive, self.members, case.count, self.hidden, self.batch_size,
         )  # fmt: skip
         rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
         state = case.train(learner, rows, self.steps, "dice")

@@ -76,10 +76,7 @@ class DoublyRobust(Estimator):
         following = np.empty_like(now)
         following[:, :-1] = now[:, 1:]
         ends = data.ends
-        final = case.once(
-            ("final", self.samples), lambda: case.actor.table(data.final_observations, self.samples, 3)
-        )
-        last = fitted.values(data.final_observations, final).mean(0)
+        last = fitted.values(data.final_observations, case.final_actions(self.samples)).mean(0)
         unknown = ~data.usable[ends]
         following[:, ends] = np.where(np.asarray(data.terminals)[ends] | unknown, 0.0, last)
         chosen = fitted.of_actions(data.observations, data.actions).mean(0)

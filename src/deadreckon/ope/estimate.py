@@ -32,7 +32,8 @@ from deadreckon.training.fit import Fit
 from deadreckon.training.learner import check_fields, static
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
-NEXT, INITIAL, CURRENT = range(3)  # purposes of draws
+NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
+LOGGED = "the log"  # the name of the policy that made it
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,7 @@ class Case:
         seed: of everything random.
         greedy: the policies' best guesses instead of their draws.
         names: of the policies.
+        logged: judge the log's own policy too, as the last and under the name `LOGGED`: at each row it does what was logged.
         out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
         watch: called with what is fitted, the updates done and those in all.
 
@@ -140,6 +142,7 @@ class Case:
         seed: int = 0,
         greedy: bool = False,
         names: Sequence[str] | None = None,
+        logged: bool = False,
         out: Path | str | None = None,
         watch: Watcher = lambda what, step, steps: None,
     ):
@@ -158,26 +161,55 @@ class Case:
         self.data, self.discount, self.seed, self.greedy = data, discount, seed, greedy
         self.out, self.watch = None if out is None else Path(out), watch
         self.actor = Actor(self.policies, self.names, data.spec, greedy, seed)
+        self.logged = logged
+        if logged:
+            self.names = (*self.names, LOGGED)
         self._kept: dict[Any, Any] = {}
+
+    @property
+    def count(self) -> int:
+        """Policies that are judged, the log's own among them where it is."""
+        return len(self.names)
 
     # ---- what policies do -------------------------------------------------------------------------------------------
 
     def next_actions(self, samples: int) -> np.ndarray:
         """(rows, policies, ...) table of what the policies do after each row; see `Actor.table`."""
-        return self.once(("next", samples), lambda: self.actor.table(_Following(self.data), samples, NEXT))
+        # What the log's policy would have done after an episode's last row is not known; its last action stands in.
+        rows = np.arange(len(self.data))
+        after = np.where(self.data._is_end, rows, rows + 1)
+        return self._table("next", _Following(self.data), samples, NEXT, after)
 
     def initial_actions(self, samples: int) -> np.ndarray:
         """(episodes, policies, ...) table of what the policies do at the initial observations."""
-        first = np.asarray(self.data.observations[self.data.starts])
-        return self.once(("initial", samples), lambda: self.actor.table(first, samples, INITIAL))
+        starts = self.data.starts
+        return self._table("initial", np.asarray(self.data.observations[starts]), samples, INITIAL, starts)
 
     def current_actions(self, samples: int) -> np.ndarray:
         """(rows, policies, ...) table of what the policies do at each row."""
-        return self.once(("current", samples), lambda: self.actor.table(self.data.observations, samples, CURRENT))
+        return self._table("current", self.data.observations, samples, CURRENT, np.arange(len(self.data)))
+
+    def final_actions(self, samples: int) -> np.ndarray:
+        """(episodes, policies, ...) table of what the policies do at the final observations."""
+        return self._table("final", self.data.final_observations, samples, FINAL, self.data.ends)
+
+    def _table(self, name: str, observations: Any, samples: int, purpose: int, rows: np.ndarray) -> np.ndarray:
+        """The policies' table; the log's own policy does what it did at `rows`."""
+
+        def make() -> np.ndarray:
+            table = self.actor.table(observations, samples, purpose)
+            if not self.logged:
+                return table
+            taken = np.asarray(self.data.actions)[rows]
+            own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else View.of(self.data.spec).to_unit(taken)[:, None]
+            wide = np.broadcast_to(own[:, None].astype(np.float32), (len(own), 1, *table.shape[2:]))
+            return np.concatenate([table, wide], 1)
+
+        return self.once((name, samples), make)
 
     @cached_property
     def log_probs(self) -> np.ndarray:
-        """(policies, rows) log-probabilities of the logged actions."""
+        """(policies, rows) log-probabilities of the logged actions, without the log's own policy."""
         return self.actor.log_probs(self.data.observations, self.data.actions)
 
     def behavior_log_probs(self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel) -> np.ndarray:
@@ -276,12 +308,13 @@ class Estimator(eqx.Module):
         seed: int = 0,
         greedy: bool = False,
         names: Sequence[str] | None = None,
+        logged: bool = False,
         out: Path | str | None = None,
         watch: Watcher = lambda what, step, steps: None,
     ) -> Estimates:
         """The value of each policy, from the log alone; see `Case` for the arguments."""
-        case = Case(data, policies, discount=discount, seed=seed, greedy=greedy, names=names, out=out, watch=watch)
-        return self.on(case)
+        options = {"discount": discount, "seed": seed, "greedy": greedy, "names": names, "logged": logged}
+        return self.on(Case(data, policies, **options, out=out, watch=watch))
 
     def on(self, case: Case) -> Estimates:
         """The same on a case that several estimators share."""

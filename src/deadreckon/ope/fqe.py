@@ -126,7 +126,7 @@ class FQE(Estimator):
         data, scale = case.data, Scale.of(case)
         learner = Critics(
             self.lr, self.weight_decay, self.target_rate, case.discount, scale.std, scale.low, scale.high, self.members,
-            len(case.policies), self.hidden, self.batch_size,
+            case.count, self.hidden, self.batch_size,
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": case.redrawn(self.members)[data.episode_of]}
         rows = Rows(data, learner.needs(data.spec), extra)

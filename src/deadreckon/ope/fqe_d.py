@@ -177,7 +177,7 @@ class FQED(Estimator):
         data, scale = case.data, Scale.of(case)
         learner = Distributions(
             self.lr, case.discount, scale.std, scale.low, scale.high, self.gradient_clip, self.renew, self.atoms, self.members,
-            len(case.policies), self.hidden, self.batch_size,
+            case.count, self.hidden, self.batch_size,
         )  # fmt: skip
         redrawn = case.redrawn(self.members)
         extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}

@@ -89,4 +89,6 @@ def log_ratios(
 ) -> np.ndarray:
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action."""
     ratios = case.log_probs - case.behavior_log_probs(behavior, model)
+    if case.logged:  # which acts like itself
+        ratios = np.concatenate([ratios, np.zeros((1, ratios.shape[1]))])
     return ratios if within is None else np.clip(ratios, *within)

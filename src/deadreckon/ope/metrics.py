@@ -70,7 +70,7 @@ def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:
     free, floor = k - len(sure), max(sure, default=-np.inf)
     # The largest of `free` draws from n ties is the j-th smallest with probability C(j, free - 1) / C(n, free), j from 0.
     weights = np.array([math.comb(j, free - 1) for j in range(len(tied))]) / math.comb(len(tied), free)
-    return float(truth.max() - weights @ np.maximum(tied, floor))
+    return max(0.0, float(truth.max() - weights @ np.maximum(tied, floor)))  # rounding aside, it never is negative
 
 
 def metrics(

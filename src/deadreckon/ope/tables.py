@@ -16,11 +16,12 @@ import numpy as np
 from deadreckon.data.spec import Spec
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Deployed, Step
+from deadreckon.policies.policy import Deployed, Deterministic, Step
 
 BLOCK = 8192  # rows at a time
 LIMIT = 2**30  # bytes of a table above which it lies in a file
 NOISE = 0.01  # standard deviation, on the scale where actions are in [-1, 1], given to policies that draw nothing (8.5)
+MADE_UP = 9  # purpose of draws in made-up episodes
 DRAWS = 100  # of a discrete policy that does not tell its probabilities
 
 
@@ -76,6 +77,19 @@ class Actor:
                     raise UserError(f"{name} gives actions that are not finite")
                 out[start : start + len(part), i] = found
         return out
+
+    def act(self, which: int, observations: np.ndarray, t: int) -> np.ndarray:
+        """What one policy does at raw observations (rows, *shape) at step `t` of made-up episodes.
+
+        Returns:
+            (rows, size) actions in [-1, 1], or (rows,) indices.
+        """
+        policy, key = self.policies[which], [self.seed, MADE_UP, t, which]
+        if not self.spec.discrete:
+            return self._actions(policy, observations, key, 1)[:, 0]
+        chances = self._probabilities(policy, observations, key).cumsum(1)
+        drawn = np.random.default_rng([*key, 1]).random(len(observations)) * chances[:, -1]
+        return (drawn[:, None] >= chances[:, :-1]).sum(1)
 
     def log_probs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """(policies, rows) float64 log-densities of the environment's actions, or log-probabilities of discrete ones.
@@ -147,7 +161,7 @@ class Actor:
 
 def _draws_nothing(policy: Any) -> bool:
     """Whether a policy of ours has nothing random in it."""
-    return isinstance(policy, Deployed) and type(policy.inner).__name__ == "Deterministic"
+    return isinstance(policy, Deployed) and isinstance(policy.inner, Deterministic)
 
 
 def _room(shape: tuple[int, ...]) -> np.ndarray:

@@ -108,7 +108,7 @@ class VPM(Estimator):
     def _fit(self, case: Case) -> np.ndarray:
         data = case.data
         learner = Power(
-            self.lr, case.discount, self.penalty, self.inner, self.members, len(case.policies), self.hidden, self.batch_size
+            self.lr, case.discount, self.penalty, self.inner, self.members, case.count, self.hidden, self.batch_size
         )
         rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
         state = case.train(learner, rows, self.steps, "vpm")

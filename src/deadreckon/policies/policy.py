@@ -92,6 +92,30 @@ class TanhGaussian(Inner):
         return dist.log_prob(dist.gaussian_head(self.net(observation)), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
 
 
+class Gaussian(Inner):
+    """a = mean + std * noise without bounds, as published policies have it; the environment clips. Greedy is the mean."""
+
+    net: MLP
+    has_log_prob = True
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`; the action is not squashed."""
+        return self.pre_actions(step.observation, key, greedy=greedy), carry
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
+        if greedy:
+            return jnp.broadcast_to(mean, (*count, *mean.shape))
+        return dist.sample(dist.Gaussian(mean, log_std), key, count)
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+        """Log-density of actions."""
+        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
+        z = (action - mean) * jnp.exp(-log_std)
+        return (-0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
+
+
 class VAEDecoder(Inner):
     """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
 
@@ -164,7 +188,7 @@ class Deployed(eqx.Module):
 
     def log_prob(self, observation: Any, action: Any) -> Array:
         """Log-density of environment actions (n, size) at raw observations (n, *shape)."""
-        if not isinstance(self.inner, TanhGaussian):
+        if not isinstance(self.inner, TanhGaussian | Gaussian):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
         view = self.view
         log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), view.to_unit(jnp.asarray(action)))

@@ -71,9 +71,13 @@ class NumpyPolicy:
         get = self._array
         if self.tree["mean"] is not None:
             batch = (batch - get(self.tree["mean"])) / get(self.tree["std"])
-        unit = np.tanh(self._pre(self.tree["inner"], batch, rng, greedy, ()))
-        low, high = get(self.tree["low"]), get(self.tree["high"])
-        action = (low + 0.5 * (unit + 1.0) * (high - low)).astype(np.float32)
+        action = self._pre(self.tree["inner"], batch, rng, greedy, ())
+        if self.tree["inner"]["kind"] != "Gaussian":
+            action = np.tanh(action)
+        if self.tree["low"] is not None:
+            low, high = get(self.tree["low"]), get(self.tree["high"])
+            action = low + 0.5 * (action + 1.0) * (high - low)
+        action = action.astype(np.float32)
         return action if x.ndim > 1 else action[0]
 
     def _array(self, reference):
@@ -93,12 +97,12 @@ class NumpyPolicy:
         if kind == "Deterministic":
             out = self._net(node["net"], x)
             return np.broadcast_to(out, (*count, *out.shape))
-        if kind == "TanhGaussian":
+        if kind in ("TanhGaussian", "Gaussian"):
             mean, log_std = np.split(self._net(node["net"], x), 2, -1)
             if greedy:
                 return np.broadcast_to(mean, (*count, *mean.shape))
             noise = rng.standard_normal((*count, *mean.shape), np.float32)
-            return mean + np.exp(np.clip(log_std, *_LOG_STD)) * noise
+            return mean + np.exp(np.clip(log_std, *_LOG_STD) if kind == "TanhGaussian" else log_std) * noise
         if kind == "VAEDecoder":
             decoder = node["vae"]["decoder"]
             shape = (*count, len(x), self._array(decoder["weights"][0]).shape[0] - x.shape[-1])

@@ -13,10 +13,10 @@ from deadreckon.files import replacing
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import portable
-from deadreckon.policies.policy import Deployed, Deterministic, GreedyQ, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, GreedyQ, TanhGaussian, VAEDecoder
 
 # The only classes that a file can name: reading one runs no code of the file's choosing.
-_KINDS = {kind.__name__: kind for kind in (Deployed, Deterministic, TanhGaussian, VAEDecoder, GreedyQ, MLP, VAE)}
+_KINDS = {kind.__name__: kind for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, GreedyQ, MLP, VAE)}
 
 
 def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:

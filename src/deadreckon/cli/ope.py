@@ -1,0 +1,163 @@
+"""`deadreckon ope`: what policies are worth, from a log alone; `deadreckon ope bench`: how good such estimates are."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from deadreckon.cli.parse import parse
+from deadreckon.cli.progress import Bar
+from deadreckon.errors import UserError
+
+_NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
+
+
+@dataclass
+class Fits:
+    """Sizes of what the estimators fit; None: each estimator's own default."""
+
+    steps: int | None = None  # updates
+    members: int | None = None  # networks a policy, each on redrawn episodes; their spread is the interval
+    batch_size: int | None = None  # rows a batch
+    hidden: tuple[int, ...] | None = None  # width of each hidden layer
+
+
+@dataclass
+class Ope:
+    """Estimate policies from a log alone, with 95 % intervals; --select decides which to deploy. See also `ope bench`."""
+
+    data: str  # log: a name of the catalogue, or a file
+    policies: tuple[str, ...]  # run folders, policy files (.npz; DOPE's .pkl), or a task of the package's policies
+    estimators: Annotated[str, _NAMES] = "fqe,dr"  # which, the one to choose by first (see --list)
+    discount: float = 0.995  # of the returns
+    seed: int = 0  # of everything random
+    greedy: bool = False  # judge the policies' best guesses instead of their draws
+    select: bool = False  # print a decision card: deploy which policy, or none, and why
+    episodes: int | None = None  # use only the log's first episodes; None: all
+    out: str | None = None  # folder of estimates and checkpoints; a killed estimate goes on there
+    fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
+
+
+@dataclass
+class Bench:
+    """The DOPE protocol: estimate the package's policies from its logs, and compare with their true values."""
+
+    tasks: Annotated[str, _NAMES] = "hopper"  # whose policies and logs
+    kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # of logs
+    estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # which
+    public: bool = False  # importance weights as in the public code: learned behaviour, log-ratios within (-6, 2)
+    seed: int = 0  # of everything random
+    log_steps: int | None = None  # rows of the logs; None: all
+    out: str = "runs/dope"  # folder of results; what is there is not computed again
+    fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
+
+
+def ope(args: Sequence[str]) -> None:
+    """Estimates and prints."""
+    if args and args[0] == "bench":
+        return bench(args[1:])
+    if "--list" in args:
+        from deadreckon.cli.show import table
+        from deadreckon.ope.registry import ESTIMATORS
+
+        print(table([["estimator", "what and whence"], *([name, line] for name, (_, line) in ESTIMATORS.items())]))
+        return None
+    options = parse(Ope, args, "ope")
+    from deadreckon.data import catalogue
+    from deadreckon.ope import Case, select
+
+    found = _estimators(options.estimators, options.fits)
+    data = catalogue.load(options.data)
+    if options.episodes is not None:
+        if not 1 <= options.episodes <= data.episodes:
+            raise UserError(f"--episodes must be 1 .. {data.episodes}, the log's own, got {options.episodes}")
+        data = data.select(range(options.episodes))
+    policies, names = _policies(options.policies)
+    case = Case(
+        data, policies, discount=options.discount, seed=options.seed, greedy=options.greedy, names=names, logged=options.select,
+        out=options.out, watch=_Watch(),
+    )  # fmt: skip
+    results = []
+    for estimator in found:
+        results.append(estimator.on(case))
+        print(f"{results[-1]}\n", flush=True)
+    if options.select:
+        print(select(results))
+    return None
+
+
+def bench(args: Sequence[str]) -> None:
+    """Runs the protocol and prints its three tables."""
+    options = parse(Bench, args, "ope bench")
+    from deadreckon.collect import collect, recipe
+    from deadreckon.collect.recipes import default_path
+    from deadreckon.data.io import read
+    from deadreckon.ope import dope
+    from deadreckon.ope.registry import PUBLIC, with_fields
+
+    found = _estimators(options.estimators, options.fits)
+    if options.public:
+        found = [with_fields(estimator, PUBLIC) for estimator in found]
+    results = []
+    for task in options.tasks.split(","):
+        for kind in options.kinds.split(","):
+            name = f"{task}-{kind}-v2"
+            path = default_path(recipe(name), options.log_steps, 0)
+            if not path.exists():
+                with Bar(f"collecting {name}", options.log_steps or recipe(name).steps, "steps") as bar:
+                    collect(name, steps=options.log_steps, out=path, progress=bar)
+            data = read(path)
+            told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
+            results += dope.evaluate_log(data, task, found, seed=options.seed, out=options.out, watch=_Watch(), told=told)
+    for metric in ("absolute_error", "rank_correlation", "regret"):
+        words = {"absolute_error": "Absolute error, normalised", "rank_correlation": "Rank correlation", "regret": "Regret@1"}
+        print(f"\n{words[metric]}\n\n{dope.markdown(results, metric)}")
+
+
+def _estimators(names: str, fits: Fits) -> list[Any]:
+    from deadreckon.ope.registry import estimator
+
+    changes = {name: value for name, value in vars(fits).items() if value is not None}
+    return [estimator(name.strip(), **changes) for name in names.split(",")]
+
+
+def _policies(given: Sequence[str]) -> tuple[list[Any], list[str]]:
+    from deadreckon.policies import library, load_dope, store
+    from deadreckon.runs.train import load
+
+    policies, names = [], []
+    for text in given:
+        path = Path(text)
+        if path.is_dir():
+            run = load(path)
+            policies += run.policies
+            names += [f"{path.name} seed {seed}" for seed in run.seeds]
+        elif path.exists() or path.suffix:
+            policies.append(load_dope(path) if path.suffix in (".pkl", ".pickle") else store.load(path))
+            names.append(path.stem)
+        else:
+            snapshots = [s for s in library.library(text) if s.name.startswith("snapshot-")]
+            policies += [s.policy() for s in snapshots]
+            names += [s.name for s in snapshots]
+    if len(set(names)) < len(names):
+        names = [f"{name} ({i})" for i, name in enumerate(names)]
+    return policies, names
+
+
+class _Watch:
+    """A bar for each thing that is fitted."""
+
+    def __init__(self):
+        self.what, self.bar = "", None
+
+    def __call__(self, what: str, step: int, steps: int) -> None:
+        if what != self.what:
+            self.what, self.bar = what, Bar(what, steps, "updates").__enter__()
+        assert self.bar is not None
+        self.bar(step)
+        if step >= steps:
+            self.bar.__exit__(None, None, None)
+            self.what = ""

@@ -1,0 +1,75 @@
+"""Auto-regressive models: each number of the next observation is drawn given those before it (Zhang et al. 2021; thesis 8.5).
+
+p(change, reward | s, a) = prod_i p(x_i | s, a, x_1 .. x_{i-1}), so that the numbers may depend on each other, which a
+diagonal Gaussian cannot say. One network serves all i: it sees the numbers so far and which one it is asked for.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from deadreckon.dynamics.gaussian import BOUND_WEIGHT
+from deadreckon.dynamics.model import LOG_VARIANCE, Change, Model, bernoulli_nll, choices, gaussian_nll, join, soft_bounds
+from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.training.learner import static
+
+
+class AutoRegressive(Model):
+    """An ensemble of auto-regressive networks."""
+
+    asked: int = static(4)  # numbers of a row that are learned in an update, drawn at random
+
+    def create(self, spec, key):
+        """Networks with outputs (mean, log-variance), others for the end, and bounds of the log-variances."""
+        numbers = spec.observation_size + 1
+        inputs = spec.observation_size + spec.action_size
+        kn, ke = jax.random.split(key)
+        make = lambda k: MLP.create(inputs + 2 * numbers, self.hidden, 2, k, activation="swish")  # noqa: E731
+        end = lambda k: MLP.create(inputs + numbers, self.hidden[:2], 1, k, activation="swish")  # noqa: E731
+        bounds = jnp.broadcast_to(jnp.asarray(LOG_VARIANCE)[:, None], (self.members, 2, numbers)) + 0.0
+        return {
+            "nets": ensemble(make, self.members, kn), "ends": ensemble(end, self.members, ke), "bounds": bounds,
+            "choices": choices(spec, self.members),
+        }  # fmt: skip
+
+    @staticmethod
+    def _number(net, bounds, inputs, known, which):
+        """Mean and log-variance of number `which` (*b,), given those before it in `known` (*b, numbers)."""
+        numbers = known.shape[-1]
+        before = jnp.where(jnp.arange(numbers) < which[..., None], known, 0.0)
+        out = net(jnp.concatenate([inputs, before, jax.nn.one_hot(which, numbers)], -1))
+        own = bounds[:, which]
+        return out[..., 0], soft_bounds(out[..., 1], own)
+
+    def losses(self, params, inputs, target, terminal, key):
+        """See `Model`; of the numbers that were drawn, as if for all."""
+        numbers = target.shape[-1]
+        which = jax.random.randint(key, (len(target), self.asked), 0, numbers)
+        wide = lambda x: jnp.broadcast_to(x[:, None], (len(x), self.asked, x.shape[-1]))  # noqa: E731
+
+        def one(net, end, bounds):
+            mean, log_variance = self._number(net, bounds, wide(inputs), wide(target), which)
+            nll = gaussian_nll(mean, log_variance, jnp.take_along_axis(target, which, 1))
+            logit = end(jnp.concatenate([inputs, target], -1))[..., 0]
+            return numbers * nll.mean(1) + bernoulli_nll(logit, terminal) + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
+
+        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"])
+
+    def draw(self, params, observation, action, key):
+        """See `Model`; number by number."""
+
+        def one(net, end, bounds, observation, action, key):
+            inputs = join(observation, action, self._choices(params))
+            numbers = observation.shape[-1] + 1
+            noise = jax.random.normal(key, (numbers, *observation.shape[:-1]))
+
+            def step(i, known):
+                which = jnp.full(observation.shape[:-1], i)
+                mean, log_variance = self._number(net, bounds, inputs, known, which)
+                return known.at[..., i].set(mean + jnp.exp(0.5 * log_variance) * noise[i])
+
+            known = jax.lax.fori_loop(0, numbers, step, jnp.zeros((*observation.shape[:-1], numbers)))
+            logit = end(jnp.concatenate([inputs, known], -1))[..., 0]
+            return Change(observation + known[..., :-1], known[..., -1], jax.nn.sigmoid(logit))
+
+        keys = jax.random.split(key, self.members)
+        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"], observation, action, keys)

@@ -1,0 +1,51 @@
+"""Feed-forward models: a diagonal Gaussian over the change of the observation and the reward, and a chance of an end.
+
+The probabilistic ensemble of Chua et al. 2018 that MBPO uses (thesis B.4), and MB-FF among the estimators (8.5).
+"""
+
+import jax
+import jax.numpy as jnp
+
+from deadreckon.dynamics.model import LOG_VARIANCE, Change, Model, bernoulli_nll, choices, gaussian_nll, join, soft_bounds
+from deadreckon.nets.mlp import MLP, ensemble
+
+BOUND_WEIGHT = 0.01  # of the learned bounds in the loss, which keeps them close
+
+
+class Gaussian(Model):
+    """An ensemble of probabilistic networks."""
+
+    def create(self, spec, key):
+        """Networks with outputs (mean, log-variance, logit of an end), and bounds of the log-variances."""
+        numbers = spec.observation_size + 1
+        inputs = spec.observation_size + spec.action_size
+        make = lambda k: MLP.create(inputs, self.hidden, 2 * numbers + 1, k, activation="swish")  # noqa: E731
+        bounds = jnp.broadcast_to(jnp.asarray(LOG_VARIANCE)[:, None], (self.members, 2, numbers)) + 0.0
+        return {"nets": ensemble(make, self.members, key), "bounds": bounds, "choices": choices(spec, self.members)}
+
+    def _heads(self, net, bounds, inputs):
+        out = net(inputs)
+        mean, log_variance = jnp.split(out[..., :-1], 2, -1)
+        return mean, soft_bounds(log_variance, bounds), out[..., -1]
+
+    def losses(self, params, inputs, target, terminal, key):
+        """See `Model`."""
+
+        def one(net, bounds):
+            mean, log_variance, logit = self._heads(net, bounds, inputs)
+            nll = gaussian_nll(mean, log_variance, target).sum(-1) + bernoulli_nll(logit, terminal)
+            return nll + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
+
+        return jax.vmap(one)(params["nets"], params["bounds"])
+
+    def draw(self, params, observation, action, key):
+        """See `Model`."""
+
+        def one(net, bounds, observation, action, key):
+            inputs = join(observation, action, self._choices(params))
+            mean, log_variance, logit = self._heads(net, bounds, inputs)
+            drawn = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
+            return Change(observation + drawn[..., :-1], drawn[..., -1], jax.nn.sigmoid(logit))
+
+        keys = jax.random.split(key, self.members)
+        return jax.vmap(one)(params["nets"], params["bounds"], observation, action, keys)

@@ -1,0 +1,144 @@
+"""What every model of dynamics is: an ensemble that learns, and draws the next observation, the reward and whether it ends.
+
+Observations are standardised, and the changes that are learned are of these; rewards are in their standard deviations.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.spec import Spec
+from deadreckon.data.view import STD_FLOOR
+from deadreckon.nets.optim import begin, descend
+from deadreckon.training.learner import Metrics, static
+
+LOG_VARIANCE = -10.0, 0.5  # first soft bounds of a learned log-variance (Chua et al. 2018)
+
+
+class Change(NamedTuple):
+    """What a step makes of a state, (members, *b, ...): standardised observation, reward in its unit, chance of an end."""
+
+    observation: Array
+    reward: Array
+    ends: Array
+
+
+class Limits(NamedTuple):
+    """What the log has seen of observations and rewards, on the model's scale; nothing beyond is believed."""
+
+    low: Array
+    high: Array
+    reward_low: float
+    reward_high: float
+
+    @classmethod
+    def of(cls, spec: Spec) -> "Limits":
+        """The range of a log."""
+        o, r = spec.observation, spec.reward
+        std, unit = o.std + STD_FLOOR, reward_unit(spec)
+        low, high = (jnp.asarray((edge - o.mean) / std, jnp.float32).reshape(-1) for edge in (o.min, o.max))
+        return cls(low, high, float(r.min) / unit, float(r.max) / unit)
+
+    def hold(self, change: Change) -> Change:
+        """The change, cut to the range."""
+        observation = jnp.clip(change.observation, self.low, self.high)
+        return change._replace(observation=observation, reward=jnp.clip(change.reward, self.reward_low, self.reward_high))
+
+
+def reward_unit(spec: Spec) -> float:
+    """A model's reward of 1 in the log's own."""
+    return float(spec.reward.std) or 1.0
+
+
+class Model(eqx.Module):
+    """Hyperparameters of an ensemble in, pure functions out; a `Learner`.
+
+    Each member learns from the rows by its own weights: the column `weight` (members,) of a batch's `extra`, or all alike.
+    """
+
+    members: int = static(5)  # networks
+    hidden: tuple[int, ...] = static((200, 200, 200, 200))  # width of each hidden layer
+    lr: float = 1e-3  # learning rate
+    weight_decay: float = 1e-5  # decoupled from the gradient (AdamW)
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec: Spec) -> Needs:
+        """Transitions, standardised."""
+        return Needs(batch_size=self.batch_size, standardise=True)
+
+    def create(self, spec: Spec, key: PRNGKeyArray) -> Any:
+        """The parameters of all members."""
+        raise NotImplementedError
+
+    def losses(self, params: Any, inputs: Array, target: Array, terminal: Array, key: PRNGKeyArray) -> Float[Array, "m b"]:
+        """Negative log-likelihood of every row under every member, and terms that only the parameters know.
+
+        Args:
+            params: of all members.
+            inputs: (b, observation + action).
+            target: (b, observation + 1) change of the observation, and the reward last.
+            terminal: (b,).
+            key: of what is random in it.
+        """
+        raise NotImplementedError
+
+    def draw(self, params: Any, observation: Float[Array, "m b o"], action: Array, key: PRNGKeyArray) -> Change:
+        """A draw of what follows, every member from its own observations (members, b, ...) and actions."""
+        raise NotImplementedError
+
+    def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
+        """Parameters and optimiser, and the reward's unit."""
+        params = self.create(spec, key)
+        return params, begin(params), jnp.float32(reward_unit(spec))
+
+    def update(self, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> tuple[Any, Metrics]:
+        """One step of maximum likelihood."""
+        params, opt, unit = state
+        inputs = join(batch.observation, batch.action, self._choices(params))
+        target = jnp.concatenate([batch.next_observation - batch.observation, batch.reward[:, None] / unit], -1)
+        weight = 1.0 if batch.extra is None or "weight" not in batch.extra else batch.extra["weight"].T
+
+        def loss(params):
+            each = self.losses(params, inputs, target, batch.terminal, key)
+            return (weight * each).mean(-1).sum(), {"model_nll": each.mean()}
+
+        grads, metrics = jax.grad(loss, has_aux=True)(params)
+        new, opt = descend(params, grads, opt, self.lr)
+        new = jax.tree.map(lambda n, p: n - self.lr * self.weight_decay * p, new, params)
+        return (new, opt, unit), metrics
+
+    def _choices(self, params: Any) -> int:
+        """How many discrete actions there are, 0 for continuous ones."""
+        return params["choices"].shape[-1]
+
+
+def join(observation: Array, action: Array, choices: int) -> Array:
+    """A network's input: discrete actions, of which there are `choices`, become one-hot."""
+    if choices:
+        action = jax.nn.one_hot(action, choices)
+    return jnp.concatenate([observation, action], -1)
+
+
+def choices(spec: Spec, members: int) -> Array:
+    """Remembers in a pytree of parameters how many discrete actions there are; it has no numbers."""
+    return jnp.zeros((members, 0, spec.action_size if spec.discrete else 0))
+
+
+def soft_bounds(log_variance: Array, bounds: Array) -> Array:
+    """Between the learned `bounds` (2, n), least and greatest, without an edge (Chua et al. 2018)."""
+    upper = bounds[1] - jax.nn.softplus(bounds[1] - log_variance)
+    return bounds[0] + jax.nn.softplus(upper - bounds[0])
+
+
+def gaussian_nll(mean: Array, log_variance: Array, target: Array) -> Array:
+    """-log N(target; mean, exp(log_variance)) of each number."""
+    return 0.5 * (jnp.square(target - mean) * jnp.exp(-log_variance) + log_variance + jnp.log(2 * jnp.pi))
+
+
+def bernoulli_nll(logit: Array, happened: Array) -> Array:
+    """-log of the probability that a logit gives what happened (0 or 1)."""
+    return jax.nn.softplus(logit) - happened * logit

@@ -1,0 +1,85 @@
+"""Model-based estimates: the returns of episodes that a learned model makes up (Paduraru 2007; thesis 8.5).
+
+MB-FF draws from feed-forward Gaussians, MB-AR from auto-regressive ones (`dynamics/`). Every member of the ensemble learns from
+episodes redrawn with replacement and makes up its own episodes. Observations and rewards stay within the log's range.
+"""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.data.batch import Rows
+from deadreckon.dynamics import AutoRegressive, Gaussian, Model
+from deadreckon.dynamics.model import Limits
+from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.intervals import spread
+from deadreckon.training.learner import static
+
+KINDS: dict[str, type[Model]] = {"feedforward": Gaussian, "autoregressive": AutoRegressive}
+TAIL = 0.01  # made-up episodes are cut where so much of the discounted time is left, if not before
+
+
+class ModelBased(Estimator):
+    """Returns of made-up episodes."""
+
+    kind: Literal["feedforward", "autoregressive"] = static("feedforward")  # of the model: MB-FF or MB-AR
+    members: int = static(3)  # networks, each on redrawn episodes
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    steps: int = static(50_000)  # updates of the models
+    batch_size: int = static(256)  # rows a batch
+    lr: float = 3e-4  # learning rate
+    weight_decay: float = 1e-5  # AdamW
+    episodes: int = static(100)  # made up for each member and policy, from initial observations of the log
+    horizon: int | None = static(None)  # steps of an episode; None: as the log's longest, or until 1 % is left
+
+    def fitted(self, case: Case) -> tuple[Model, Any, Rows]:
+        """The model and its parameters; made once for a case."""
+        return case.once((self.kind, self.members, self.hidden, self.steps, self.batch_size), lambda: self._fit(case))
+
+    def _fit(self, case: Case) -> tuple[Model, Any, Rows]:
+        model = KINDS[self.kind](self.members, self.hidden, self.lr, self.weight_decay, self.batch_size)
+        extra = {"weight": case.redrawn(self.members)[case.data.episode_of]}
+        rows = Rows(case.data, model.needs(case.data.spec), extra)
+        params, _, unit = case.train(model, rows, self.steps, f"model-{self.kind}")
+        return model, (params, float(unit)), rows
+
+    def solve(self, case: Case) -> Estimates:
+        """Makes up episodes and averages their returns."""
+        model, (params, unit), rows = self.fitted(case)
+        data, members, count = case.data, self.members, self.episodes
+        limits = Limits.of(data.spec)
+        horizon = self.horizon or int(min(data.lengths.max(), np.ceil(np.log(TAIL) / np.log(max(case.discount, 1e-6)))))
+        redrawn = case.redrawn(members)
+        rng = np.random.default_rng([case.seed, 3])
+        # Every policy begins at the same observations, drawn as the member's own episodes count.
+        starts = np.stack([rng.choice(data.episodes, count, p=own / own.sum()) for own in redrawn.T.astype(float)])
+        first = np.asarray(rows.view.observe(np.asarray(data.observations[data.starts[starts]])))
+        returns = np.zeros((members, case.count))
+        if case.logged:  # what it would do at other observations is not known; what it got is
+            returns[:, -1] = redrawn.T @ data.returns(case.discount) / redrawn.sum(0)
+        for i in range(len(case.policies)):
+            observation, alive = jnp.asarray(first), jnp.ones((members, count))
+            total = jnp.zeros((members, count))
+            for t in range(horizon):
+                seen = np.asarray(observation).reshape(members * count, -1)
+                raw = seen * rows.view.std + rows.view.mean
+                action = case.actor.act(i, raw, t).reshape(members, count, *data.actions.shape[1:])
+                key = jax.random.fold_in(jax.random.key(case.seed), t)
+                factor = jnp.float32(case.discount**t)
+                observation, alive, total = _step(model, params, limits, observation, action, alive, total, factor, key)
+            returns[:, i] = unit * np.asarray(total.mean(1))
+        low, high = spread(returns)
+        label = {"feedforward": "MB-FF", "autoregressive": "MB-AR"}[self.kind]
+        return Estimates(label, case.names, returns.mean(0), low, high, case.discount, redraws=returns)
+
+
+@eqx.filter_jit
+def _step(model: Model, params: Any, limits: Limits, observation, action, alive, total, factor, key):
+    """One step of all episodes: their observations, chances of going on, and discounted returns so far."""
+    change = limits.hold(model.draw(params, observation, action, key))
+    # An end happens with its probability: what follows counts as much as it is likely to be reached.
+    total = total + factor * alive * change.reward
+    return change.observation, alive * (1.0 - change.ends), total

@@ -1,0 +1,90 @@
+"""Estimators by name, as tables and the command line call them."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError, unknown
+from deadreckon.ope.dice import DICE
+from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.fqe import FQE
+from deadreckon.ope.fqe_d import FQED
+from deadreckon.ope.importance import PUBLIC_RANGE, ImportanceSampling
+from deadreckon.ope.model_based import ModelBased
+from deadreckon.ope.vpm import VPM
+from deadreckon.training.learner import static
+
+ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
+    "fqe": (FQE, "FQE-L2: fitted Q evaluation, squared loss (Le et al. 2019)"),
+    "fqe-d": (FQED, "FQE-D: fitted Q evaluation of return distributions (Paine et al. 2020)"),
+    "is": (ImportanceSampling, "self-normalised importance sampling per decision (Precup et al. 2000)"),
+    "pdis": (lambda: ImportanceSampling(normalised=False, interval="t"), "the same without normalisation: unbiased"),
+    "wis": (lambda: ImportanceSampling(kind="trajectory"), "self-normalised importance sampling of whole episodes"),
+    "dr": (DoublyRobust, "weighted doubly robust: FQE corrected by importance sampling (Thomas and Brunskill 2016)"),
+    "plain-dr": (lambda: DoublyRobust(kind="dr"), "doubly robust without normalisation (Jiang and Li 2016)"),
+    "magic": (lambda: DoublyRobust(kind="magic"), "MAGIC: corrections of several lengths, blended (Thomas and Brunskill 2016)"),
+    "dice": (DICE, "BestDICE: occupancy ratios by a regularised Lagrangian (Yang et al. 2020)"),
+    "dual-dice": (lambda: DICE.preset("dual"), "DualDICE (Nachum et al. 2019)"),
+    "gen-dice": (lambda: DICE.preset("gen"), "GenDICE (Zhang et al. 2020)"),
+    "vpm": (VPM, "variational power method (Wen et al. 2020)"),
+    "mb-ff": (ModelBased, "episodes made up by a feed-forward model (Paduraru 2007)"),
+    "mb-ar": (lambda: ModelBased(kind="autoregressive"), "episodes made up by an auto-regressive model (Zhang et al. 2021)"),
+}
+# What the thesis compared (8.5), in its settings where they differ from our defaults.
+DOPE = ("fqe", "fqe-d", "is", "dr", "dice", "vpm", "mb-ff", "mb-ar")
+PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE}
+
+
+def estimator(name: str, **changes: Any) -> Estimator:
+    """An estimator by name.
+
+    Args:
+        name: among `ESTIMATORS`.
+        changes: fields to set, also of the FQE and the behaviour model inside it; those that nobody has are passed over.
+
+    Raises:
+        UserError: an unknown name.
+    """
+    if name not in ESTIMATORS:
+        raise unknown("estimator", name, ESTIMATORS)
+    return with_fields(ESTIMATORS[name][0](), changes)
+
+
+def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
+    """The estimator with those fields changed that it, or what it fits inside, has."""
+    own = {f.name for f in dataclasses.fields(found)}
+    inner = {name: with_fields(getattr(found, name), changes) for name in ("fqe", "model") if name in own}
+    return dataclasses.replace(found, **{name: value for name, value in changes.items() if name in own}, **inner)
+
+
+class Function(Estimator):
+    """Anyone's function as an estimator: `fn(data, policies, discount) -> values`, one a policy."""
+
+    fn: Callable[[Dataset, Sequence[Any], float], Any] = eqx.field(static=True)
+    name: str = static("yours")
+
+    def solve(self, case: Case) -> Estimates:
+        """Calls the function; it gives no intervals."""
+        values = np.asarray(self.fn(case.data, case.policies, case.discount), float)
+        if values.shape != (len(case.policies),):
+            raise UserError(f"the estimator function gave values of shape {values.shape} for {len(case.policies)} policies")
+        if case.logged:
+            values = np.append(values, case.data.returns(case.discount).mean())
+        nothing = np.full(len(values), np.nan)
+        return Estimates(self.name, case.names, values, nothing, nothing, case.discount, redraws=values[None])
+
+
+def as_estimator(given: Any) -> Estimator:
+    """An estimator, one's name, or a function as an estimator."""
+    if isinstance(given, Estimator):
+        return given
+    if isinstance(given, str):
+        return estimator(given)
+    if callable(given):
+        return Function(given, getattr(given, "__name__", "yours"))
+    raise UserError(f"estimators are names, Estimator objects or functions, got {type(given).__name__}")

@@ -1,0 +1,64 @@
+"""The policies that DOPE published, as ours: pickles of plain arrays, read without running anything in them.
+
+A file holds `fc0/weight`, `fc0/bias`, `fc1/...`, `last_fc/...` and, of policies that draw, `last_fc_log_std/...` (weights are
+(outputs, inputs)), the `nonlinearity` between the layers and the `output_distribution`. `tanh_gaussian` policies act with
+tanh(mean + exp(log_std) noise), others with mean + exp(log_std) noise.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.data.pickles import load_pickle
+from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP
+from deadreckon.policies.policy import Deployed, Gaussian, TanhGaussian
+
+
+def load_dope(path: Path | str) -> Deployed:
+    """Reads one policy file of DOPE (`.pkl`).
+
+    Raises:
+        UserError: the file is missing, no pickle of plain arrays, or no such policy.
+    """
+    found = load_pickle(path)
+    if not isinstance(found, dict) or "last_fc/weight" not in found:
+        raise UserError(f"{path} holds no policy of DOPE: a dict with last_fc/weight is needed")
+    hidden = sorted({int(m[1]) for key in found if (m := re.fullmatch(r"fc(\d+)/weight", str(key)))})
+    if hidden != list(range(len(hidden))):
+        raise UserError(f"{path}: the layers are fc{', fc'.join(map(str, hidden))}, one is missing")
+    names = [f"fc{i}" for i in hidden]
+    weights, biases = ([_array(path, found, f"{name}/{part}") for name in names] for part in ("weight", "bias"))
+    head = [_array(path, found, f"last_fc/{part}") for part in ("weight", "bias")]
+    if "last_fc_log_std/weight" in found:
+        spread = [_array(path, found, f"last_fc_log_std/{part}") for part in ("weight", "bias")]
+    else:  # one deviation for all states, or none at all
+        bias = np.asarray(found.get("log_std", np.full(len(head[1]), -np.inf)), np.float32).reshape(-1)
+        spread = [np.zeros_like(head[0]), bias]
+    weights.append(np.concatenate([head[0], spread[0]]))
+    biases.append(np.concatenate([head[1], spread[1]]))
+    for name, w, b, inputs in zip([*names, "last_fc"], weights, biases, [None, *(len(b) for b in biases)]):
+        if w.ndim != 2 or b.shape != w.shape[:1] or (inputs is not None and w.shape[1] != inputs):
+            raise UserError(f"{path}: {name}/weight has shape {w.shape}, which does not fit its bias and the layer before it")
+    activation = _text(found.get("nonlinearity", "relu"))
+    net = MLP(
+        tuple(jnp.asarray(w.T) for w in weights), tuple(map(jnp.asarray, biases)), "tanh" if activation == "tanh" else "relu"
+    )
+    squashed = _text(found.get("output_distribution", "")) == "tanh_gaussian"
+    size = len(head[1])
+    if squashed:
+        return Deployed(TanhGaussian(net), None, None, -jnp.ones(size), jnp.ones(size))
+    return Deployed(Gaussian(net), None, None, None, None)
+
+
+def _array(path: Path | str, found: dict[Any, Any], key: str) -> np.ndarray:
+    if not isinstance(found.get(key), np.ndarray):
+        raise UserError(f"{path}: no array {key}")
+    return np.asarray(found[key], np.float32)
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)

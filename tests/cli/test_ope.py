@@ -1,0 +1,69 @@
+"""`deadreckon ope` from files to a decision card, and its one-line errors."""
+
+import numpy as np
+import pytest
+
+from deadreckon.agents.bc import BC
+from deadreckon.cli.main import main
+from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.runs.train import train
+from tests.ope.test_case import lqr
+
+SMALL = ["--steps", "200", "--members", "2", "--hidden", "8"]
+
+
+@pytest.fixture
+def made(tmp_path):
+    """A log and a run of two policies."""
+    log = lqr(-0.5, 0.5, 40, 20)
+    write_hdf5(log, tmp_path / "log.hdf5")
+    train(BC(hidden=(8,)), log, steps=50, seeds=2, out=tmp_path / "bc")
+    return tmp_path
+
+
+def test_from_files_to_a_decision(made, capsys):
+    common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--discount", "0.9", *SMALL]
+    assert main([*common, "--estimators", "fqe,is", "--select", "--out", str(made / "ope")]) == 0
+    out = capsys.readouterr().out
+    assert "FQE-L2, discounted return (0.9) with 95 % intervals" in out
+    assert "bc seed 1" in out
+    assert "the log" in out
+    assert "effective episodes" in out
+    assert "DEPLOY bc seed" in out
+    # Given again, it takes up what is there.
+    assert main([*common, "--estimators", "fqe", "--select", "--out", str(made / "ope")]) == 0
+    again = capsys.readouterr().out
+    assert again.splitlines()[:4] == out.splitlines()[:4]
+
+
+def test_list(capsys):
+    assert main(["ope", "--list"]) == 0
+    out = capsys.readouterr().out
+    assert "magic" in out
+    assert "Zhang et al. 2021" in out
+
+
+def test_bad_input_in_one_line(made, capsys):
+    data, policies = ["--data", str(made / "log.hdf5")], ["--policies", str(made / "bc")]
+    for args, words in [
+        ([*data, *policies, "--estimators", "fqa"], "unknown estimator 'fqa'"),
+        ([*data, *policies, "--episodes", "99"], "--episodes must be 1 .. 40"),
+        ([*data, "--policies", "hoper"], "there are no policies of 'hoper'"),
+        ([*data, "--policies", str(made / "none.npz")], "no file"),
+        ([*data, *policies, "--discount", "1.0"], "discount must be 0 .. 1 without 1"),
+        (["--policies", "hopper"], "--data"),
+    ]:
+        assert main(["ope", *args, *SMALL]) == 2
+        err = capsys.readouterr().err
+        assert words in err
+        assert len([line for line in err.splitlines() if line.startswith("deadreckon: ")]) == 1
+
+
+def test_bench_on_a_short_log(tmp_path, capsys):
+    options = ["--kinds", "random", "--log-steps", "600", "--out", str(tmp_path / "dope"), *SMALL]
+    assert main(["ope", "bench", "--tasks", "hopper", "--estimators", "fqe,is", *options]) == 0
+    out = capsys.readouterr().out
+    assert "| hopper-random-v2@dr1 |" in out
+    assert out.count("| median |") == 3
+    numbers = [float(x) for x in out.split("| median |")[1].splitlines()[0].split("|")[:2]]
+    assert np.isfinite(numbers).all()

@@ -1,0 +1,142 @@
+"""Decisions from estimates, estimators by name, and the DOPE protocol on little."""
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.ope import ESTIMATORS, FQE, LOGGED, Case, DoublyRobust, ImportanceSampling, ModelBased, dope, estimator, select
+from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
+from deadreckon.policies import library
+from deadreckon.theory import garnet
+from deadreckon.theory.tabular import softmax
+from tests.ope.test_case import TINY, linear, lqr, riccati
+from tests.ope.worlds import as_policy, tables
+
+TABULAR = FQE(members=4, hidden=(), steps=2000, lr=2e-2, weight_decay=0.0, target_rate=0.05)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A log, a policy that is clearly better, and one that is clearly worse."""
+    true = garnet(states=6, actions=3, noise=0.3)
+    behavior = tables(true, 1, 0.3)[0]
+    best = true.optimal(0.9)
+    policies = [softmax(-best, 1.0), softmax(best, 1.0)]
+    log = true.log(behavior, 300, 60, np.random.default_rng(0))
+    made = Case(log, [as_policy(p) for p in policies], discount=0.9, names=["worse", "better"], logged=True)
+    made.exact = [true.value(p, 0.9) for p in (*policies, behavior)]
+    return made
+
+
+@pytest.mark.parametrize("estimator", [ImportanceSampling(), TABULAR, DoublyRobust(fqe=TABULAR)], ids=["is", "fqe", "dr"])
+def test_the_logs_own_policy_is_judged_like_the_others(case, estimator):
+    found = estimator.on(case)
+    assert found.names == ("worse", "better", LOGGED)
+    assert abs(found.value[2] - case.exact[2]) < 0.1 * abs(case.exact[1] - case.exact[0])
+    choice = select([found])
+    assert choice.name == "better"
+    assert choice.deploy
+    assert choice.low < case.exact[1] - case.exact[2] < choice.high
+    assert "DEPLOY better: +" in str(choice)
+
+
+def test_a_paired_difference_is_surer_than_two_values(case):
+    """What a redrawn log does to both cancels in their difference."""
+    found = ImportanceSampling().on(case)
+    apart = found.redraws[:, 1].std() ** 2 + found.redraws[:, 2].std() ** 2
+    assert (found.redraws[:, 1] - found.redraws[:, 2]).std() ** 2 < apart
+
+
+def test_decisions_against_deploying(case):
+    only_worse = Case(case.data, case.policies[:1], discount=0.9, names=["worse"], logged=True)
+    choice = select([ImportanceSampling().on(only_worse)])
+    assert not choice.deploy
+    assert "may be chance" in choice.reason
+    sharp = as_policy(np.eye(3)[np.random.default_rng(1).integers(0, 3, 6)])
+    few = ImportanceSampling(kind="trajectory").on(Case(case.data, [sharp], discount=0.9, names=["sharp"], logged=True))
+    assert not select([few]).deploy
+    assert "its weights rest on" in select([few]).reason
+    with pytest.raises(UserError, match="was not asked about the log's own policy"):
+        select([ImportanceSampling().on(Case(case.data, case.policies, discount=0.9))])
+    with pytest.raises(UserError, match="different policies"):
+        select([few, ImportanceSampling().on(case)])
+
+
+def test_others_are_evidence(case):
+    choice = select([ImportanceSampling().on(case), TABULAR.on(case)])
+    assert choice.evidence[0].startswith("FQE-L2: +")
+    assert choice.evidence[0].endswith("agrees that it is best")
+
+
+@pytest.mark.parametrize("kind", ["feedforward", "autoregressive"])
+def test_model_based_on_lqr(kind):
+    log = lqr(-0.5, 0.5, 300, 40)
+    found = ModelBased(kind=kind, members=2, hidden=(32, 32), steps=2500, lr=2e-3, episodes=300).estimate(
+        log, [linear(-0.5, 0.5), linear(-1.0, 0.2), linear(0.0, 0.3)], discount=0.9, logged=True
+    )
+    exact = [riccati(-0.5, 0.5, 0.9), riccati(-1.0, 0.2, 0.9), riccati(0.0, 0.3, 0.9)]
+    np.testing.assert_allclose(found.value[:3], exact, rtol=0.25)
+    assert found.best == 1
+    assert abs(found.value[3] - log.returns(0.9).mean()) < 0.3
+
+
+def test_model_based_where_episodes_end():
+    """A chance of an end shortens made-up episodes as it does true ones."""
+    true = garnet(states=4, actions=2, ending=0.3)
+    policy = tables(true, 1, 0.3)[0]
+    log = true.log(policy, 800, 60, np.random.default_rng(0))
+    model = ModelBased(members=2, hidden=(32,), steps=2500, lr=2e-3, episodes=300)
+    found = model.estimate(log, as_policy(policy), discount=0.9)
+    assert abs(found.value[0] - true.value(policy, 0.9)) < 0.25 * np.abs(true.q(policy, 0.9)).max()
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_estimators_by_name(name):
+    found = estimator(name, steps=7, members=2)
+    assert with_fields(found, PUBLIC) is not None
+    fitted = [each for each in (found, getattr(found, "fqe", None), getattr(found, "model", None)) if hasattr(each, "steps")]
+    assert fitted
+    assert all(each.steps == 7 for each in fitted)
+    assert ESTIMATORS[name][1]
+
+
+def test_names_that_are_none():
+    with pytest.raises(UserError, match="unknown estimator 'fqa': did you mean fqe"):
+        estimator("fqa")
+    with pytest.raises(UserError, match="estimators are names, Estimator objects or functions, got int"):
+        as_estimator(3)
+
+
+def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
+    """One line for a user's own estimator; what has been computed is not computed again."""
+    from deadreckon.data.dataset import Dataset
+
+    rng = np.random.default_rng(0)
+    rows = 200
+    data = Dataset.from_arrays(
+        observations=rng.standard_normal((rows, 11)), actions=rng.uniform(-1, 1, (rows, 3)), rewards=rng.random(rows),
+        timeouts=np.arange(rows) % 20 == 19, final_observations=rng.standard_normal((10, 11)), name="little",
+    )  # fmt: skip
+    truth = [s.sampled.discounted for s in library.library("hopper") if s.name.startswith("snapshot-")]
+    calls = []
+
+    def perfect(data, policies, discount):
+        calls.append(discount)
+        return np.array(truth)
+
+    options = {"out": tmp_path / "dope"}
+    results = dope.evaluate_log(data, "hopper", [perfect, TINY], **options)
+    assert [r.method for r in results] == ["perfect", "FQE-L2"]
+    assert results[0].metrics().absolute_error[0] == 0.0
+    assert results[0].metrics().rank_correlation[0] == pytest.approx(1.0)
+    assert results[0].metrics().regret[0] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(results[1].truth, truth)
+    again = dope.evaluate_log(data, "hopper", [perfect, TINY], **options)
+    assert calls == [0.995]
+    np.testing.assert_array_equal(again[1].estimates, results[1].estimates)
+    assert {r.method for r in dope.read_results(tmp_path / "dope")} == {"perfect", "FQE-L2"}
+    table = dope.markdown(results, "rank_correlation")
+    assert "| little | 1.00 ± 0.00 |" in table
+    assert table.splitlines()[-1].startswith("| median | 1.00 |")
+    with pytest.raises(UserError, match="gave values of shape"):
+        dope.evaluate_log(data, "hopper", [lambda data, policies, discount: [1.0]])
