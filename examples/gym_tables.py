@@ -21,7 +21,7 @@ from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
-from deadreckon.report import table, write
+from deadreckon.report import picture, table, write
 from deadreckon.runs.evaluate import bootstrap
 
 AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -94,6 +94,8 @@ class Options:
     log_steps: int | None = None  # rows of the logs; None: all of them
     hidden: tuple[int, ...] = (256, 256)  # layers of actor and critics
     out: str = "runs/gym"  # folder of runs and pages
+    picture: str | None = None  # SVG file of curves, a panel a log
+    quantity: str = "score"  # what is drawn there: a column of the evaluations or metrics, such as q or mmd
 
 
 def main(options: Options) -> None:
@@ -113,6 +115,10 @@ def main(options: Options) -> None:
     for name, folders in shown.items():
         print(f"\n{name}\n{table(folders)}")
         print(write(folders, Path(options.out) / name / "report.html", title=f"{name}, {options.steps:,} updates"))
+    if options.picture:
+        behaviour = {name: {"behaviour": _behaviour(dr.load_run(folders[0]))} for name, folders in shown.items()}
+        references = behaviour if options.quantity == "score" else None
+        print(picture(options.picture, shown, quantity=options.quantity, references=references))
     print("\n" + markdown(shown))
 
 
@@ -137,6 +143,11 @@ def _log(name: str, steps: int | None) -> dr.Dataset:
     return dr.read(path)
 
 
+def _behaviour(run: dr.Run) -> float:
+    """Score of the log's own policy."""
+    return float(dr.tasks.task(run.config["task"]).reference.normalise(run.config["data"]["behavior"]["mean"]))
+
+
 def markdown(shown: dict[str, list[Path]]) -> str:
     """Scores of the last evaluation with 95 % intervals over seeds and episodes, a row a log, a column an agent."""
     labels = list(dict.fromkeys(path.name for folders in shown.values() for path in folders))
@@ -149,8 +160,7 @@ def markdown(shown: dict[str, list[Path]]) -> str:
             last = run.evaluations.filter(np.asarray(run.evaluations["step"]) == run.config["steps"])
             scores = np.asarray(last["score"]).reshape(len(run.seeds), -1)
             cells[folder.name] = str(bootstrap(scores))
-            task = dr.tasks.task(run.config["task"])
-            behaviour = f"{float(task.reference.normalise(run.config['data']['behavior']['mean'])):.1f}"
+            behaviour = f"{_behaviour(run):.1f}"
         lines.append(f"| {name} | {behaviour} | " + " | ".join(cells.get(label, "") for label in labels) + " |")
     return "\n".join(lines)
 

@@ -150,7 +150,7 @@ def test_a_killed_fit_goes_on(tmp_path):
         long.estimate(log, policy, discount=0.9, out=tmp_path / "ope", watch=kill)
     seen = []
     rest = long.estimate(log, policy, discount=0.9, out=tmp_path / "ope", watch=lambda what, step, steps: seen.append(step))
-    assert seen == [2000, 2500]
+    assert seen == [2000, 2250, 2500]
     np.testing.assert_array_equal(rest.value, whole.value)
     other = as_policy(tables(true, 1, 0.5, seed=2)[0])
     for asked in ((log.select(np.arange(20)), policy), (log, other)):
@@ -188,3 +188,16 @@ def test_warnings_say_when_not_to_trust():
     assert found.effective[0] < 10
     assert any("the weights of policy 0 rest on" in line for line in found.warnings)
     assert any("40 of 40 episodes are cut off, after 30 steps" in line for line in found.warnings)
+
+
+def test_a_fit_that_still_changes_is_told():
+    """A reward a step, and a long horizon: after a few updates the critics have not yet added it up."""
+    true = garnet(states=3, actions=2)
+    true = type(true)(true.transitions, np.abs(true.rewards) + 1.0, true.initial)
+    table = tables(true, 1, 0.1)[0]
+    log = true.log(table, 20, 50, np.random.default_rng(0))
+    short = FQE(members=1, hidden=(), steps=200, lr=1e-2, target_rate=0.02).estimate(log, as_policy(table), discount=0.98)
+    assert any("fqe still changes: q by" in line for line in short.warnings)
+    long = FQE(members=1, hidden=(), steps=8000, lr=1e-2, target_rate=0.05).estimate(log, as_policy(table), discount=0.98)
+    assert long.warnings == ()
+    assert short.value[0] < 0.7 * long.value[0]

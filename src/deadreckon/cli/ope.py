@@ -3,13 +3,12 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from deadreckon.cli.parse import parse
-from deadreckon.cli.progress import Bar
+from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
 
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
@@ -37,7 +36,8 @@ class Ope:
     greedy: bool = False  # judge the policies' best guesses instead of their draws
     select: bool = False  # print a decision card: deploy which policy, or none, and why
     episodes: int | None = None  # use only the log's first episodes; None: all
-    out: str | None = None  # folder of estimates and checkpoints; a killed estimate goes on there
+    task: str | None = None  # simulator to check the choice in, where there is one
+    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed estimate goes on there
     fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
 
@@ -67,7 +67,7 @@ def ope(args: Sequence[str]) -> None:
         return None
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
-    from deadreckon.ope import Case, select
+    from deadreckon.runs.offline import checked, judge
 
     found = _estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
@@ -75,17 +75,17 @@ def ope(args: Sequence[str]) -> None:
         if not 1 <= options.episodes <= data.episodes:
             raise UserError(f"--episodes must be 1 .. {data.episodes}, the log's own, got {options.episodes}")
         data = data.select(range(options.episodes))
-    policies, names = _policies(options.policies)
-    case = Case(
-        data, policies, discount=options.discount, seed=options.seed, greedy=options.greedy, names=names, logged=options.select,
-        out=options.out, watch=_Watch(),
-    )  # fmt: skip
-    results = []
-    for estimator in found:
-        results.append(estimator.on(case))
-        print(f"{results[-1]}\n", flush=True)
+    with Watch() as watch:
+        judged = judge(
+            options.policies, data, found, out=options.out, discount=options.discount, greedy=options.greedy, task=options.task,
+            seed=options.seed, watch=watch,
+        )  # fmt: skip
+    for each in judged.estimates:
+        print(f"{each}\n")
     if options.select:
-        print(select(results))
+        print(judged.choice)
+    if options.task:
+        print(f"checked: {checked(judged.told)}")
     return None
 
 
@@ -111,7 +111,8 @@ def bench(args: Sequence[str]) -> None:
                     collect(name, steps=options.log_steps, out=path, progress=bar)
             data = read(path)
             told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
-            results += dope.evaluate_log(data, task, found, seed=options.seed, out=options.out, watch=_Watch(), told=told)
+            with Watch() as watch:
+                results += dope.evaluate_log(data, task, found, seed=options.seed, out=options.out, watch=watch, told=told)
     for metric in ("absolute_error", "rank_correlation", "regret"):
         words = {"absolute_error": "Absolute error, normalised", "rank_correlation": "Rank correlation", "regret": "Regret@1"}
         print(f"\n{words[metric]}\n\n{dope.markdown(results, metric)}")
@@ -122,42 +123,3 @@ def _estimators(names: str, fits: Fits) -> list[Any]:
 
     changes = {name: value for name, value in vars(fits).items() if value is not None}
     return [estimator(name.strip(), **changes) for name in names.split(",")]
-
-
-def _policies(given: Sequence[str]) -> tuple[list[Any], list[str]]:
-    from deadreckon.policies import library, load_dope, store
-    from deadreckon.runs.train import load
-
-    policies, names = [], []
-    for text in given:
-        path = Path(text)
-        if path.is_dir():
-            run = load(path)
-            policies += run.policies
-            names += [f"{path.name} seed {seed}" for seed in run.seeds]
-        elif path.exists() or path.suffix:
-            policies.append(load_dope(path) if path.suffix in (".pkl", ".pickle") else store.load(path))
-            names.append(path.stem)
-        else:
-            snapshots = [s for s in library.library(text) if s.name.startswith("snapshot-")]
-            policies += [s.policy() for s in snapshots]
-            names += [s.name for s in snapshots]
-    if len(set(names)) < len(names):
-        names = [f"{name} ({i})" for i, name in enumerate(names)]
-    return policies, names
-
-
-class _Watch:
-    """A bar for each thing that is fitted."""
-
-    def __init__(self):
-        self.what, self.bar = "", None
-
-    def __call__(self, what: str, step: int, steps: int) -> None:
-        if what != self.what:
-            self.what, self.bar = what, Bar(what, steps, "updates").__enter__()
-        assert self.bar is not None
-        self.bar(step)
-        if step >= steps:
-            self.bar.__exit__(None, None, None)
-            self.what = ""

@@ -61,3 +61,29 @@ class Bar:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self.bar is not None:
             self.bar.stop()
+
+
+class Watch:
+    """A bar for each thing that is fitted, one after the other; use it as a context manager and call it."""
+
+    def __init__(self):
+        self.what = ""
+        self.bar: Bar | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, what: str, step: int, steps: int) -> None:
+        """Tells how far the fit of `what` is."""
+        if what != self.what or self.bar is None:
+            self._end()
+            self.what, self.bar = what, Bar(what, steps, "updates").__enter__()
+        self.bar(step)
+
+    def _end(self) -> None:
+        if self.bar is not None:
+            self.bar.__exit__(None, None, None)
+        self.bar = None
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._end()

@@ -17,6 +17,7 @@ class Report:
     runs: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders of one task
     out: str = "report.html"  # the page
     title: str | None = None  # its heading
+    estimates: str | None = None  # folder of `deadreckon ope --select --out`, to show what the log alone says
 
 
 def report(args: Sequence[str]) -> None:
@@ -26,4 +27,4 @@ def report(args: Sequence[str]) -> None:
         raise UserError("missing a run folder")
     from deadreckon.report import write
 
-    print(write(options.runs, options.out, title=options.title))
+    print(write(options.runs, options.out, title=options.title, estimates=options.estimates))

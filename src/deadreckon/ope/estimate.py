@@ -33,6 +33,7 @@ from deadreckon.training.learner import check_fields, static
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
+SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
 LOGGED = "the log"  # the name of the policy that made it
 
 
@@ -165,6 +166,7 @@ class Case:
         if logged:
             self.names = (*self.names, LOGGED)
         self._kept: dict[Any, Any] = {}
+        self._metrics: dict[str, list[tuple[int, dict[str, float]]]] = {}
 
     @property
     def count(self) -> int:
@@ -247,14 +249,31 @@ class Case:
             UserError: its numbers went bad.
         """
         folder = None if self.out is None else self._folder(learner, steps, what)
-        job = Fit([learner], rows, [self.seed], steps, folder=folder)
+        job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
         job.resume()
+        seen = self._metrics.setdefault(what, [])
         for progress in job.chunks():
+            seen.append((progress.step, {name: float(value[0]) for name, value in progress.metrics.items()}))
             self.watch(what, progress.step, steps)
         if job.failures[0] is not None:
             metric, step = job.failures[0]
             raise UserError(f"{what}: {metric} was not finite at update {step}; a lower learning rate may help")
         return jax.tree.map(lambda leaf: leaf[0], job.states)
+
+    def unsettled(self, what: str, metric: str) -> list[str]:
+        """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
+        seen = self._metrics.get(what, [])
+        if not seen:
+            return []
+        last, value = seen[-1][0], seen[-1][1][metric]
+        before = [(step, m[metric]) for step, m in seen if step <= 0.8 * last]
+        if not before:
+            return []
+        change = abs(value - before[-1][1]) / max(abs(value), abs(before[-1][1]), 1e-12)
+        if change <= SETTLED:
+            return []
+        found = f"{metric} by {100 * change:.0f} % over its last fifth"
+        return [f"{what} still changes: {found}; more than {last:,} updates are needed"]
 
     def _folder(self, learner: Any, steps: int, what: str) -> Path:
         """Where a fit's checkpoints lie: only the same fit is gone on with."""
@@ -361,7 +380,7 @@ class _Categorical:
 
 
 def _policies(given: Any) -> list[Any]:
-    if hasattr(given, "policies"):
+    if hasattr(given, "policies"):  # a run
         return list(given.policies)
     if isinstance(given, Policy):
         return [given]

@@ -139,4 +139,7 @@ class FQE(Estimator):
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
         low, high = spread(found)
-        return Estimates("FQE-L2", case.names, found.mean(0), low, high, case.discount, redraws=found)
+        return Estimates(
+            "FQE-L2", case.names, found.mean(0), low, high, case.discount, redraws=found,
+            warnings=tuple(case.unsettled("fqe", "q")),
+        )  # fmt: skip

@@ -188,4 +188,7 @@ class FQED(Estimator):
         values = scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = spread(found)
-        return Estimates("FQE-D", case.names, found.mean(0), low, high, case.discount, redraws=found)
+        return Estimates(
+            "FQE-D", case.names, found.mean(0), low, high, case.discount, redraws=found,
+            warnings=tuple(case.unsettled("fqe-d", "q")),
+        )  # fmt: skip

@@ -18,8 +18,8 @@ class Choice:
     """A decision card.
 
     Attributes:
-        name: the policy with the highest estimate.
-        deploy: whether its gain over the log's own policy is above zero for sure.
+        name: the policy whose estimated gain over the log's own policy has the highest lower end.
+        deploy: whether that is above zero.
         gain, low, high: estimated difference, paired, with an interval that holds for all policies at once (95 %).
         reason: why, in one line.
         evidence: what else was estimated, a line each.
@@ -62,6 +62,9 @@ def gain(found: Estimates, which: int) -> tuple[float, float, float]:
 def select(estimates: Sequence[Estimates]) -> Choice:
     """Chooses by the first of several estimates of the same policies; the others are evidence.
 
+    It takes the policy whose gain has the highest lower end: what is best for sure, not what may be best. An estimate that the
+    log says little about is uncertain, and then high only by chance.
+
     Raises:
         UserError: no estimates, of different policies, or without the log's own policy.
     """
@@ -70,8 +73,7 @@ def select(estimates: Sequence[Estimates]) -> Choice:
     first = estimates[0]
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
-    others = [i for i, name in enumerate(first.names) if name != LOGGED]
-    best = max(others, key=lambda i: first.value[i] if np.isfinite(first.value[i]) else -np.inf)
+    best = _safest(first)
     name, (difference, low, high) = first.names[best], gain(first, best)
     few = first.effective is not None and first.effective[best] < FEW
     unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] against the log's own policy by {first.method}"
@@ -87,7 +89,17 @@ def select(estimates: Sequence[Estimates]) -> Choice:
     evidence = []
     for each in estimates[1:]:
         own = gain(each, best)
-        chosen = max(others, key=lambda i: each.value[i] if np.isfinite(each.value[i]) else -np.inf)
+        chosen = _safest(each)
         agrees = "agrees that it is best" if chosen == best else f"would choose {each.names[chosen]}"
         evidence.append(f"{each.method}: {own[0]:+.2f} [{own[1]:+.2f}, {own[2]:+.2f}], {agrees}")
     return Choice(name, deploy, difference, low, high, reason, tuple(evidence), first.warnings)
+
+
+def _safest(found: Estimates) -> int:
+    """The policy whose gain has the highest lower end, or where there are no intervals, the highest estimate."""
+
+    def standing(i: int) -> tuple[bool, float, float]:
+        difference, low, _ = gain(found, i)
+        return bool(np.isfinite(difference)), low if np.isfinite(low) else -np.inf, difference
+
+    return max((i for i, name in enumerate(found.names) if name != LOGGED), key=standing)

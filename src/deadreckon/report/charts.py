@@ -254,3 +254,48 @@ def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, referenc
     return tag(
         "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=f"{unit} of each policy", class_=f"chart v{width}"
     )
+
+
+def scatter(points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str) -> Markup:
+    """Points with whiskers both ways, and the diagonal on which both axes agree.
+
+    Args:
+        points: name, colour, and x with its half-width, and y with its lower and upper end, each.
+        across: unit of the horizontal axis.
+        unit: of the vertical one, written above it.
+    """
+    width, height, left, right, top, bottom = 480, 340, 58, 466, 30, 302
+    finite = [p for p in points if math.isfinite(p[2]) and math.isfinite(p[4])]
+    if not finite:
+        return tag("p", "nothing finite to draw", class_="empty")
+    values = [p[4] for p in finite]
+    low, high = min(values), max(values)
+    # Whiskers may be many times longer than the points are apart; they are cut where they leave the chart.
+    edge = 0.35 * (high - low or abs(high) or 1.0)
+    ends = [v for p in finite for v in (p[5], p[6]) if math.isfinite(v)]
+    x = _Axis(min(p[2] - p[3] for p in finite), max(p[2] + p[3] for p in finite), left, right)
+    y = _Axis(max(low - edge, min([low, *ends])), min(high + edge, max([high, *ends])), bottom, top)
+    cut = lambda value: min(max(float(y(value)), top), bottom)  # noqa: E731
+    parts = [tag("title", f"{unit} against {across}")]
+    for t in y.ticks:
+        parts.append(tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
+        parts.append(tag("text", _short(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"))
+    parts += [tag("text", _short(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
+    parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
+    parts.append(tag("text", unit, x=4, y=14, class_="axis"))
+    both = max(x.low, y.low), min(x.high, y.high)
+    if both[0] < both[1]:
+        where = {f"{axis}{i + 1}": f"{of(v):.1f}" for i, v in enumerate(both) for axis, of in (("x", x), ("y", y))}
+        parts.append(tag("line", **where, class_="reference"))
+    for name, slot, across_value, half, value, lower, upper in finite:
+        px, py = float(x(across_value)), float(y(value))
+        said = f"{name}: {unit} {number(value)}, {across} {number(across_value)}"
+        inner = [tag("title", said)]
+        ends = {"x1": f"{x(across_value - half):.1f}", "x2": f"{x(across_value + half):.1f}"}
+        inner.append(tag("line", **ends, y1=py, y2=py, class_="whisker"))
+        if math.isfinite(lower) and math.isfinite(upper):
+            inner.append(tag("line", x1=px, x2=px, y1=f"{cut(lower):.1f}", y2=f"{cut(upper):.1f}", class_="whisker"))
+        inner.append(marker(slot, px, py))
+        parts.append(tag("g", inner, class_=f"s{slot}"))
+    said = f"{unit} against {across}"
+    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=said, class_=f"chart v{width}")

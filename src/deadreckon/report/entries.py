@@ -131,9 +131,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Page:
-    """The runs of one report, all of one task (or all without)."""
+    """The runs of one report, all of one task (or all without), and what their policies were estimated at from the log."""
 
     entries: tuple[Entry, ...]
+    estimates: dict[str, Any] | None = None
 
     @property
     def task_name(self) -> str | None:

@@ -1,5 +1,6 @@
 """The page: sections in the order in which a reader needs them."""
 
+import dataclasses
 import datetime
 from collections.abc import Sequence
 from importlib import resources
@@ -11,27 +12,33 @@ from deadreckon.files import replacing
 from deadreckon.report import curves, provenance
 from deadreckon.report.decision import decision
 from deadreckon.report.entries import Page, read
+from deadreckon.report.estimates import section
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note
 from deadreckon.report.scores import scores
 from deadreckon.report.verdict import Verdict, verdict
+from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
 
 AGAIN = " means: collected again by this package, after the original's recipe, on today's simulator; not the original file."
 
 
-def write(runs: Sequence[Path | str | Run], out: Path | str, *, title: str | None = None) -> Path:
+def write(
+    runs: Sequence[Path | str | Run], out: Path | str, *, title: str | None = None, estimates: Path | str | None = None
+) -> Path:
     """Writes one self-contained HTML page about run folders of one task.
 
     Args:
         runs: run folders, finished or not.
         out: the page; an old one is replaced.
         title: heading; None makes one from the task or log.
+        estimates: what the policies were estimated at from the log: the folder that `runs.offline.judge` wrote to.
 
     Raises:
         UserError: nothing to show, a path that is no run, runs of different tasks, or an output that cannot be written.
     """
-    text = render(read(runs), title)
+    told = None if estimates is None else read_estimates(estimates)
+    text = render(dataclasses.replace(read(runs), estimates=told), title)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(out)
@@ -45,6 +52,7 @@ def render(page: Page, title: str | None = None) -> str:
     title = title or f"{kind} {page.task_name or ', '.join(logs)}"
     sections = [
         ("decision", "Decision", decision(page, found)),
+        ("estimates", "From the log alone", section(page)),
         ("scores", "Scores", scores(page)),
         ("learning", "Learning curves", curves.learning(page)),
         ("values", "Promised and delivered", curves.values(page)),

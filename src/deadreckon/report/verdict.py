@@ -50,8 +50,8 @@ def verdict(page: Page) -> Verdict:
         return Verdict(
             "No decision: these policies were not judged.",
             None,
-            f"{missing}, and an estimate from the log alone (off-policy evaluation) is not part of "
-            "this report yet. The page shows how training went and how far each policy moved away from the log.",
+            f"{missing}. The page shows how training went and how far each policy moved away from the log"
+            + (", and what the log alone says of them." if page.estimates else "; `deadreckon ope` judges from the log alone."),
             caveats=["A falling loss does not show that a policy is good."],
         )
     best = judged[0]
@@ -74,7 +74,7 @@ def verdict(page: Page) -> Verdict:
         headline = f"{'No decision' if deploy is None else 'Do not deploy'}: {best.label} {standing} {level}, but {reason}."
     return Verdict(
         headline, deploy, reason, best, log, cloning, over_log, over_cloning,
-        [] if best.online else _beaten(page, judged, cloning, log), _caveats(judged, best, [] if best.online else beside),
+        [] if best.online else _beaten(page, judged, cloning, log), _caveats(page, judged, best, [] if best.online else beside),
     )  # fmt: skip
 
 
@@ -160,9 +160,9 @@ def _misled(judged: list[Row]) -> list[str]:
             "largest mistake (thesis 4.1)."]  # fmt: skip
 
 
-def _caveats(judged: list[Row], best: Row, beside: list[Row]) -> list[str]:
-    out = ["This judgement ran the policies in the simulator. On a real system there is none: an estimate from the log alone "
-           "(off-policy evaluation) is not part of this report yet."]  # fmt: skip
+def _caveats(page: Page, judged: list[Row], best: Row, beside: list[Row]) -> list[str]:
+    alone = "the next section shows one" if page.estimates else "`deadreckon ope` makes one"
+    out = [f"This judgement ran the policies in the simulator. A real system has only an estimate from the log: {alone}."]
     if best.online:
         out = ["It was judged in the simulator that it learned in: nothing here shows how it fares where a system differs."]
     if beside:
