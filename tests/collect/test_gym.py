@@ -125,7 +125,7 @@ def test_shipped_policies(name):
     for each in found:
         for returns in (each.sampled, each.greedy):
             assert returns.discount == 0.995
-            assert returns.episodes >= 20
+            assert returns.episodes >= (250 if name == "ant" else 1000)
             assert returns.error > 0
             assert abs(returns.discounted) <= abs(returns.mean) + 300
     expert, medium = found[12], found[11]

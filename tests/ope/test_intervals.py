@@ -1,5 +1,7 @@
 """Intervals: constants by hand, and how often they hold the truth."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -44,13 +46,14 @@ COVERED = {
 
 @pytest.fixture(scope="module")
 def logs():
-    """600 logs of one world with a value function that knows nothing of them."""
+    """400 logs of one world, as functions that make cases, with a value function that knows nothing of them."""
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     rng = np.random.default_rng(0)
-    cases = []
-    for _ in range(600):
-        case = Case(true.log(behavior, 100, 60, rng), [as_policy(target)], discount=0.9)
+    policy = as_policy(target)
+
+    def make(log):
+        case = Case(log, [policy], discount=0.9)
         # The true values with an error, as a fit of another log might have them.
         q = 0.8 * true.q(target, 0.9) + 0.2
         state, after = case.data.observations.argmax(1), case.data.next_observations.argmax(1)
@@ -60,29 +63,33 @@ def logs():
             estimator = COVERED[each]
             kept = errors[None].astype(float), v[state[case.data.starts]][None, None]
             case.once(("errors", estimator.fqe, estimator.samples), lambda kept=kept: kept)
-        cases.append(case)
-    return cases, true.value(target, 0.9)
+        return case
+
+    return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(400)], true.value(target, 0.9)
 
 
+@pytest.mark.xdist_group("coverage")  # one worker makes the logs
 @pytest.mark.parametrize("name", COVERED)
 def test_coverage(logs, name):
-    cases, exact = logs
-    inside = [found.low[0] <= exact <= found.high[0] for found in map(COVERED[name].on, cases)]
+    makers, exact = logs
+    inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]
     assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
 
 
+@pytest.mark.xdist_group("coverage")
 def test_bounds_that_hold_for_every_number_of_episodes(logs):
-    cases, exact = logs
+    makers, exact = logs
+    case = makers[0]()
     bounded = {"return_range": (-20.0, 20.0), "max_weight": 8.0, "normalised": False, "kind": "trajectory"}
     wide = {}
     for interval in ("t", "bernstein", "hoeffding"):
-        found = ImportanceSampling(interval=interval, **bounded).on(cases[0])
+        found = ImportanceSampling(interval=interval, **bounded).on(case)
         assert found.low[0] < exact < found.high[0]
         wide[interval] = found.high[0] - found.low[0]
     assert wide["t"] < wide["bernstein"]
     assert wide["t"] < wide["hoeffding"]
     with pytest.raises(UserError, match="needs normalised=False, return_range"):
-        ImportanceSampling(interval="hoeffding").on(cases[0])
+        ImportanceSampling(interval="hoeffding").on(case)
 
 
 def test_sums_by_hand():

@@ -44,7 +44,7 @@ def test_clipping_makes_ties_of_overestimates():
     """The public notebook's form: two policies estimated above twice the range cannot be told apart."""
     truth = np.array([0.0, 1.0, 0.5])
     estimates = np.array([0.0, 2.5, 3.0])
-    plain, clipped = (m.metrics(estimates, truth, clip=clip) for clip in (None, m.PUBLIC_CLIP))
+    plain, clipped = (m.compare(estimates, truth, clip=clip) for clip in (None, m.PUBLIC_CLIP))
     assert clipped.regret[0] < plain.regret[0]
     assert clipped.absolute_error[0] < plain.absolute_error[0]
 
@@ -52,23 +52,23 @@ def test_clipping_makes_ties_of_overestimates():
 def test_bootstrap_over_policies():
     rng = np.random.default_rng(0)
     truth = rng.standard_normal(11)
-    found = m.metrics(truth + 0.1 * rng.standard_normal(11), truth)
+    found = m.compare(truth + 0.1 * rng.standard_normal(11), truth)
     assert found.count == 11
     assert 0.9 < found.rank_correlation[0] <= 1.0
     assert 0.0 <= found.regret[0] < 0.1
     assert 0.0 < found.absolute_error[1] < found.absolute_error[0]
-    assert found == m.metrics(truth + 0.1 * np.random.default_rng(0).standard_normal(22)[11:], truth)
+    assert found == m.compare(truth + 0.1 * np.random.default_rng(0).standard_normal(22)[11:], truth)
 
 
 def test_refusals():
     with pytest.raises(UserError, match="as many true values"):
-        m.metrics(np.zeros(3), np.zeros(4))
+        m.compare(np.zeros(3), np.zeros(4))
     with pytest.raises(UserError, match=r"k must be 1 \.\. the number of policies, of which there are 3, got 4"):
-        m.metrics(np.arange(3), np.arange(3), k=4)
+        m.compare(np.arange(3), np.arange(3), k=4)
     with pytest.raises(UserError, match="same true value"):
-        m.metrics(np.arange(3), np.ones(3))
+        m.compare(np.arange(3), np.ones(3))
     with pytest.raises(UserError, match="policy 1 is not finite"):
-        m.metrics(np.array([0.0, np.inf, 1.0]), np.arange(3))
+        m.compare(np.array([0.0, np.inf, 1.0]), np.arange(3))
 
 
 def test_published_tables_have_their_printed_medians():

@@ -6,7 +6,7 @@ from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Esti
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.fqe_d import FQED
 from deadreckon.ope.importance import ImportanceSampling
-from deadreckon.ope.metrics import Metrics, metrics
+from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.ope.model_based import ModelBased
 from deadreckon.ope.registry import ESTIMATORS, estimator
 from deadreckon.ope.select import Choice, select
@@ -14,5 +14,5 @@ from deadreckon.ope.vpm import VPM
 
 __all__ = [
     "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimates",
-    "Estimator", "ImportanceSampling", "Metrics", "ModelBased", "estimator", "metrics", "select",
+    "Estimator", "ImportanceSampling", "Metrics", "ModelBased", "compare", "estimator", "select",
 ]  # fmt: skip

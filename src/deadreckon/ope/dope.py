@@ -18,7 +18,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
-from deadreckon.ope.metrics import Metrics, metrics
+from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.ope.registry import as_estimator
 from deadreckon.policies import library
 
@@ -54,8 +54,8 @@ class Result:
     settings: str
 
     def metrics(self, **options: Any) -> Metrics:
-        """Absolute error, rank correlation and regret; see `metrics.metrics`."""
-        return metrics(self.estimates, self.truth, **options)
+        """Absolute error, rank correlation and regret; see `metrics.compare`."""
+        return compare(self.estimates, self.truth, **options)
 
 
 def evaluate_log(
@@ -139,7 +139,7 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
     Args:
         results: of one or several logs; of several seeds, means are shown.
         metric: `absolute_error`, `rank_correlation` or `regret`.
-        options: of `metrics.metrics`.
+        options: of `metrics.compare`.
     """
     methods = list(dict.fromkeys(r.method for r in results))
     logs = list(dict.fromkeys(r.log for r in results))

@@ -15,9 +15,11 @@ from scipy.optimize import nnls
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.importance import log_ratios
-from deadreckon.ope.intervals import student
+from deadreckon.ope.intervals import spread, student
 from deadreckon.ope.weights import Episodes, Sums
 from deadreckon.training.learner import static
+
+NORMAL = 1.96  # half of a normal's 95 % interval, in standard deviations
 
 
 class DoublyRobust(Estimator):
@@ -47,15 +49,17 @@ class DoublyRobust(Estimator):
             drawn = (episodes.counts @ total) / (episodes.counts @ count)
             if self.kind == "magic":
                 value, redrawn, uncorrected = self._blend(episodes, sums, begin[i].mean(), drawn)
-                # What is not corrected is as uncertain as the critics are among themselves.
-                apart = begins[:, i].mean(-1) - begin[i].mean()
-                redrawn = redrawn + uncorrected * apart[np.arange(len(redrawn)) % len(apart)]
+                # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale.
+                low, high = spread(begins[:, i].mean(-1))
+                deviation = np.nan_to_num(high - low) / (2 * NORMAL)
+                noise = np.random.default_rng([case.seed, 4]).standard_normal(len(redrawn))
+                redrawn = redrawn + uncorrected * deviation * noise
             else:
                 value, redrawn = begin[i].mean() + sums.value(), drawn + sums.redraw(episodes.counts)
             if self.kind == "dr":  # a mean over episodes, whose deviation is known
                 low, high = student(begin[i] + episodes.contributions(log_rho, errors[i], whole=False))
             else:
-                low, high = episodes.percentiles(redrawn)
+                low, high = episodes.percentiles(redrawn, sums.effective)
             values.append(value)
             redraws.append(redrawn)
             lows.append(low)

@@ -311,8 +311,7 @@ class Case:
         if members == 1:
             return np.ones((episodes, 1), np.float32)
         rng = np.random.default_rng([self.seed, 1])
-        counts = [np.bincount(rng.integers(0, episodes, episodes), minlength=episodes) for _ in range(members)]
-        return np.stack(counts, 1).astype(np.float32)
+        return rng.multinomial(episodes, np.full(episodes, 1 / episodes), members).T.astype(np.float32)
 
 
 class Estimator(eqx.Module):

@@ -45,7 +45,7 @@ class ImportanceSampling(Estimator):
             values.append(sums.value())
             redraws.append(sums.redraw(episodes.counts))
             if self.interval == "bootstrap":
-                low, high = episodes.percentiles(redraws[-1])
+                low, high = episodes.percentiles(redraws[-1], sums.effective)
             else:
                 each = sums.value() + sums.influence()
                 if not self.normalised:

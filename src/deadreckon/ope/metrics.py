@@ -73,7 +73,7 @@ def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:
     return max(0.0, float(truth.max() - weights @ np.maximum(tied, floor)))  # rounding aside, it never is negative
 
 
-def metrics(
+def compare(
     estimates: np.ndarray,
     truth: np.ndarray,
     *,

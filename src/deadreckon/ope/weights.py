@@ -9,6 +9,7 @@ off (a timeout) is no longer counted: what would have followed is not known.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.ope.intervals import ALPHA, RESAMPLES
@@ -77,8 +78,7 @@ class Episodes:
         rng = np.random.default_rng([seed, 2])
         self.groups = min(self.count, GROUPS)
         self.group = rng.permutation(np.arange(self.count) % self.groups)  # (episodes,)
-        draws = rng.integers(0, self.groups, (RESAMPLES, self.groups))
-        self.counts = np.stack([np.bincount(draw, minlength=self.groups) for draw in draws]).astype(float)
+        self.counts = rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
 
     def cumulate(self, log_ratios: np.ndarray) -> np.ndarray:
         """(rows,) log of rho_t: sums of the log-ratios over each episode so far."""
@@ -144,9 +144,15 @@ class Episodes:
         effective = _ratios(np.square(relative.sum()), np.square(relative).sum())
         return Sums(numerators, denominators, float(effective))
 
-    def percentiles(self, draws: np.ndarray) -> tuple[float, float]:
-        """The bootstrap's interval."""
-        low, high = np.percentile(draws, [100 * ALPHA / 2, 100 * (1 - ALPHA / 2)])
+    def percentiles(self, draws: np.ndarray, effective: float) -> tuple[float, float]:
+        """The bootstrap's interval, wider where few episodes count.
+
+        Percentiles of redraws are those of a normal with a deviation that is too small by sqrt(1 - 1/n); they are expanded to
+        those of Student's t (Hesterberg 2015), with as many episodes as the weights amount to.
+        """
+        n = max(min(effective, self.groups), 2.0)
+        tail = stats.norm.cdf(np.sqrt(n / (n - 1)) * stats.t.ppf(ALPHA / 2, n - 1))
+        low, high = np.percentile(draws, [100 * tail, 100 * (1 - tail)])
         return float(low), float(high)
 
     def warnings(self, names: tuple[str, ...], effective: np.ndarray) -> list[str]:
