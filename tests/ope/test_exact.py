@@ -8,6 +8,7 @@ compared with the true world, and are unbiased over many logs or lie within thei
 import numpy as np
 import pytest
 
+from deadreckon.data.dataset import Dataset
 from deadreckon.ope import DICE, FQE, FQED, VPM, Case, DoublyRobust, ImportanceSampling
 from deadreckon.theory import MDP, chain, garnet, gridworld
 from tests.ope.worlds import as_policy, tables
@@ -128,3 +129,31 @@ def test_on_a_grid_from_another_policy():
     exact = [MDP.of(log).value(p, DISCOUNT) for p in (behavior, better)]
     np.testing.assert_allclose(found.value, exact, rtol=0.05)
     assert found.best == 1
+
+
+@pytest.mark.parametrize("name", ["best-dice", "vpm"])
+def test_members_of_episodes_of_different_lengths(name):
+    """A reward of one a step is worth 1 / (1 - discount), however the redrawn episodes' lengths fall."""
+    true = garnet(states=3, actions=2)
+    true = MDP(true.transitions, np.ones_like(true.rewards), true.initial)
+    policy = tables(true, 1, 0.1)[0]
+    rng = np.random.default_rng(0)
+    parts = [true.log(policy, *shape, rng) for shape in ((20, 5), (5, 200))]
+    columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations")
+    log = Dataset.from_arrays(
+        **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}, action_space=parts[0].action_space
+    )
+    found = FITTED[name].replace(members=3).estimate(log, as_policy(policy), discount=DISCOUNT)
+    np.testing.assert_allclose(found.redraws[:, 0], 10.0, rtol=0.06)
+
+
+def test_vpm_where_seldom_an_episode_ends():
+    """A terminal's mass is 1 / (1 - discount): the penalty must not be a penalty of its variance."""
+    transitions = np.zeros((2, 1, 2))
+    transitions[0, 0] = [0.98, 0.02]  # stays, or goes to the state that ends
+    true = MDP(transitions, np.array([[1.0], [0.0]]), np.array([1.0, 0.0]))
+    policy = np.ones((2, 1))
+    log = true.log(policy, 200, 400, np.random.default_rng(0))
+    vpm = VPM(members=1, hidden=(), steps=30_000, lr=5e-4, batch_size=512)
+    found = vpm.estimate(log, as_policy(policy), discount=0.98)
+    assert found.value[0] == pytest.approx(MDP.of(log).value(policy, 0.98), rel=0.1)

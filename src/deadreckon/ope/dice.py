@@ -168,7 +168,9 @@ class DICE(Estimator):
 def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial_samples: int) -> Rows:
     """The log for learners of occupancies: transitions and initial states, with the policies' actions and members' weights."""
     redrawn = case.redrawn(members)
-    extra = {"policy": case.next_actions(samples), "weight": redrawn[case.data.episode_of]}
+    # Episodes are redrawn, not rows: where they differ in length, a member's rows do not count once each on average.
+    weight = redrawn[case.data.episode_of]
+    extra = {"policy": case.next_actions(samples), "weight": weight / weight[case.data.usable].mean(0)}
     initial = {"initial_policy": case.initial_actions(initial_samples), "initial_weight": redrawn}
     return Rows(case.data, learner.needs(case.data.spec), extra, initial)
 

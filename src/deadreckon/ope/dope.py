@@ -19,7 +19,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
 from deadreckon.ope.metrics import Metrics, compare
-from deadreckon.ope.registry import as_estimator
+from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library
 
 KINDS = ("random", "medium", "expert", "medium-replay", "medium-expert")
@@ -89,7 +89,9 @@ def evaluate_log(
         found = as_estimator(given)
         asked = {"settings": str(found), "seed": seed, "log": data.fingerprint, "truth": truth.tolist()}
         digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=4).hexdigest()
-        path = None if out is None else Path(out) / data.name / f"{type(found).__name__}-{digest}.json"
+        # What a function does is not in its name, so its results are not kept.
+        folder = None if out is None or isinstance(found, Function) else Path(out) / data.name
+        path = None if folder is None else folder / f"{type(found).__name__}-{digest}.json"
         if path is not None and path.exists():
             result = _from_json(read_json(path)["result"])
         else:

@@ -52,11 +52,11 @@ class DoublyRobust(Estimator):
                 # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale.
                 low, high = spread(begins[:, i].mean(-1))
                 deviation = np.nan_to_num(high - low) / (2 * NORMAL)
-                noise = np.random.default_rng([case.seed, 4]).standard_normal(len(redrawn))
+                noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
                 redrawn = redrawn + uncorrected * deviation * noise
             else:
                 value, redrawn = begin[i].mean() + sums.value(), drawn + sums.redraw(episodes.counts)
-            if self.kind == "dr":  # a mean over episodes, whose deviation is known
+            if self.kind == "dr" and episodes.even:  # a mean over episodes, whose deviation is known
                 low, high = student(begin[i] + episodes.contributions(log_rho, errors[i], whole=False))
             else:
                 low, high = episodes.percentiles(redrawn, sums.effective)
@@ -103,7 +103,7 @@ class DoublyRobust(Estimator):
         low, high = np.percentile(redrawn[:, -1], [50 * (1 - self.confidence), 50 * (1 + self.confidence)])
         bias = partial - np.clip(partial, low, high)
         # x that minimises x' (cov + bias bias') x on the simplex, as non-negative least squares with a heavy row of ones.
-        values, vectors = np.linalg.eigh(np.cov(redrawn.T) + np.outer(bias, bias))
+        values, vectors = np.linalg.eigh(np.cov((drawn[:, None] + redrawn).T) + np.outer(bias, bias))
         root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
         heavy = 1e4 * max(float(np.abs(root).max()), 1e-12)
         x = nnls(np.vstack([root, np.full(len(partial), heavy)]), np.append(np.zeros(len(partial)), heavy))[0]

@@ -7,6 +7,7 @@ beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount)
 
 import dataclasses
 import hashlib
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
+from deadreckon.files import write_json
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
@@ -248,7 +249,7 @@ class Case:
         Raises:
             UserError: its numbers went bad.
         """
-        folder = None if self.out is None else self._folder(learner, steps, what)
+        folder = None if self.out is None else self._folder(learner, rows, steps, what)
         job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
         job.resume()
         seen = self._metrics.setdefault(what, [])
@@ -275,25 +276,25 @@ class Case:
         found = f"{metric} by {100 * change:.0f} % over its last fifth"
         return [f"{what} still changes: {found}; more than {last:,} updates are needed"]
 
-    def _folder(self, learner: Any, steps: int, what: str) -> Path:
-        """Where a fit's checkpoints lie: only the same fit is gone on with."""
+    def _folder(self, learner: Any, rows: Rows, steps: int, what: str) -> Path:
+        """Where a fit's checkpoints lie: a folder of its own for every log, set of policies and setting."""
         assert self.out is not None
+        columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
-            "learner": str(learner), "steps": steps, "log": self.data.fingerprint, "policies": self._manner,
+            "learner": str(learner), "steps": steps, "log": self.data.fingerprint, "policies": self._manner, "columns": columns,
             "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
         }  # fmt: skip
-        folder = self.out / what
-        note = folder / "asked.json"
-        if not note.exists():
-            write_json(note, asked)
-        elif read_json(note) != asked:
-            raise UserError(f"{folder} holds estimates of another log or of other policies; delete it, or name another folder")
+        digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=6).hexdigest()
+        folder = self.out / f"{what}-{digest}"
+        if not (folder / "asked.json").exists():
+            write_json(folder / "asked.json", asked)
         return folder
 
     @cached_property
     def _manner(self) -> str:
-        """Tells sets of policies apart by what they do at the log's first observations."""
-        done = self.actor.table(np.asarray(self.data.observations[:64]), 1)
+        """Tells sets of policies apart by what they do at observations from all over the log."""
+        some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
+        done = self.actor.table(np.asarray(self.data.observations[some]), 1)
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
@@ -336,7 +337,9 @@ class Estimator(eqx.Module):
 
     def on(self, case: Case) -> Estimates:
         """The same on a case that several estimators share."""
-        check_fields(self)
+        for each in (self, *vars(self).values()):
+            if isinstance(each, eqx.Module):
+                check_fields(each)
         begun = time.perf_counter()
         found = self.solve(case)
         return dataclasses.replace(found, seconds=time.perf_counter() - begun)

@@ -176,15 +176,15 @@ class FQED(Estimator):
         """Mean of the distributions at the initial observations."""
         data, scale = case.data, Scale.of(case)
         learner = Distributions(
-            self.lr, case.discount, scale.std, scale.low, scale.high, self.gradient_clip, self.renew, self.atoms, self.members,
-            case.count, self.hidden, self.batch_size,
+            self.lr, case.discount, scale.std, scale.low, max(scale.high, scale.low + 1e-3), self.gradient_clip, self.renew,
+            self.atoms, self.members, len(case.names), self.hidden, self.batch_size,
         )  # fmt: skip
         redrawn = case.redrawn(self.members)
         extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}
         rows = Rows(data, learner.needs(data.spec), extra)
         state = case.train(learner, rows, self.steps, "fqe-d")
         first = rows.view.observe(np.asarray(data.observations[data.starts]))
-        of = lambda seen, table: _values(learner, state.targets, seen, table)  # noqa: E731
+        of = lambda seen, table: _values(learner, state.critics, seen, table)  # noqa: E731
         values = scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = spread(found)

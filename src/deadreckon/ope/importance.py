@@ -34,7 +34,7 @@ class ImportanceSampling(Estimator):
         episodes = case.once("episodes", lambda: Episodes(case.data, case.discount, case.seed))
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range)
         rewards = np.asarray(case.data.rewards, np.float64)
-        bounds = self._bounds()
+        bounds = self._bounds(episodes, rewards)
         values, lows, highs, effective, redraws = [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
@@ -48,16 +48,19 @@ class ImportanceSampling(Estimator):
                 low, high = episodes.percentiles(redraws[-1], sums.effective)
             else:
                 each = sums.value() + sums.influence()
-                if not self.normalised:
+                if not self.normalised and episodes.even:
                     each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
                 low, high = self._interval(each, bounds)
             lows.append(low)
             highs.append(high)
             effective.append(sums.effective)
-        effective = np.asarray(effective)
+        effective, values = np.asarray(effective), np.asarray(values)
+        warnings = episodes.warnings(case.names, effective)
+        if not np.isfinite(values).all():
+            warnings.append("weights overflow; normalised=True keeps them finite")
         return Estimates(
-            self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.discount,
-            redraws=np.stack(redraws, 1), effective=effective, warnings=tuple(episodes.warnings(case.names, effective)),
+            self.label, case.names, values, np.asarray(lows), np.asarray(highs), case.discount, redraws=np.stack(redraws, 1),
+            effective=effective, warnings=tuple(warnings),
         )  # fmt: skip
 
     @property
@@ -66,13 +69,18 @@ class ImportanceSampling(Estimator):
         short = {"trajectory": "IS", "per_decision": "PDIS"}[self.kind]
         return f"{'W' if self.normalised else ''}{short}"
 
-    def _bounds(self) -> tuple[float, float] | None:
+    def _bounds(self, episodes: Episodes, rewards: np.ndarray) -> tuple[float, float] | None:
         if self.interval not in ("hoeffding", "bernstein"):
             return None
         if self.return_range is None or self.max_weight is None or self.normalised:
             raise UserError(
                 f"interval={self.interval!r} needs normalised=False, return_range=(least, greatest) and max_weight: "
                 "it holds for every number of episodes because it knows what an episode can contribute"
+            )
+        if not episodes.even or (self.kind == "per_decision" and rewards.min() < 0 < rewards.max()):
+            raise UserError(
+                f"interval={self.interval!r} needs episodes that end or are cut off at the same step and, per decision, "
+                "rewards of one sign: else the range of a return does not bound what an episode adds; use kind='trajectory'"
             )
         low, high = self.return_range
         return min(0.0, low * self.max_weight), max(0.0, high * self.max_weight)

@@ -33,11 +33,11 @@ class ModelBased(Estimator):
     lr: float = 3e-4  # learning rate
     weight_decay: float = 1e-5  # AdamW
     episodes: int = static(100)  # made up for each member and policy, from initial observations of the log
-    horizon: int | None = static(None)  # steps of an episode; None: as the log's longest, or until 1 % is left
+    horizon: int | None = static(None)  # steps of an episode; None: until 1 % is left, or as the longest where all end
 
     def fitted(self, case: Case) -> tuple[Model, Any, Rows]:
         """The model and its parameters; made once for a case."""
-        return case.once((self.kind, self.members, self.hidden, self.steps, self.batch_size), lambda: self._fit(case))
+        return case.once(self.replace(episodes=1, horizon=None), lambda: self._fit(case))
 
     def _fit(self, case: Case) -> tuple[Model, Any, Rows]:
         model = KINDS[self.kind](self.members, self.hidden, self.lr, self.weight_decay, self.batch_size)
@@ -51,7 +51,9 @@ class ModelBased(Estimator):
         model, (params, unit), rows = self.fitted(case)
         data, members, count = case.data, self.members, self.episodes
         limits = Limits.of(data.spec)
-        horizon = self.horizon or int(min(data.lengths.max(), np.ceil(np.log(TAIL) / np.log(max(case.discount, 1e-6)))))
+        horizon = self.horizon or int(np.ceil(np.log(TAIL) / np.log(max(case.discount, 1e-6))))
+        if self.horizon is None and np.asarray(data.terminals)[data.ends].all():
+            horizon = min(horizon, int(data.lengths.max()))
         redrawn = case.redrawn(members)
         rng = np.random.default_rng([case.seed, 3])
         # Every policy begins at the same observations, drawn as the member's own episodes count.

@@ -16,7 +16,7 @@ import numpy as np
 from deadreckon.data.spec import Spec
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Deployed, Deterministic, Step
+from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, Step
 
 BLOCK = 8192  # rows at a time
 LIMIT = 2**30  # bytes of a table above which it lies in a file
@@ -161,7 +161,12 @@ class Actor:
 
 def _draws_nothing(policy: Any) -> bool:
     """Whether a policy of ours has nothing random in it."""
-    return isinstance(policy, Deployed) and isinstance(policy.inner, Deterministic)
+    if not isinstance(policy, Deployed):
+        return False
+    inner = policy.inner
+    if isinstance(inner, Gaussian):  # one that was published without a deviation
+        return bool(np.isneginf(inner.net.biases[-1][inner.net.biases[-1].shape[0] // 2 :]).all())
+    return isinstance(inner, Deterministic)
 
 
 def _room(shape: tuple[int, ...]) -> np.ndarray:

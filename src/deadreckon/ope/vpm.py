@@ -22,19 +22,22 @@ from jaxtyping import Array
 
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, copy, descend
+from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.dice import occupancy_rows, weighted_rewards
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
 
+EXCESS_RATE = 0.01  # of the running mean of the mass beyond one
+
 
 class State(NamedTuple):
-    """The ratio of this iteration, that of the one before, and the optimiser."""
+    """The ratio of this iteration, that of the one before, a running mean of the mass beyond one, and the optimiser."""
 
     tau: MLP
     before: MLP
+    excess: Array
     opt: optax.OptState
 
 
@@ -57,17 +60,19 @@ class Power(eqx.Module):
     def init(self, spec, key):
         """Fresh networks."""
         tau = create(spec, self.hidden, self.members, self.policies, key)
-        return State(tau, copy(tau), begin(tau))
+        return State(tau, copy(tau), jnp.zeros((self.members, self.policies)), begin(tau))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of the fit; every `inner` steps an iteration is over and the next begins."""
-        grads, metrics = jax.grad(self.loss, has_aux=True)(state.tau, state.before, batch)
+        grads, (mass, metrics) = jax.grad(self.loss, has_aux=True)(state.tau, state.before, state.excess, batch)
         tau, opt = descend(state.tau, grads, state.opt, self.lr)
         over = (step + 1) % self.inner == 0
         before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
-        return State(tau, before, opt), metrics
+        # The square of one batch's mass would be penalised for its variance, which a terminal's mass of 1 / (1 - discount)
+        # makes huge; the slope of the square at the running mean is right, and quiet once the mass is.
+        return State(tau, before, track(state.excess, mass - 1.0, EXCESS_RATE), opt), metrics
 
-    def loss(self, tau_net: MLP, before_net: MLP, batch: Batch):
+    def loss(self, tau_net: MLP, before_net: MLP, excess: Array, batch: Batch):
         """The objective above, summed over members and policies."""
         extra = batch.extra
         assert extra is not None
@@ -80,7 +85,7 @@ class Power(eqx.Module):
         fit = (weight * (jnp.square(tau) / 2 - self.discount * before * lasts * future)).mean(-1)
         fit = fit - (1.0 - self.discount) * (initial_weight * first).mean(-1)
         mass = (weight * tau * (1.0 - self.discount * lasts)).mean(-1) / (1.0 - self.discount)
-        return (fit + self.penalty * jnp.square(mass - 1.0) / 2).sum(), {"loss": fit.mean(), "mass": mass.mean()}
+        return (fit + self.penalty * excess * mass).sum(), (mass, {"loss": fit.mean(), "mass": mass.mean()})
 
 
 def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import stats
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
 from deadreckon.ope.intervals import ALPHA, RESAMPLES
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
@@ -69,12 +70,16 @@ class Episodes:
     """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
 
     def __init__(self, data: Dataset, discount: float, seed: int):
+        if data.successors is not None:
+            raise UserError(f"{data.name}: its rows do not follow each other, so ratios cannot be multiplied along them")
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
         self.first = data.starts
         self.of = data.episode_of
         self.time = np.arange(len(data)) - self.first[self.of]
         self.ended = np.asarray(data.terminals)[data.ends]  # else cut off
         self.steps = int(self.lengths.max())
+        # Whether nothing is cut off before the last step: then plain sums are means over episodes.
+        self.even = bool((self.ended | (self.lengths == self.steps)).all())
         rng = np.random.default_rng([seed, 2])
         self.groups = min(self.count, GROUPS)
         self.group = rng.permutation(np.arange(self.count) % self.groups)  # (episodes,)
@@ -125,7 +130,7 @@ class Episodes:
         return Sums(numerators, denominators, float((fade * effective).sum() / fade.sum()))
 
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool) -> np.ndarray:
-        """(episodes,) what each adds without normalisation: their mean is the unbiased estimate."""
+        """(episodes,) what each adds without normalisation: where cut-offs are `even`, their mean is the estimate."""
         with np.errstate(over="ignore"):
             rho = np.exp(np.repeat(log_rho[self.first + self.lengths - 1], self.lengths) if whole else log_rho)
         return np.bincount(self.of, rho * x * self.discount**self.time, self.count)

@@ -15,7 +15,7 @@ import numpy as np
 from deadreckon.data.pickles import load_pickle
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.policy import Deployed, Gaussian, TanhGaussian
+from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, TanhGaussian
 
 
 def load_dope(path: Path | str) -> Deployed:
@@ -35,6 +35,8 @@ def load_dope(path: Path | str) -> Deployed:
     head = [_array(path, found, f"last_fc/{part}") for part in ("weight", "bias")]
     if "last_fc_log_std/weight" in found:
         spread = [_array(path, found, f"last_fc_log_std/{part}") for part in ("weight", "bias")]
+        if [part.shape for part in spread] != [part.shape for part in head]:
+            raise UserError(f"{path}: last_fc_log_std has not the shapes of last_fc")
     else:  # one deviation for all states, or none at all
         bias = np.asarray(found.get("log_std", np.full(len(head[1]), -np.inf)), np.float32).reshape(-1)
         spread = [np.zeros_like(head[0]), bias]
@@ -49,6 +51,9 @@ def load_dope(path: Path | str) -> Deployed:
     )
     squashed = _text(found.get("output_distribution", "")) == "tanh_gaussian"
     size = len(head[1])
+    if squashed and np.isneginf(biases[-1][size:]).all():  # it never draws
+        only = MLP((*net.weights[:-1], net.weights[-1][:, :size]), (*net.biases[:-1], net.biases[-1][:size]), net.activation)
+        return Deployed(Deterministic(only), None, None, -jnp.ones(size), jnp.ones(size))
     if squashed:
         return Deployed(TanhGaussian(net), None, None, -jnp.ones(size), jnp.ones(size))
     return Deployed(Gaussian(net), None, None, None, None)

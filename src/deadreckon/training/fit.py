@@ -27,6 +27,7 @@ from deadreckon.training.replay import Experience
 
 INIT, DRAW, UPDATE, PREPARE, STARTS, ACT = range(6)  # purposes of randomness
 KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk lies about having written it
+BLOCK = 65_536  # rows that are packed at a time
 RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
 
 
@@ -231,6 +232,18 @@ def _choose(take_new: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
 
 
+def _packed(rows: Rows, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
+    """All rows as `_pack` gives them, made block by block so that a second copy of them never is in memory."""
+    out: dict[str, np.ndarray] = {}
+    for start in range(0, rows.count, BLOCK):
+        part = _pack(rows.take(np.arange(start, min(start + BLOCK, rows.count))), layout, 1)
+        for name, column in part.items():
+            if name not in out:
+                out[name] = np.empty((rows.count, *column.shape[1:]), column.dtype)
+            out[name][start : start + len(column)] = column
+    return out
+
+
 class _Source:
     """Rows on the device, or fetched for each chunk while the one before is computed."""
 
@@ -238,8 +251,7 @@ class _Source:
         self.rows, self.plan, self.chunk = rows, plan, chunk
         self.resident: dict[str, Any] | None = None
         if plan.resident:
-            columns = rows.take(np.arange(rows.count))
-            self.resident = jax.device_put(_pack(columns, plan.layout, 1))
+            self.resident = jax.device_put(_packed(rows, plan.layout))
         self.pool = None if plan.resident else ThreadPoolExecutor(1)
         self.ahead: tuple[int, Future] | None = None
 
