@@ -104,12 +104,11 @@ class Saddle(eqx.Module):
         future = expected(q_net, batch.next_observation, extra["policy"])
         first = expected(q_net, batch.initial_observation, extra["initial_policy"])
         zeta = positive_part(taken(dual, batch.observation, batch.action), self.positive)
-        mass = (1.0 - self.discount * lasts) / (1.0 - self.discount)
         error = self.reward * batch.reward / self.reward_std + self.discount * lasts * future - q
         weight, initial_weight = extra["weight"].T[:, None, :], extra["initial_weight"].T[:, None, :]
         inside = zeta * error + self.primal * jnp.square(q) / 2 - self.dual * jnp.square(zeta) / 2
         if self.norm:
-            inside = inside - zeta * multiplier[..., None] * mass
+            inside = inside - zeta * multiplier[..., None] * mass(batch.terminal, self.discount)
         value = (1.0 - self.discount) * (initial_weight * first).mean(-1) + (weight * inside).mean(-1)
         value = value + multiplier if self.norm else value
         return value.sum(), {"lagrangian": value.mean(), "ratio": zeta.mean(), "q": q.mean()}
@@ -154,7 +153,7 @@ class DICE(Estimator):
 
     def solve(self, case: Case) -> Estimates:
         """Logged rewards weighted by the ratios."""
-        found = weighted_rewards(case, self.ratios(case), self.members)
+        found = weighted(case, self.ratios(case), case.data.rewards) / (1.0 - case.discount)
         low, high = spread(found)
         return Estimates(self.label, case.names, found.mean(0), low, high, case.discount, redraws=found)
 
@@ -175,10 +174,13 @@ def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial
     return Rows(case.data, learner.needs(case.data.spec), extra, initial)
 
 
-def weighted_rewards(case: Case, ratios: np.ndarray, members: int) -> np.ndarray:
-    """(members, policies) mean of ratio times reward over the rows that each member saw, as a discounted return."""
-    data = case.data
-    weight = case.redrawn(members)[data.episode_of].T * data.usable
-    rewards = np.asarray(data.rewards, np.float64)
-    total = np.stack([own @ (seen * rewards) for own, seen in zip(ratios, weight)])
-    return total / weight.sum(1)[:, None] / (1.0 - case.discount)
+def mass(terminal: Any, discount: Any) -> Any:
+    """What each row adds to the mass of an occupancy, whose mean under its ratios is one: 1, and at an end what never comes."""
+    return (1.0 - discount * (1.0 - terminal)) / (1.0 - discount)
+
+
+def weighted(case: Case, ratios: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """(members, policies) means of ratio times `x` (rows,) over the rows that each member saw."""
+    weight = case.redrawn(len(ratios))[case.data.episode_of].T * case.data.usable
+    x = np.asarray(x, np.float64)
+    return np.stack([own @ (seen * x) for own, seen in zip(ratios, weight)]) / weight.sum(1)[:, None]

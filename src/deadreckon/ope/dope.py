@@ -22,8 +22,6 @@ from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library
 
-KINDS = ("random", "medium", "expert", "medium-replay", "medium-expert")
-
 
 @dataclass(frozen=True)
 class Result:
@@ -96,9 +94,9 @@ def evaluate_log(
             result = _from_json(read_json(path)["result"])
         else:
             if case is None:
-                folder = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
+                fits = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
                 policies = [s.policy() for s in snapshots]
-                case = Case(data, policies, discount=discount, seed=seed, names=names, out=folder, watch=watch)
+                case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
             result = _result(found.on(case), data.name, truth, errors, str(found))
             if path is not None:
                 write_json(path, {"asked": asked, "result": _to_json(result)})

@@ -97,9 +97,8 @@ class DoublyRobust(Estimator):
         """
         ends = np.unique(np.geomspace(1, episodes.steps, self.lengths).round().astype(int)) - 1
         partial = np.concatenate([[0.0], sums.partial()[ends]])
-        numerators, denominators = episodes.counts @ sums.numerators, episodes.counts @ sums.denominators
-        steps = np.divide(numerators, denominators, out=np.zeros_like(numerators), where=denominators > 0)
-        redrawn = np.concatenate([np.zeros((len(drawn), 1)), np.cumsum(steps, 1)[:, ends]], 1)
+        steps = np.cumsum(sums.redraw_steps(episodes.counts), 1)
+        redrawn = np.concatenate([np.zeros((len(drawn), 1)), steps[:, ends]], 1)
         low, high = np.percentile(redrawn[:, -1], [50 * (1 - self.confidence), 50 * (1 + self.confidence)])
         bias = partial - np.clip(partial, low, high)
         # x that minimises x' (cov + bias bias') x on the simplex, as non-negative least squares with a heavy row of ones.

@@ -35,8 +35,7 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
     "mb-ff": (ModelBased, "episodes made up by a feed-forward model (Paduraru 2007)"),
     "mb-ar": (lambda: ModelBased(kind="autoregressive"), "episodes made up by an auto-regressive model (Zhang et al. 2021)"),
 }
-# What the thesis compared (8.5), in its settings where they differ from our defaults.
-DOPE = ("fqe", "fqe-d", "is", "dr", "dice", "vpm", "mb-ff", "mb-ar")
+# Weights as in the code that the thesis used (8.5).
 PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE}
 
 

@@ -24,7 +24,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.critics import Fitted, create, expected, taken
-from deadreckon.ope.dice import occupancy_rows, weighted_rewards
+from deadreckon.ope.dice import mass, occupancy_rows, weighted
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
@@ -64,13 +64,13 @@ class Power(eqx.Module):
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of the fit; every `inner` steps an iteration is over and the next begins."""
-        grads, (mass, metrics) = jax.grad(self.loss, has_aux=True)(state.tau, state.before, state.excess, batch)
+        grads, (whole, metrics) = jax.grad(self.loss, has_aux=True)(state.tau, state.before, state.excess, batch)
         tau, opt = descend(state.tau, grads, state.opt, self.lr)
         over = (step + 1) % self.inner == 0
         before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
         # The square of one batch's mass would be penalised for its variance, which a terminal's mass of 1 / (1 - discount)
         # makes huge; the slope of the square at the running mean is right, and quiet once the mass is.
-        return State(tau, before, track(state.excess, mass - 1.0, EXCESS_RATE), opt), metrics
+        return State(tau, before, track(state.excess, whole - 1.0, EXCESS_RATE), opt), metrics
 
     def loss(self, tau_net: MLP, before_net: MLP, excess: Array, batch: Batch):
         """The objective above, summed over members and policies."""
@@ -84,8 +84,8 @@ class Power(eqx.Module):
         weight, initial_weight = extra["weight"].T[:, None, :], extra["initial_weight"].T[:, None, :]
         fit = (weight * (jnp.square(tau) / 2 - self.discount * before * lasts * future)).mean(-1)
         fit = fit - (1.0 - self.discount) * (initial_weight * first).mean(-1)
-        mass = (weight * tau * (1.0 - self.discount * lasts)).mean(-1) / (1.0 - self.discount)
-        return (fit + self.penalty * excess * mass).sum(), (mass, {"loss": fit.mean(), "mass": mass.mean()})
+        whole = (weight * tau * mass(batch.terminal, self.discount)).mean(-1)
+        return (fit + self.penalty * excess * whole).sum(), (whole, {"loss": fit.mean(), "mass": whole.mean()})
 
 
 def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:
@@ -123,9 +123,7 @@ class VPM(Estimator):
     def solve(self, case: Case) -> Estimates:
         """The weighted average of the logged rewards."""
         data, ratios = case.data, self.ratios(case)
-        mass = (1.0 - case.discount * (1.0 - np.asarray(data.terminals, np.float64))) / (1.0 - case.discount)
-        weight = case.redrawn(self.members)[data.episode_of].T * data.usable
-        masses = np.stack([own @ (seen * mass) for own, seen in zip(ratios, weight)]) / weight.sum(1)[:, None]
-        found = weighted_rewards(case, ratios, self.members) / masses
+        masses = weighted(case, ratios, mass(np.asarray(data.terminals, np.float64), case.discount))
+        found = weighted(case, ratios, data.rewards) / (1.0 - case.discount) / masses
         low, high = spread(found)
         return Estimates("VPM", case.names, found.mean(0), low, high, case.discount, redraws=found)

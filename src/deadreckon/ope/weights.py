@@ -43,7 +43,11 @@ class Sums:
 
     def redraw(self, counts: np.ndarray) -> np.ndarray:
         """(n,) estimates of redrawn logs; `counts` (n, groups) says how often each group counts."""
-        return _ratios(counts @ self.numerators, counts @ self.denominators).sum(-1)
+        return self.redraw_steps(counts).sum(-1)
+
+    def redraw_steps(self, counts: np.ndarray) -> np.ndarray:
+        """(n, steps) what each step adds to them."""
+        return _ratios(counts @ self.numerators, counts @ self.denominators)
 
     def influence(self) -> np.ndarray:
         """(groups,) how far each pulls the estimate, to first order; their mean is zero, their sum over n^2 the variance."""
