@@ -21,6 +21,8 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
+from protocol import POLICIES
+
 
 def products(dims: Sequence[int]) -> int:
     return sum(i * o for i, o in pairwise(dims))
@@ -66,6 +68,8 @@ def needed(opts: dict[str, Any]) -> float:
     case = opts["peer"]
     if case == "bc":
         return train(b, net["actor"])
+    if case == "fqe":  # what the policies do is looked up
+        return POLICIES * (forward(b, net["critic"]) + train(b, net["critic"]))
     critics = 2 * train(b, net["critic"])
     if case == "td3_bc":
         target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
@@ -93,6 +97,8 @@ def peer(opts: dict[str, Any]) -> float:
     case = opts["peer"]
     if case == "bc":
         return train(b, net["actor"])
+    if case == "fqe":  # the policy is SAC's: only the mean's half of its head is evaluated
+        return POLICIES * (forward(b, net["actor"]) + forward(b, net["critic"]) + train(b, net["critic"]))
     critics = 2 * train(b, net["critic"])
     # Critics under the actor get weight gradients and gradients for the states too, and TD3+BC runs both to use one.
     under_actor = 2 * train(b, net["critic"], o + a)

@@ -1,5 +1,6 @@
 """The one place where the speed harness meets our API."""
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,11 @@ import protocol
 from deadreckon.agents import agent_class
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.view import View
+from deadreckon.nets.mlp import MLP
+from deadreckon.ope.estimate import Case
+from deadreckon.ope.fqe import FQE
+from deadreckon.policies.policy import Deployed, TanhGaussian
 from deadreckon.training.fit import Fit
 
 CHUNK = 100  # updates between two looks from outside; a run makes whole chunks
@@ -23,8 +29,10 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
     It walks the chunks that `deadreckon train` walks, with the log on the device, metrics and the check for bad numbers.
     """
     if agent_name not in protocol.CASES:
-        raise protocol.BenchError(f"unknown agent {agent_name!r}: choose from {', '.join(protocol.CASES)}")
+        raise protocol.BenchError(f"unknown case {agent_name!r}: choose from {', '.join(protocol.CASES)}")
     log = Dataset.from_arrays(**protocol.synthetic_log(options))
+    if options["peer"] == "fqe":
+        return _fqe(log, options)
     fields: dict[str, Any] = {"hidden": (options["width"],) * 2, "batch_size": options["batch"]}
     if options["behaviour"]:
         fields |= {
@@ -34,7 +42,24 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
         }  # fmt: skip
     agent = agent_class(agent_name.split("-")[0])(**fields).resolve(log.spec, 10**9)
     rows = Rows(log, agent.needs(log.spec))
-    walk = Fit([agent], rows, [options["seed"]], 10**9, chunk=CHUNK).chunks()
+    return _walker(agent, rows, ", ".join(f"{k} {v}" for k, v in fields.items()), options)
+
+
+def _fqe(log: Dataset, options: dict[str, Any]) -> Callable[[int], int]:
+    """The critics of all policies, one each; what the policies do at the log's rows is asked once, and timed apart."""
+    view = View.of(log.spec)
+    shape = (options["observation"], (options["width"],) * 2, 2 * options["action"])
+    nets = [MLP.create(*shape, jax.random.key(i)) for i in range(protocol.POLICIES)]
+    estimator = FQE(members=1, hidden=(options["width"],) * 2, batch_size=options["batch"])
+    start = time.perf_counter()
+    learner, rows = estimator.problem(Case(log, [Deployed.of(TanhGaussian(net), view) for net in nets]))
+    asked = time.perf_counter() - start
+    settings = f"{protocol.POLICIES} policies, a critic each; the policies' actions at all rows took {asked:.1f} s, once"
+    return _walker(learner, rows, settings, options)
+
+
+def _walker(learner: Any, rows: Rows, settings: str, options: dict[str, Any]) -> Callable[[int], int]:
+    walk = Fit([learner], rows, [options["seed"]], 10**9, chunk=CHUNK).chunks()
 
     def run(n_updates: int) -> int:
         done = 0
@@ -43,9 +68,11 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
             done += CHUNK
         return done
 
-    batch = Batch(**{name: jnp.asarray(v) for name, v in rows.take(np.arange(options["batch"])).items()})
-    state = agent.init(log.spec, jax.random.key(0))
-    update = lambda s, b: agent.update(s, b, step=jnp.int32(0), key=jax.random.key(0))  # noqa: E731
+    columns = rows.take(np.arange(options["batch"]))
+    extra = {name: jnp.asarray(columns.pop(name)) for name in rows.extra}
+    batch = Batch(**{name: jnp.asarray(column) for name, column in columns.items()}, extra=extra or None)
+    state = learner.init(rows.spec, jax.random.key(0))
+    update = lambda s, b: learner.update(s, b, step=jnp.int32(0), key=jax.random.key(0))  # noqa: E731
     run.flops = flops.of_program(update, state, batch)  # type: ignore[attr-defined]
-    run.settings = ", ".join(f"{k} {v}" for k, v in fields.items())  # type: ignore[attr-defined]
+    run.settings = settings  # type: ignore[attr-defined]
     return run

@@ -17,13 +17,36 @@ import torch  # noqa: E402
 from d3rlpy.algos import BCConfig, BEARConfig, SACConfig, TD3PlusBCConfig  # noqa: E402
 from d3rlpy.dataset import MDPDataset  # noqa: E402
 from d3rlpy.models.encoders import VectorEncoderFactory  # noqa: E402
+from d3rlpy.ope import FQE, FQEConfig  # noqa: E402
 from torch.utils.flop_counter import FlopCounterMode  # noqa: E402
 
 
-def config(opts: dict[str, Any]) -> Any:
-    def encoder(width: int) -> VectorEncoderFactory:
-        return VectorEncoderFactory(hidden_units=[width, width], activation="relu")
+def encoder(width: int) -> VectorEncoderFactory:
+    return VectorEncoderFactory(hidden_units=[width, width], activation="relu")
 
+
+def evaluators(opts: dict[str, Any]) -> list[Any]:
+    """An FQE for each policy, which is what judging several takes there; the policies are fresh SAC actors."""
+    shape, made = ((opts["observation"],), opts["action"]), []
+    for _ in range(protocol.POLICIES):
+        policy = SACConfig(actor_encoder_factory=encoder(opts["width"])).create(device=False)
+        policy.create_impl(*shape)
+        settings = FQEConfig(batch_size=opts["batch"], gamma=0.995, learning_rate=3e-4, encoder_factory=encoder(opts["width"]))
+        made.append(FQE(policy, settings))
+        made[-1].create_impl(*shape)
+    return made
+
+
+def learners(opts: dict[str, Any]) -> list[Any]:
+    """What an update updates."""
+    if opts["peer"] == "fqe":
+        return evaluators(opts)
+    algo = config(opts).create(device=False)
+    algo.create_impl((opts["observation"],), opts["action"])
+    return [algo]
+
+
+def config(opts: dict[str, Any]) -> Any:
     hidden = encoder(opts["width"])
     if opts["peer"] == "bc":
         return BCConfig(batch_size=opts["batch"], encoder_factory=hidden, policy_type="deterministic")
@@ -54,13 +77,13 @@ def build(opts: dict[str, Any]) -> tuple[Callable[[int], int], dict[str, Any]]:
         log["terminals"].astype("float32"),
         log["timeouts"].astype("float32"),
     )
-    algo = config(opts).create(device=False)
-    algo.create_impl((opts["observation"],), opts["action"])
+    algos = learners(opts)
 
     def run(updates: int) -> int:
         metrics: dict[str, float] = {}
         for _ in range(updates):
-            metrics = algo.update(data.sample_transition_batch(opts["batch"]))
+            for algo in algos:
+                metrics = algo.update(data.sample_transition_batch(opts["batch"]))
         bad = [name for name, value in metrics.items() if not math.isfinite(value)]
         if bad:
             raise protocol.BenchError(f"d3rlpy's {bad[0]} is not finite")  # its speed would not be the real one

@@ -24,7 +24,9 @@ CASES: dict[str, tuple[str, str | None, int | None]] = {
     "bear-gaussian": ("bear", "gaussian", None),
     "bear-vae": ("bear", "vae", None),
     "bear-vae-750": ("bear", "vae", 750),  # the width of the published code's VAE
+    "fqe-11": ("fqe", None, None),  # fitted Q evaluation of 11 policies: an update is one of each policy's critic
 }
+POLICIES = 11  # of the case fqe-11, a DOPE task's
 
 
 class BenchError(Exception):
@@ -34,7 +36,7 @@ class BenchError(Exception):
 def options(case: str, *, batch: int, width: int, threads: int, rows: int = 100_000, seed: int = 0) -> dict[str, Any]:
     """Everything that decides the work of one update; both workers build from this."""
     if case not in CASES:
-        raise BenchError(f"unknown agent {case!r}: choose from {', '.join(CASES)}")
+        raise BenchError(f"unknown case {case!r}: choose from {', '.join(CASES)}")
     peer, behaviour, behaviour_width = CASES[case]
     return {
         "case": case,

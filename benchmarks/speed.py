@@ -28,6 +28,7 @@ from protocol import BenchError, Worker
 
 HERE = Path(__file__).resolve().parent
 RATIO, SHARE = 2.5, 0.6  # what we promise: this many times d3rlpy, or this part of the machine's rate
+FQE_RATIO = 3.0  # of many policies at once; the rate is no way out there
 
 
 @dataclass
@@ -53,6 +54,11 @@ class Row:
         return statistics.median(self.ours) / statistics.median(self.peer) if self.ours and self.peer else None
 
     @property
+    def promise(self) -> float:
+        """How many times d3rlpy."""
+        return FQE_RATIO if self.options["peer"] == "fqe" else RATIO
+
+    @property
     def work(self) -> float:
         """FLOPs that we take credit for: never more than the program does."""
         return min(self.needed, self.program) if self.program else self.needed
@@ -64,10 +70,10 @@ class Row:
 
     @property
     def share_for_ratio(self) -> float | None:
-        """Part of the rate that `RATIO` times d3rlpy would take: towards 1 the arithmetic itself is the limit."""
+        """Part of the rate that the promised multiple of d3rlpy would take: towards 1 the arithmetic itself is the limit."""
         if not (self.peer and self.rate):
             return None
-        return RATIO * statistics.median(self.peer) * self.work / statistics.median(self.rate)
+        return self.promise * statistics.median(self.peer) * self.work / statistics.median(self.rate)
 
     @property
     def complete(self) -> bool:
@@ -81,9 +87,9 @@ class Row:
             return f"too noisy: {max(len(self.ours), len(self.peer))} of {self.wanted} repeats"
         if self.ratio is None:
             return "one side only"
-        if self.ratio >= RATIO:
-            return f"≥ {RATIO}x"
-        if self.share is not None and self.share >= SHARE:
+        if self.ratio >= self.promise:
+            return f"≥ {self.promise:g}x"
+        if self.promise == RATIO and self.share is not None and self.share >= SHARE:
             return f"≥ {SHARE:.0%} of the rate"
         return "missed"
 
@@ -265,7 +271,7 @@ def report(rows: list[Row], shapes: dict[str, float], facts: dict[str, Any], cal
         f"{arguments.busy:.0%} of the cores, was run again.",
         "",
         *table(
-            ["agent", "deadreckon", "d3rlpy", "ratio", "share of rate", f"share {RATIO}x needs", "rejected", "verdict"],
+            ["agent", "deadreckon", "d3rlpy", "ratio", "share of rate", "share the promise needs", "rejected", "verdict"],
             [
                 [
                     row.case,
@@ -281,7 +287,8 @@ def report(rows: list[Row], shapes: dict[str, float], facts: dict[str, Any], cal
             ],
         ),
         "Share of rate: FLOPs of an update x updates per second / FLOP/s of XLA's 1024x1024 float32 product, timed "
-        f"beside each slice. `share {RATIO}x needs`: the share at which we would be {RATIO} times as fast as d3rlpy; "
+        f"beside each slice. `share the promise needs`: the share at which we would be {RATIO} times as fast as d3rlpy "
+        f"({FQE_RATIO:g} for FQE of {protocol.POLICIES} policies, where an update is one of each policy's critic); "
         "where it nears 100 % the arithmetic is the limit. Beside every BEAR stands d3rlpy's only one, "
         "with a VAE of the same width. d3rlpy's BC is its default, deterministic.",
         "",

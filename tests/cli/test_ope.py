@@ -67,3 +67,7 @@ def test_bench_on_a_short_log(tmp_path, capsys):
     assert out.count("| median |") == 3
     numbers = [float(x) for x in out.split("| median |")[1].splitlines()[0].split("|")[:2]]
     assert np.isfinite(numbers).all()
+    page = (tmp_path / "dope" / "report.html").read_text()
+    assert out.rstrip().endswith("report.html")
+    for said in ("Rank correlation", "hopper-random-v2@dr1", "estimate against true value", "thesis", "FQE-L2"):
+        assert said in page

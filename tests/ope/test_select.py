@@ -1,10 +1,13 @@
 """Decisions from estimates, estimators by name, and the DOPE protocol on little."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.ope import ESTIMATORS, FQE, LOGGED, Case, DoublyRobust, ImportanceSampling, ModelBased, dope, estimator, select
+from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
 from deadreckon.policies import library
 from deadreckon.theory import garnet
@@ -138,5 +141,24 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     table = dope.markdown(results, "rank_correlation")
     assert "| little | 1.00 ± 0.00 |" in table
     assert table.splitlines()[-1].startswith("| median | 1.00 |")
+    other = dataclasses.replace(results[1], settings="another width")
+    with pytest.raises(UserError, match="FQE-L2 on little has results of several settings"):
+        dope.markdown([*results, other], "regret")
     with pytest.raises(UserError, match="gave values of shape"):
         dope.evaluate_log(data, "hopper", [lambda data, policies, discount: [1.0]])
+
+
+def test_published_values_stand_below_ours():
+    """Rank correlations and regrets of thesis E.2 by name; absolute errors only in returns, which is what it prints."""
+    truth = np.linspace(0.0, 3000.0, 11)
+    names = tuple(f"snapshot-{i}" for i in range(11))
+    made = dope.Result("hopper-medium-v2@dr1", "WDR", names, truth, truth * 0, truth[::-1], truth, truth, 1.0, (), "")
+    cell = dope.cells([made], "rank_correlation")["hopper-medium-v2@dr1"]["WDR"]
+    assert cell.mean == pytest.approx(-1.0)
+    assert cell.printed == tuple(published()["rank_correlation"]["d4rl"]["hopper-medium"]["DR"])
+    assert "| thesis E.2 |" in dope.markdown([made], "regret")
+    assert "| thesis E.2 |" not in dope.markdown([made], "absolute_error")
+    raw = dope.markdown([made], "absolute_error", normalised=False)
+    assert "| thesis E.2 |" in raw
+    lost = dataclasses.replace(made, estimates=np.full(11, np.nan))
+    assert np.isnan(dope.cells([lost], "regret")["hopper-medium-v2@dr1"]["WDR"].mean)

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -90,20 +91,21 @@ def ope(args: Sequence[str]) -> None:
 
 
 def bench(args: Sequence[str]) -> None:
-    """Runs the protocol and prints its three tables."""
+    """Runs the protocol, prints its three tables and writes a page beside the results."""
     options = parse(Bench, args, "ope bench")
     from deadreckon.collect import collect, recipe
     from deadreckon.collect.recipes import default_path
     from deadreckon.data.io import read
     from deadreckon.ope import dope
     from deadreckon.ope.registry import PUBLIC, with_fields
+    from deadreckon.report.dope import write_bench
 
     found = _estimators(options.estimators, options.fits)
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
     results = []
-    for task in options.tasks.split(","):
-        for kind in options.kinds.split(","):
+    for task in map(str.strip, options.tasks.split(",")):
+        for kind in map(str.strip, options.kinds.split(",")):
             name = f"{task}-{kind}-v2"
             path = default_path(recipe(name), options.log_steps, 0)
             if not path.exists():
@@ -113,9 +115,9 @@ def bench(args: Sequence[str]) -> None:
             told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
             with Watch() as watch:
                 results += dope.evaluate_log(data, task, found, seed=options.seed, out=options.out, watch=watch, told=told)
-    for metric in ("absolute_error", "rank_correlation", "regret"):
-        words = {"absolute_error": "Absolute error, normalised", "rank_correlation": "Rank correlation", "regret": "Regret@1"}
-        print(f"\n{words[metric]}\n\n{dope.markdown(results, metric)}")
+    for metric, words in dope.METRICS.items():
+        print(f"\n{words}\n\n{dope.markdown(results, metric)}")
+    print(f"\n{write_bench(results, Path(options.out) / 'report.html')}")
 
 
 def _estimators(names: str, fits: Fits) -> list[Any]:

@@ -7,10 +7,11 @@ stored beside them (`policies/library.py`). The logs are the package's own (`hop
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,9 +19,16 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
-from deadreckon.ope.metrics import Metrics, compare
+from deadreckon.ope.metrics import Metrics, compare, published
 from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library
+
+METRICS = {
+    "absolute_error": "Absolute error, in ranges of the true values",
+    "rank_correlation": "Rank correlation",
+    "regret": "Regret@1, in ranges of the true values",
+}
+PRINTED = {"WPDIS": "IS", "WDR": "DR"}  # what thesis E.2 calls methods that have a more exact name here
 
 
 @dataclass(frozen=True)
@@ -133,30 +141,66 @@ def read_results(out: Path | str) -> list[Result]:
     return found
 
 
-def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
-    """A table of one metric, a row a log and a column an estimator, with medians; mean over redrawn policies and deviation.
+class Cell(NamedTuple):
+    """A metric of one method on one log.
+
+    Attributes:
+        mean, spread: over redrawn policies, of the mean over seeds; NaN where nothing finite was estimated.
+        printed: mean and spread in thesis E.2 for the original log and policies, where it prints one on this scale.
+    """
+
+    mean: float
+    spread: float
+    printed: tuple[float, float] | None
+
+
+def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, dict[str, Cell]]:
+    """Log -> method -> one metric.
 
     Args:
-        results: of one or several logs; of several seeds, means are shown.
-        metric: `absolute_error`, `rank_correlation` or `regret`.
+        results: of one or several logs; of several seeds, means are taken.
+        metric: among `METRICS`.
         options: of `metrics.compare`.
+
+    Raises:
+        UserError: a method with two settings, whose mean would be nobody's.
     """
+    found: dict[str, dict[str, Cell]] = {}
+    for log in dict.fromkeys(r.log for r in results):
+        for method in dict.fromkeys(r.method for r in results):
+            own = [r for r in results if (r.log, r.method) == (log, method)]
+            if len({r.settings for r in own}) > 1:
+                raise UserError(f"{method} on {log} has results of several settings; keep each in a folder of its own")
+            good = [r.metrics(**options) for r in own if np.isfinite(r.estimates).all()]
+            pair = np.mean([getattr(m, metric) for m in good], 0) if good else (math.nan, math.nan)
+            if own:
+                raw = metric == "absolute_error" and options.get("normalised", True)  # E.2 prints it in returns
+                printed = None if raw else _printed(metric, log, method)
+                found.setdefault(log, {})[method] = Cell(float(pair[0]), float(pair[1]), printed)
+    return found
+
+
+def _printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
+    table = published()[{"regret": "regret_at_1"}.get(metric, metric)]["d4rl"]
+    values = table.get(log.removesuffix("@dr1").removesuffix("-v2"), {}).get(PRINTED.get(method, method))
+    return None if values is None else (float(values[0]), float(values[1]))
+
+
+def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
+    """A table of one metric: a row a log, below it what thesis E.2 prints, a column an estimator; medians last.
+
+    Arguments and errors are those of `cells`.
+    """
+    found = cells(results, metric, **options)
     methods = list(dict.fromkeys(r.method for r in results))
-    logs = list(dict.fromkeys(r.log for r in results))
-    rows: dict[str, list[str]] = {}
-    means: dict[str, list[float]] = {method: [] for method in methods}
-    for log in logs:
-        cells = []
-        for method in methods:
-            own = [r for r in results if r.log == log and r.method == method and np.isfinite(r.estimates).all()]
-            if not own:
-                cells.append("")
-                continue
-            pairs = np.array([getattr(r.metrics(**options), metric) for r in own]).mean(0)
-            means[method].append(float(pairs[0]))
-            cells.append(f"{pairs[0]:.2f} ± {pairs[1]:.2f}")
-        rows[log] = cells
-    medians = [f"{np.median(means[method]):.2f}" if means[method] else "" for method in methods]
     lines = ["| log | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
-    lines += [f"| {log} | " + " | ".join(cells) + " |" for log, cells in rows.items()]
-    return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
+    pair = lambda mean, spread: f"{mean:{form}} ± {spread:{form}}" if math.isfinite(mean) else ""  # noqa: E731
+    for log, row in found.items():
+        form = ".2f" if max((abs(c.mean) for c in row.values() if math.isfinite(c.mean)), default=0.0) < 100 else ",.0f"
+        shown = [pair(row[m].mean, row[m].spread) if m in row else "" for m in methods]
+        lines.append(f"| {log} | " + " | ".join(shown) + " |")
+        printed = [row[m].printed if m in row else None for m in methods]
+        if any(printed):
+            lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
+    means = {m: [row[m].mean for row in found.values() if m in row and math.isfinite(row[m].mean)] for m in methods}
+    return "\n".join([*lines, "| median | " + " | ".join(f"{np.median(v):.2f}" if v else "" for v in means.values()) + " |"])

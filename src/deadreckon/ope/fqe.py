@@ -122,16 +122,20 @@ class FQE(Estimator):
         """The critics of a case's policies; made once for a case, whoever asks."""
         return case.once(self, lambda: self._fit(case))
 
-    def _fit(self, case: Case) -> Fitted:
+    def problem(self, case: Case) -> tuple[Critics, Rows]:
+        """What is trained for a case, and the rows that it learns from."""
         data, scale = case.data, Scale.of(case)
         learner = Critics(
             self.lr, self.weight_decay, self.target_rate, case.discount, scale.std, scale.low, scale.high, self.members,
             case.count, self.hidden, self.batch_size,
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": case.redrawn(self.members)[data.episode_of]}
-        rows = Rows(data, learner.needs(data.spec), extra)
+        return learner, Rows(data, learner.needs(data.spec), extra)
+
+    def _fit(self, case: Case) -> Fitted:
+        learner, rows = self.problem(case)
         state = case.train(learner, rows, self.steps, "fqe")
-        return Fitted(state.targets, scale.unit, rows.view)
+        return Fitted(state.targets, Scale.of(case).unit, rows.view)
 
     def solve(self, case: Case) -> Estimates:
         """Mean value of the initial observations."""

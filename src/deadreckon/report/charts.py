@@ -256,6 +256,39 @@ def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, referenc
     )
 
 
+def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> Markup:
+    """Bars from zero, one under another, with whiskers and a tick where somebody else's value lies.
+
+    Args:
+        rows: name, colour, mean with ends, and the other value, each.
+        unit: of the axis, for screen readers.
+    """
+    width, row, top, left, right = 480, 26, 10, 128, 466
+    height = top + row * len(rows) + 26
+    x = _Axis(*_ends(rows), left, right)
+    parts = [tag("title", unit)]
+    for t in x.ticks:
+        parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
+        parts.append(tag("text", _short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
+    for k, (name, slot, spread, other) in enumerate(rows):
+        y = top + row * (k + 0.5)
+        inner = [tag("title", f"{name}: {number(spread.mean)}")]
+        inner.append(tag("text", _cut(name), x=left - 14, y=y + 4.5, class_="label end"))
+        if math.isfinite(spread.mean):
+            a, b = sorted((float(x(0.0)), float(x(spread.mean))))
+            inner.append(tag("rect", x=f"{a:.1f}", y=y - 8, width=f"{b - a:.1f}", height=16, rx=2, class_="bar"))
+            inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
+        if other is not None:
+            inner.append(tag("line", x1=f"{x(other):.1f}", x2=f"{x(other):.1f}", y1=y - 11, y2=y + 11, class_="other"))
+        parts.append(tag("g", inner, class_=f"s{slot}"))
+    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=unit, class_=f"chart v{width}")
+
+
+def _ends(rows: Sequence[tuple[str, int, Interval, float | None]]) -> tuple[float, float]:
+    values = [v for _, _, i, other in rows for v in (i.low, i.high, i.mean, other) if v is not None and math.isfinite(v)]
+    return min([0.0, *values]), max([0.0, *values])
+
+
 def scatter(points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str) -> Markup:
     """Points with whiskers both ways, and the diagonal on which both axes agree.
 

@@ -16,7 +16,7 @@ from deadreckon.report.estimates import section
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note
 from deadreckon.report.scores import scores
-from deadreckon.report.verdict import Verdict, verdict
+from deadreckon.report.verdict import verdict
 from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
 
@@ -61,12 +61,41 @@ def render(page: Page, title: str | None = None) -> str:
         ("mazes", "Trajectories", curves.mazes(page)),
         ("provenance", "Provenance", provenance.section(page)),
     ]
-    sections = [(name, heading, body) for name, heading, body in sections if body]
-    links = tag("nav", [tag("a", heading, href=f"#{name}") for name, heading, _ in sections], aria_label="sections")
+    again = any("@dr" in name for name in logs)
+    return document(title, found.headline, _facts(page, logs), sections, note(tag("code", "@dr1"), AGAIN) if again else None)
+
+
+def document(
+    title: str,
+    lead: str,
+    facts: Sequence[tuple[str, Any]],
+    sections: Sequence[tuple[str, str, Markup | None]],
+    remark: Markup | None = None,
+) -> str:
+    """A self-contained page.
+
+    Args:
+        title: heading.
+        lead: what there is to say in one sentence.
+        facts: name and value of what belongs at the top; the date is added.
+        sections: id, heading and content; those without content are left out.
+        remark: below the facts.
+    """
+    shown = [(name, heading, body) for name, heading, body in sections if body]
+    links = tag("nav", [tag("a", heading, href=f"#{name}") for name, heading, _ in shown], aria_label="sections")
+    facts = [*facts, ("date", datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M"))]
+    header = tag(
+        "header",
+        tag("div", tag("h1", title), tag("button", "theme", type="button", id="theme", title="light or dark"), class_="top"),
+        tag("p", lead, class_="lead"),
+        tag("dl", [tag("div", tag("dt", name), tag("dd", value)) for name, value in facts], class_="facts"),
+        remark,
+        links,
+    )
     body = join(
-        _header(page, found, title, logs, links),
-        tag("main", [tag("section", tag("h2", heading), body, id=name) for name, heading, body in sections]),
-        tag("footer", "Made by deadreckon from run folders; the file holds everything it shows and loads nothing."),
+        header,
+        tag("main", [tag("section", tag("h2", heading), body, id=name) for name, heading, body in shown]),
+        tag("footer", "Made by deadreckon; the file holds everything it shows and loads nothing."),
     )
     parts = {"title": tag("title", title), "body": body, "css": _asset("page.css"), "js": _asset("page.js")}
     return Template(_asset("page.html")).substitute(parts)
@@ -76,7 +105,7 @@ def _asset(name: str) -> str:
     return resources.files("deadreckon.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 
-def _header(page: Page, found: Verdict, title: str, logs: list[str], links: Markup) -> Markup:
+def _facts(page: Page, logs: list[str]) -> list[tuple[str, Any]]:
     facts: list[tuple[str, Any]] = [("task", page.task_name or "none: not simulated")]
     if logs:
         facts.append(("log", ", ".join(logs)))
@@ -85,13 +114,4 @@ def _header(page: Page, found: Verdict, title: str, logs: list[str], links: Mark
     acted = dict.fromkeys(f"{e.environment_steps(e.status.get('step', 0)):,}" for e in page.entries if e.online)
     if acted:
         facts.append(("environment steps a seed", ", ".join(acted)))
-    facts.append(("date", datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M")))
-    again = any("@dr" in name for name in logs)
-    return tag(
-        "header",
-        tag("div", tag("h1", title), tag("button", "theme", type="button", id="theme", title="light or dark"), class_="top"),
-        tag("p", found.headline, class_="lead"),
-        tag("dl", [tag("div", tag("dt", name), tag("dd", value)) for name, value in facts], class_="facts"),
-        note(tag("code", "@dr1"), AGAIN) if again else None,
-        links,
-    )
+    return facts

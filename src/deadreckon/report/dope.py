@@ -1,0 +1,118 @@
+"""The DOPE protocol's page: metrics of each estimator (thesis Figures 8.4-8.6), estimates against truth (Figures E.8-E.13)."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.files import replacing
+from deadreckon.ope.dope import METRICS, Cell, Result, cells
+from deadreckon.report import charts
+from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.page import document
+from deadreckon.report.parts import figure, note, scroll
+from deadreckon.report.text import number, words
+from deadreckon.runs.evaluate import Interval
+
+SLOTS = 8  # colours there are
+
+
+def write_bench(results: Sequence[Result], out: Path | str) -> Path:
+    """Writes one self-contained HTML page about results of `ope.dope.evaluate_log`.
+
+    Args:
+        results: of one or several logs.
+        out: the page; an old one is replaced.
+
+    Raises:
+        UserError: a method with two settings, or an output that cannot be written.
+    """
+    logs = list(dict.fromkeys(r.log for r in results))
+    methods = list(dict.fromkeys(r.method for r in results))
+    slots = {method: i % SLOTS for i, method in enumerate(methods)}
+    tables = {metric: cells(results, metric) for metric in METRICS}
+    sections: list[tuple[str, str, Markup | None]] = [
+        ("metrics", "How good the estimates are", _metrics(tables, slots)),
+        ("tables", "Log by log", join(*(_table(METRICS[m], found, methods) for m, found in tables.items()))),
+        *((f"log-{i}", log, _scatters([r for r in results if r.log == log], slots)) for i, log in enumerate(logs)),
+        ("settings", "Settings", _settings(results)),
+    ]
+    count = len(results[0].names)
+    facts = [("logs", str(len(logs))), ("policies a task", str(count)), ("estimators", ", ".join(methods))]
+    text = document("Off-policy evaluation, the DOPE protocol", _lead(tables), facts, sections)
+    with replacing(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(out)
+
+
+def _means(found: dict[str, dict[str, Cell]], method: str) -> Interval:
+    """Mean over logs, with the least and the greatest."""
+    values = [row[method].mean for row in found.values() if method in row and math.isfinite(row[method].mean)]
+    return Interval(float(np.mean(values)), min(values), max(values)) if values else Interval(*[math.nan] * 3)
+
+
+def _lead(tables: dict[str, dict[str, dict[str, Cell]]]) -> str:
+    parts = []
+    for metric, found in tables.items():
+        methods = list(dict.fromkeys(method for row in found.values() for method in row))
+        known = {method: _means(found, method).mean for method in methods}
+        known = {method: value for method, value in known.items() if math.isfinite(value)}
+        if known:
+            best = (max if metric == "rank_correlation" else min)(known, key=lambda method: known[method])
+            name = METRICS[metric].split(",")[0]
+            parts.append(f"{name[0].lower()}{name[1:]}: {best} ({number(known[best])})")
+    return f"Best on average, by {words(parts)}." if parts else "Nothing finite was estimated."
+
+
+def _metrics(tables: dict[str, dict[str, dict[str, Cell]]], slots: dict[str, int]) -> Markup:
+    drawn, ticks = [], False
+    for metric, found in tables.items():
+        rows = []
+        for method, slot in slots.items():
+            # The thesis's mean stands beside ours only where it prints every log that ours is a mean of.
+            own = [row[method] for row in found.values() if method in row]
+            printed = [cell.printed[0] for cell in own if cell.printed]
+            other = float(np.mean(printed)) if own and len(printed) == len(own) else None
+            ticks = ticks or other is not None
+            rows.append((method, slot, _means(found, method), other))
+        drawn.append(figure(charts.bars(rows, METRICS[metric]), METRICS[metric]))
+    text = "Means over logs; whiskers reach from the least to the greatest."
+    if ticks:
+        text += " Upright ticks: the thesis's mean (E.2) of the original logs and policies of the same names."
+    return join(tag("div", drawn, class_="charts two"), note(text))
+
+
+def _table(heading: str, found: dict[str, dict[str, Cell]], methods: list[str]) -> Markup:
+    rows = []
+    for log, row in found.items():
+        tds = [tag("th", log, scope="row")]
+        for method in methods:
+            cell = row.get(method)
+            printed = cell.printed if cell else None
+            small = [f"±{number(cell.spread)}"] if cell and math.isfinite(cell.spread) else []
+            small += [f"thesis {number(printed[0])} ±{number(printed[1])}"] if printed else []
+            tds.append(tag("td", tag("b", number(cell.mean if cell else None)), [tag("small", line) for line in small]))
+        rows.append(tag("tr", tds))
+    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in ("log", *methods)]))
+    return join(tag("h3", heading), scroll(tag("table", head, tag("tbody", rows))))
+
+
+def _scatters(results: Sequence[Result], slots: dict[str, int]) -> Markup:
+    drawn = []
+    for r in results:
+        columns = r.names, [slots[r.method]] * len(r.names), r.truth, 1.96 * r.errors, r.estimates, r.low, r.high
+        points = list(zip(*columns))
+        drawn.append(figure(charts.scatter(points, "true value", "estimate"), r.method))
+    return tag("div", drawn, class_="charts two")
+
+
+def _settings(results: Sequence[Result]) -> Markup:
+    rows = []
+    for r in results:
+        said = [tag("small", line) for line in r.warnings]
+        rows.append(tag("tr", tag("th", r.log, scope="row"), tag("td", r.method), tag("td", number(r.seconds)),
+                        tag("td", tag("code", r.settings), said, class_="text")))  # fmt: skip
+    names = "log", "estimator", "seconds", "settings, warnings"
+    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in names]))
+    return scroll(tag("table", head, tag("tbody", rows)))
