@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.ope import Case, DoublyRobust, ImportanceSampling, intervals
@@ -32,6 +33,21 @@ def test_spread_is_the_interval_of_one_more_draw():
     low, high = intervals.spread(draws[:3])
     assert abs(((low < draws[3]) & (draws[3] < high)).mean() - 0.95) < 0.01
     assert np.isnan(intervals.spread(draws[:1])[0]).all()
+
+
+def test_percentiles_and_what_lies_beyond_them():
+    """Exactly percentiles where there are redraws enough, a normal's continuation where not, wider for few episodes."""
+    draws = np.arange(1000) / 999.0
+    assert intervals.percentiles(draws, np.inf) == pytest.approx((0.025, 0.975))
+    normal = stats.norm.ppf((np.arange(1000) + 0.5) / 1000)
+    for alpha in (0.05, 0.05 / 11, 0.05 / 200):
+        end = stats.norm.ppf(1 - alpha / 2)
+        assert intervals.percentiles(normal, np.inf, alpha) == pytest.approx((-end, end), rel=0.01)
+    few = np.sqrt(5 / 4) * stats.t.ppf(1 - 0.05 / 22, 4)
+    assert intervals.percentiles(normal, 5.0, 0.05 / 11) == pytest.approx((-few, few), rel=0.01)
+    # Skewed redraws give a skewed interval, also beyond.
+    low, high = intervals.percentiles(np.exp(normal), np.inf, 0.05 / 200)
+    assert 1.0 - low < 1.0 < high - 1.0
 
 
 COVERED = {

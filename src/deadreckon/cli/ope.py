@@ -117,6 +117,7 @@ def bench(args: Sequence[str]) -> None:
                 results += dope.evaluate_log(data, task, found, seed=options.seed, out=options.out, watch=watch, told=told)
     for metric, words in dope.METRICS.items():
         print(f"\n{words}\n\n{dope.markdown(results, metric)}")
+    print(f"\nDeploying by estimates: gain for risk, and errors against the log's own policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html')}")
 
 

@@ -88,6 +88,9 @@ class Rows:
         for name, column in self.extra.items():
             if len(column) != len(log) or name in Batch._fields:
                 raise ValueError(f"{name}: an extra column has a name of its own and as many rows as the log")
+        for name, column in (initial_extra or {}).items():
+            if len(column) != log.episodes or name in Batch._fields or not needs.initial:
+                raise ValueError(f"{name}: an extra initial column has a name of its own and as many rows as the log episodes")
         self.view = View.of(log.spec, needs.standardise)
         for name in needs.columns:
             if name not in _COLUMNS:

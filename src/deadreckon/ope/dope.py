@@ -19,7 +19,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
-from deadreckon.ope.metrics import Metrics, compare, published
+from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
 from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library
 
@@ -39,6 +39,7 @@ class Result:
         log: its name.
         method: the estimator's label.
         names: of the policies.
+        behavior: mean discounted return of the log.
         truth, errors: (policies,) true discounted returns and their standard errors.
         estimates: (policies,).
         low, high: (policies,) intervals.
@@ -50,6 +51,7 @@ class Result:
     log: str
     method: str
     names: tuple[str, ...]
+    behavior: float
     truth: np.ndarray
     errors: np.ndarray
     estimates: np.ndarray
@@ -62,6 +64,11 @@ class Result:
     def metrics(self, **options: Any) -> Metrics:
         """Absolute error, rank correlation and regret; see `metrics.compare`."""
         return compare(self.estimates, self.truth, **options)
+
+    def risks(self, k: int = 5) -> tuple[float, float, float]:
+        """SharpeRatio@k against the log's own policy; type I and II error rates of deploying what seems no worse than it."""
+        sharpe = sharpe_ratio(self.estimates, self.truth, self.behavior, k)
+        return sharpe, *error_rates(self.estimates, self.truth, self.behavior)
 
 
 def evaluate_log(
@@ -105,7 +112,8 @@ def evaluate_log(
                 fits = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
                 policies = [s.policy() for s in snapshots]
                 case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
-            result = _result(found.on(case), data.name, truth, errors, str(found))
+            behavior = float(np.mean(data.returns(discount)))
+            result = _result(found.on(case), data.name, behavior, truth, errors, str(found))
             if path is not None:
                 write_json(path, {"asked": asked, "result": _to_json(result)})
         results.append(result)
@@ -113,9 +121,11 @@ def evaluate_log(
     return results
 
 
-def _result(found: Estimates, log: str, truth: np.ndarray, errors: np.ndarray, settings: str) -> Result:
-    estimates = found.value, found.low, found.high
-    return Result(log, found.method, found.names, truth, errors, *estimates, found.seconds, found.warnings, settings)
+def _result(
+    found: Estimates, log: str, behavior: float, truth: np.ndarray, errors: np.ndarray, settings: str
+) -> Result:
+    known = log, found.method, found.names, behavior, truth, errors
+    return Result(*known, found.value, found.low, found.high, found.seconds, found.warnings, settings)
 
 
 def _to_json(result: Result) -> dict[str, Any]:
@@ -204,3 +214,14 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
     means = {m: [row[m].mean for row in found.values() if m in row and math.isfinite(row[m].mean)] for m in methods}
     return "\n".join([*lines, "| median | " + " | ".join(f"{np.median(v):.2f}" if v else "" for v in means.values()) + " |"])
+
+
+def risks(results: Sequence[Result], k: int = 5) -> str:
+    """A table of what choosing by each estimator risks, means over logs where they are defined; see `Result.risks`."""
+    lines = [f"| | SharpeRatio@{k} | type I error | type II error |", "|---|---:|---:|---:|"]
+    for method in dict.fromkeys(r.method for r in results):
+        found = np.array([r.risks(k) for r in results if r.method == method and np.isfinite(r.estimates).all()])
+        means = [column[np.isfinite(column)].mean() if np.isfinite(column).any() else math.nan for column in found.T]
+        shown = [f"{x:.2f}" if math.isfinite(x) else "" for x in means or [math.nan] * 3]
+        lines.append(f"| {method} | " + " | ".join(shown) + " |")
+    return "\n".join(lines)

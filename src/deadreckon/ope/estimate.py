@@ -23,7 +23,7 @@ from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.files import write_json
+from deadreckon.files import read_json, write_json
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
@@ -200,15 +200,15 @@ class Case:
         """The policies' table; the log's own policy does what it did at `rows`."""
 
         def make() -> np.ndarray:
-            table = self.actor.table(observations, samples, purpose)
-            if not self.logged:
-                return table
-            taken = np.asarray(self.data.actions)[rows]
-            own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else View.of(self.data.spec).to_unit(taken)[:, None]
-            wide = np.broadcast_to(own[:, None].astype(np.float32), (len(own), 1, *table.shape[2:]))
-            return np.concatenate([table, wide], 1)
+            table = self.actor.table(observations, samples, purpose, more=int(self.logged))
+            if self.logged:
+                taken = np.asarray(self.data.actions)[rows]
+                own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else View.of(self.data.spec).to_unit(taken)[:, None]
+                table[:, -1] = own
+            return table
 
-        return self.once((name, samples), make)
+        # Probabilities are the same however many draws are asked for.
+        return self.once((name, None if self.data.spec.discrete else samples), make)
 
     @cached_property
     def log_probs(self) -> np.ndarray:
@@ -252,10 +252,15 @@ class Case:
         folder = None if self.out is None else self._folder(learner, rows, steps, what)
         job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
         job.resume()
-        seen = self._metrics.setdefault(what, [])
+        kept = None if folder is None else folder / "metrics.json"
+        seen = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
+        seen = [(step, metrics) for step, metrics in seen if step <= job.step]
         for progress in job.chunks():
             seen.append((progress.step, {name: float(value[0]) for name, value in progress.metrics.items()}))
+            if kept is not None:  # for who asks again when the fit is done
+                write_json(kept, {"metrics": seen})
             self.watch(what, progress.step, steps)
+        self._metrics[what] = seen
         if job.failures[0] is not None:
             metric, step = job.failures[0]
             raise UserError(f"{what}: {metric} was not finite at update {step}; a lower learning rate may help")

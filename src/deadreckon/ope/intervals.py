@@ -5,6 +5,7 @@ from scipy import stats
 
 ALPHA = 0.05
 RESAMPLES = 1000
+TAIL = 10  # redraws beyond a percentile that it takes to know it
 
 
 def student(x: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
@@ -33,6 +34,22 @@ def empirical_bernstein(x: np.ndarray, low: float, high: float, alpha: float = A
     term = np.log(4 / alpha)
     half = np.sqrt(2 * x.var(ddof=1) * term / n) + 7 * (high - low) * term / (3 * (n - 1))
     return float(x.mean() - half), float(x.mean() + half)
+
+
+def percentiles(draws: np.ndarray, effective: float, alpha: float = ALPHA) -> tuple[float, float]:
+    """The bootstrap's interval from (n,) redrawn estimates, wider where few episodes count.
+
+    Percentiles of redraws are those of a normal with a deviation that is too small by sqrt(1 - 1/n); they are expanded to
+    those of Student's t (Hesterberg 2015), with as many episodes as the weights amount to. An end beyond which fewer than
+    `TAIL` redraws would lie is continued from the last percentile that has so many, as a normal's would be.
+    """
+    n = max(effective, 2.0)
+    # In standard deviations of the redraws, and how far they reach for sure.
+    wanted = np.sqrt(1.0 / (1.0 - 1.0 / n)) * stats.t.ppf(1 - alpha / 2, n - 1)
+    safe = min(wanted, stats.norm.ppf(1 - min(TAIL / len(draws), 0.5 - 1e-3)))
+    tail = 100 * stats.norm.sf(safe)
+    middle, low, high = np.percentile(draws, [50.0, tail, 100.0 - tail])
+    return float(middle - wanted / safe * (middle - low)), float(middle + wanted / safe * (high - middle))
 
 
 def spread(values: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.estimate import LOGGED, Estimates
-from deadreckon.ope.intervals import ALPHA, spread
+from deadreckon.ope.intervals import ALPHA, percentiles, spread
 from deadreckon.ope.weights import FEW
 
 BOOTSTRAP = 100  # redraws from which their percentiles are an interval; fewer are members of an ensemble
@@ -53,7 +53,7 @@ def gain(found: Estimates, which: int) -> tuple[float, float, float]:
     draws = found.redraws[:, which] - found.redraws[:, logged]
     alpha = ALPHA / (len(found.names) - 1)
     if len(draws) >= BOOTSTRAP:
-        low, high = np.percentile(draws, [100 * alpha / 2, 100 * (1 - alpha / 2)])
+        low, high = percentiles(draws, np.inf if found.effective is None else found.effective[which], alpha)
     else:
         low, high = spread(draws, alpha)
     return float(found.value[which] - found.value[logged]), float(low), float(high)

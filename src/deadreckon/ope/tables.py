@@ -48,20 +48,22 @@ class Actor:
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
 
-    def table(self, observations: Any, samples: int, purpose: int = 0) -> np.ndarray:
+    def table(self, observations: Any, samples: int, purpose: int = 0, more: int = 0) -> np.ndarray:
         """What each policy does at each observation.
 
         Args:
             observations: (rows, *shape) raw, an array or what gives slices of one.
             samples: draws a row, of continuous actions.
             purpose: told apart in the draws.
+            more: room beside the policies, for whoever asks to fill.
 
         Returns:
-            (rows, policies, samples, size) float32 actions in [-1, 1], or (rows, policies, n) probabilities of discrete ones.
+            (rows, policies + more, samples, size) float32 actions in [-1, 1], or probabilities (rows, policies + more, n) of
+            discrete ones.
         """
         rows = len(observations)
         inner = (self.spec.action_size,) if self.spec.discrete else (1 if self.greedy else samples, self.spec.action_size)
-        out = _room((rows, len(self.policies), *inner))
+        out = _room((rows, len(self.policies) + more, *inner))
         for start in range(0, rows, BLOCK):
             part = np.asarray(observations[start : start + BLOCK])
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):

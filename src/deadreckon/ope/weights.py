@@ -9,11 +9,10 @@ off (a timeout) is no longer counted: what would have followed is not known.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.ope.intervals import ALPHA, RESAMPLES
+from deadreckon.ope.intervals import RESAMPLES, percentiles
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
 FEW = 10.0  # effective episodes below which one is warned
@@ -154,15 +153,8 @@ class Episodes:
         return Sums(numerators, denominators, float(effective))
 
     def percentiles(self, draws: np.ndarray, effective: float) -> tuple[float, float]:
-        """The bootstrap's interval, wider where few episodes count.
-
-        Percentiles of redraws are those of a normal with a deviation that is too small by sqrt(1 - 1/n); they are expanded to
-        those of Student's t (Hesterberg 2015), with as many episodes as the weights amount to.
-        """
-        n = max(min(effective, self.groups), 2.0)
-        tail = stats.norm.cdf(np.sqrt(n / (n - 1)) * stats.t.ppf(ALPHA / 2, n - 1))
-        low, high = np.percentile(draws, [100 * tail, 100 * (1 - tail)])
-        return float(low), float(high)
+        """The bootstrap's interval, with no more episodes than groups of them were redrawn."""
+        return percentiles(draws, min(effective, self.groups))
 
     def warnings(self, names: tuple[str, ...], effective: np.ndarray) -> list[str]:
         """Why weighted sums of this log may not be trusted."""

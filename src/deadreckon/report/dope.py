@@ -16,6 +16,7 @@ from deadreckon.report.text import number, words
 from deadreckon.runs.evaluate import Interval
 
 SLOTS = 8  # colours there are
+K = 5  # policies that are tried out, for SharpeRatio@K
 
 
 def write_bench(results: Sequence[Result], out: Path | str) -> Path:
@@ -36,6 +37,7 @@ def write_bench(results: Sequence[Result], out: Path | str) -> Path:
         ("metrics", "How good the estimates are", _metrics(tables, slots)),
         ("tables", "Log by log", join(*(_table(METRICS[m], found, methods) for m, found in tables.items()))),
         *((f"log-{i}", log, _scatters([r for r in results if r.log == log], slots)) for i, log in enumerate(logs)),
+        ("risks", "What choosing by them risks", _risks(results)),
         ("settings", "Settings", _settings(results)),
     ]
     count = len(results[0].names)
@@ -105,6 +107,22 @@ def _scatters(results: Sequence[Result], slots: dict[str, int]) -> Markup:
         points = list(zip(*columns))
         drawn.append(figure(charts.scatter(points, "true value", "estimate"), r.method))
     return tag("div", drawn, class_="charts two")
+
+
+def _risks(results: Sequence[Result]) -> Markup:
+    heads = f"SharpeRatio@{K}", "type I error", "type II error"
+    rows = []
+    for r in results:
+        if np.isfinite(r.estimates).all():
+            found = [tag("td", number(x)) for x in r.risks(K)]
+            rows.append(tag("tr", tag("th", r.log, scope="row"), tag("td", r.method), found))
+    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in ("log", "estimator", *heads)]))
+    text = note(
+        f"SharpeRatio@{K}: what the best of the {K} policies with the highest estimates gains over the log's own policy, for "
+        f"the deviation among the {K} (Kiyohara et al. 2024). Type I: of the policies truly worse than the log's, the share "
+        "that is estimated to be as good or better; type II: of the others, the share that is not."
+    )
+    return join(scroll(tag("table", head, tag("tbody", rows))), text)
 
 
 def _settings(results: Sequence[Result]) -> Markup:

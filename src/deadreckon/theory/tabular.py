@@ -99,7 +99,13 @@ class MDP:
         return total[:, None] * policy
 
     def optimal(self, discount: float, tolerance: float = 1e-10) -> np.ndarray:
-        """(states, actions) values of the best policy, by iteration of the Bellman operator."""
+        """(states, actions) values of the best policy, by iteration of the Bellman operator.
+
+        Raises:
+            UserError: a discount that is not below one: the iteration need not end.
+        """
+        if not 0.0 <= discount < 1.0:
+            raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
         q = np.zeros(self.rewards.shape)
         while True:
             new = self.rewards + discount * self.transitions @ q.max(1)
