@@ -9,6 +9,14 @@ ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("DEADRECKON_TEST_DATA") or ROOT.parent / "shared" / "data")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Tests of a file stay on one worker, unless they say otherwise: what they share is made and compiled once."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.path.name))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _compilation_cache():
     """Compiled programs outlive the session, so that only the first run of the tests pays for them."""

@@ -185,7 +185,7 @@ LEARNERS = {
 }
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in LEARNERS])
 def test_learns_the_corridor(name):
     most, fields = LEARNERS[name]
     agent = small(name, actor_lr=1e-3, critic_lr=1e-3, discount=0.9, **fields)

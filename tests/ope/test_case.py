@@ -56,7 +56,7 @@ def test_fqe_on_lqr_has_the_riccati_value():
     log = lqr(-0.5, 0.5, 300, 40)
     policies = [linear(-0.5, 0.5), linear(-1.0, 0.2), linear(0.0, 0.3)]
     exact = [riccati(-0.5, 0.5, 0.9), riccati(-1.0, 0.2, 0.9), riccati(0.0, 0.3, 0.9)]
-    estimator = FQE(members=2, hidden=(32, 32), steps=4000, lr=2e-3, batch_size=256, target_rate=0.02)
+    estimator = FQE(members=2, hidden=(32, 32), steps=2000, lr=3e-3, batch_size=256, target_rate=0.03)
     found = estimator.estimate(log, policies, discount=0.9, names=["logged", "better", "idle"])
     np.testing.assert_allclose(found.value, exact, rtol=0.08)
     assert found.names[found.best] == "better"
