@@ -97,8 +97,8 @@ def peer(opts: dict[str, Any]) -> float:
     case = opts["peer"]
     if case == "bc":
         return train(b, net["actor"])
-    if case == "fqe":  # the policy is SAC's: only the mean's half of its head is evaluated
-        return POLICIES * (forward(b, net["actor"]) + forward(b, net["critic"]) + train(b, net["critic"]))
+    if case == "fqe":  # the policy is SAC's, of which the mean is taken and the deviation computed too
+        return POLICIES * (forward(b, net["gaussian"]) + forward(b, net["critic"]) + train(b, net["critic"]))
     critics = 2 * train(b, net["critic"])
     # Critics under the actor get weight gradients and gradients for the states too, and TD3+BC runs both to use one.
     under_actor = 2 * train(b, net["critic"], o + a)

@@ -7,6 +7,7 @@ and updates all critics (peak resident set, so with the log itself, Python and J
 """
 
 import argparse
+import os
 import resource
 import statistics
 import subprocess
@@ -22,12 +23,11 @@ ROWS, UPDATES, LIMIT = 1_000_000, 60, 2.0
 
 def import_seconds(python: Path | str, statement: str) -> float:
     code = f"import time; t = time.perf_counter(); {statement}; print(time.perf_counter() - t)"
-    said = subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=True).stdout
-    return float(said.split()[-1])
+    return float(said([str(python), "-c", code])[0])
 
 
-def memory(rows: int) -> dict[str, float]:
-    """Peak GB and seconds of FQE with a critic for each of eleven policies; in this process, which does nothing else."""
+def memory(rows: int) -> tuple[float, float]:
+    """Peak GB of FQE with a critic for each of eleven policies, and the seconds until it could begin; in a fresh process."""
     import ours
 
     start = time.perf_counter()
@@ -35,8 +35,8 @@ def memory(rows: int) -> dict[str, float]:
     run = ours.make_ours("fqe-11", options)
     ready = time.perf_counter()
     run(UPDATES)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # kilobytes on Linux
-    return {"peak": peak, "ready": ready - start, "updates": time.perf_counter() - ready}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9  # kibibytes on Linux
+    return peak, ready - start
 
 
 def main() -> int:
@@ -47,14 +47,28 @@ def main() -> int:
     parser.add_argument("--memory-only", action="store_true", help="what the driver starts for the memory")
     arguments = parser.parse_args()
     if arguments.memory_only:
-        found = memory(arguments.rows)
-        print(*(found[name] for name in ("peak", "ready", "updates")))
+        print(*memory(arguments.rows))
         return 0
     try:
-        peer = arguments.peer_python or peers.setup(sys.executable)
+        return report(arguments)
     except protocol.BenchError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+
+
+def said(command: list[str]) -> list[str]:
+    """The words that a process prints last, on the CPU."""
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+    if done.returncode:
+        raise protocol.BenchError(f"{' '.join(command[:3])} failed: {done.stderr.strip().splitlines()[-1]}")
+    return done.stdout.splitlines()[-1].split()
+
+
+def report(arguments: argparse.Namespace) -> int:
+    """Measures and prints."""
+    peer = arguments.peer_python or peers.setup(sys.executable)
+    if not peers.ready(peer):
+        raise protocol.BenchError(f"{peer} has not d3rlpy {peers.D3RLPY} with torch {peers.TORCH}")
     cases = {
         "import deadreckon": (sys.executable, "import deadreckon"),
         "import deadreckon.ope": (sys.executable, "import deadreckon.ope"),
@@ -69,8 +83,7 @@ def main() -> int:
     for name, found in times.items():
         print(f"| `{name}` | {statistics.median(found[1:]):.2f} |")
     command = [sys.executable, __file__, "--memory-only", "--rows", str(arguments.rows)]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    peak, ready, _ = map(float, said[-3:])
+    peak, ready = map(float, said(command))
     print(f"\nFQE of {protocol.POLICIES} policies on {arguments.rows:,} transitions: {peak:.2f} GB at the peak", end="")
     print(f"; log, actions of all policies and critics were ready after {ready:.0f} s")
     return 0 if peak < LIMIT or arguments.rows != ROWS else 1

@@ -82,8 +82,9 @@ def build(opts: dict[str, Any]) -> tuple[Callable[[int], int], dict[str, Any]]:
     def run(updates: int) -> int:
         metrics: dict[str, float] = {}
         for _ in range(updates):
-            for algo in algos:
-                metrics = algo.update(data.sample_transition_batch(opts["batch"]))
+            for i, algo in enumerate(algos):
+                found = algo.update(data.sample_transition_batch(opts["batch"]))
+                metrics |= {f"{name} {i}": value for name, value in found.items()}
         bad = [name for name, value in metrics.items() if not math.isfinite(value)]
         if bad:
             raise protocol.BenchError(f"d3rlpy's {bad[0]} is not finite")  # its speed would not be the real one

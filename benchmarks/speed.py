@@ -288,7 +288,8 @@ def report(rows: list[Row], shapes: dict[str, float], facts: dict[str, Any], cal
         ),
         "Share of rate: FLOPs of an update x updates per second / FLOP/s of XLA's 1024x1024 float32 product, timed "
         f"beside each slice. `share the promise needs`: the share at which we would be {RATIO} times as fast as d3rlpy "
-        f"({FQE_RATIO:g} for FQE of {protocol.POLICIES} policies, where an update is one of each policy's critic); "
+        f"({FQE_RATIO:g} for FQE of {protocol.POLICIES} policies, where an update is one of each policy's critic, all on one "
+        "batch, where d3rlpy samples one for each); "
         "where it nears 100 % the arithmetic is the limit. Beside every BEAR stands d3rlpy's only one, "
         "with a VAE of the same width. d3rlpy's BC is its default, deterministic.",
         "",

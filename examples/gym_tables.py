@@ -22,7 +22,7 @@ from deadreckon.cli.progress import Bar
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
 from deadreckon.report import picture, table, write
-from deadreckon.runs.evaluate import bootstrap
+from deadreckon.runs.evaluate import mean_interval
 
 AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "bc": ("bc", {}),
@@ -157,9 +157,11 @@ def markdown(shown: dict[str, list[Path]]) -> str:
         behaviour = ""
         for folder in folders:
             run = dr.load_run(folder)
-            last = run.evaluations.filter(np.asarray(run.evaluations["step"]) == run.config["steps"])
+            # A seed that failed keeps its last good policy, which is what is judged of it; the table says so.
+            last = run.evaluations.filter(np.asarray(run.evaluations["step"]) == max(np.asarray(run.evaluations["step"])))
             scores = np.asarray(last["score"]).reshape(len(run.seeds), -1)
-            cells[folder.name] = str(bootstrap(scores))
+            failed = sum(failure is not None for failure in run.failures)
+            cells[folder.name] = str(mean_interval(scores)) + (f" ({failed} of {len(run.seeds)} failed)" if failed else "")
             behaviour = f"{_behaviour(run):.1f}"
         lines.append(f"| {name} | {behaviour} | " + " | ".join(cells.get(label, "") for label in labels) + " |")
     return "\n".join(lines)

@@ -63,11 +63,11 @@ def test_bench_on_a_short_log(tmp_path, capsys):
     options = ["--kinds", "random", "--log-steps", "600", "--out", str(tmp_path / "dope"), *SMALL]
     assert main(["ope", "bench", "--tasks", "hopper", "--estimators", "is,wis", *options]) == 0
     out = capsys.readouterr().out
-    assert "| hopper-random-v2@dr1 |" in out
+    assert "| hopper-random-v2@dr1-600-steps |" in out
     assert out.count("| median |") == 3
     numbers = [float(x) for x in out.split("| median |")[1].splitlines()[0].split("|")[:2]]
     assert np.isfinite(numbers).all()
     page = (tmp_path / "dope" / "report.html").read_text()
     assert out.rstrip().endswith("report.html")
-    for said in ("Rank correlation", "hopper-random-v2@dr1", "estimate against true value", "thesis", "WPDIS"):
+    for said in ("Rank correlation", "hopper-random-v2@dr1-600-steps", "estimate against true value", "WPDIS"):
         assert said in page

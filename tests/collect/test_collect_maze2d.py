@@ -65,7 +65,7 @@ def test_a_short_log_of_every_recipe(name):
     log = collect.generate(name, steps=2_500)
     task = tasks.task(collect.recipe(name).task)
     assert len(log) == 2_500
-    assert log.name == f"{name}@dr1"
+    assert log.name == f"{name}@dr1-2500-steps"
     assert log.action_space == task.action_space
     assert not log.warnings
     assert not log.terminals.any()
@@ -141,11 +141,20 @@ def test_files(tmp_path, home):
     log, memory = read_hdf5(path), collect.generate("maze2d-umaze-v1", steps=3_000)
     for a, b in zip(columns(log), columns(memory)):
         np.testing.assert_array_equal(a, b)
-    assert log.name == "maze2d-umaze-v1@dr1"
+    assert log.name == "maze2d-umaze-v1@dr1-3000-steps"
     assert log.provenance.recipe == "maze2d-umaze-v1"
     part = collect.collect("maze2d-umaze-v1", steps=2_000, seed=3)
     assert home in part.parents
     assert part.name == "maze2d-umaze-v1@dr1-2000-steps-seed-3.hdf5"
+    assert read_hdf5(part).name == "maze2d-umaze-v1@dr1-2000-steps-seed-3"
+    # What is there already is kept: by default as it is the same log, elsewhere unless one asks for it.
+    written = part.stat().st_mtime_ns
+    assert collect.collect("maze2d-umaze-v1", steps=2_000, seed=3) == part
+    assert part.stat().st_mtime_ns == written
+    with pytest.raises(UserError, match=r"log.hdf5 is there already; --force \(force=True\) replaces it"):
+        collect.collect("maze2d-umaze-v1", steps=10, out=tmp_path / "log.hdf5")
+    assert len(read_hdf5(tmp_path / "log.hdf5")) == 3_000
+    assert len(read_hdf5(collect.collect("maze2d-umaze-v1", steps=10, out=tmp_path / "log.hdf5", force=True))) == 10
 
 
 def test_bad_input_is_told():

@@ -141,6 +141,13 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     table = dope.markdown(results, "rank_correlation")
     assert "| little | 1.00 ± 0.00 |" in table
     assert table.splitlines()[-1].startswith("| median | 1.00 |")
+    # A method whose numbers go bad holds nobody up, and has no median that only its easy logs make.
+    bad = dope.evaluate_log(data, "hopper", [TINY.replace(lr=1e30)], **options)
+    assert np.isnan(bad[0].estimates).all()
+    assert "no estimates: fqe: " in bad[0].warnings[0]
+    assert bad[0].method == "FQE-L2"
+    mixed = dope.markdown([results[0], dataclasses.replace(results[0], log="other"), bad[0]], "regret")
+    assert mixed.endswith("|  |")
     other = dataclasses.replace(results[1], settings="another width")
     with pytest.raises(UserError, match="FQE-L2 on little has results of several settings"):
         dope.markdown([*results, other], "regret")

@@ -9,7 +9,7 @@ from deadreckon.report.entries import read
 from deadreckon.report.rows import against, paired, published, rows, versus
 from deadreckon.report.terminal import headline, table
 from deadreckon.report.verdict import verdict
-from deadreckon.runs.evaluate import Interval, bootstrap
+from deadreckon.runs.evaluate import Interval, mean_interval
 from deadreckon.tasks import registry
 
 
@@ -39,17 +39,18 @@ def test_a_constant_gain_has_no_spread_when_paired():
     b = np.array([[0.0, 10.0, 50.0], [0.0, 10.0, 50.0]])
     gap = paired(b + 3, b)
     assert (gap.mean, gap.low, gap.high) == pytest.approx((3, 3, 3))
-    alone = bootstrap(b)
+    alone = mean_interval(b)
     assert alone.high - alone.low > 10  # what pairing takes away
 
 
 def test_paired_difference_by_hand():
-    # One seed each, differences 0 and 4: the bootstrap mean is 0, 2 or 4 with chances 1/4, 1/2, 1/4.
+    # One seed each, differences 0 and 4: a deviation of 2 of their mean, one degree of freedom.
+    t = 12.7062
     gap = paired(np.array([[1.0, 5.0]]), np.array([[1.0, 1.0]]))
-    assert (gap.mean, gap.low, gap.high) == pytest.approx((2, 0, 4))
-    # Seeds are redrawn too: seed means 0 and 2 against 0.
+    assert (gap.mean, gap.low, gap.high) == pytest.approx((2, 2 - 2 * t, 2 + 2 * t), rel=1e-4)
+    # Seeds count too: seed means 0 and 2 against 0, a deviation of 1.
     gap = paired(np.array([[0.0, 0.0], [2.0, 2.0]]), np.zeros((1, 2)))
-    assert (gap.mean, gap.low, gap.high) == pytest.approx((1, 0, 2))
+    assert (gap.mean, gap.low, gap.high) == pytest.approx((1, 1 - t, 1 + t), rel=1e-4)
     # More episodes on one side: only the common starts count.
     assert paired(np.array([[1.0, 1.0, 99.0]]), np.array([[0.0, 0.0]])).mean == pytest.approx(1)
 
@@ -60,14 +61,19 @@ def test_difference_to_an_estimate_carries_its_uncertainty():
     assert (gap.low, gap.high) == pytest.approx((5, 7), abs=0.1)
 
 
-def test_interval_covers():
+@pytest.mark.parametrize(("seeds", "between"), [(1, 0.0), (3, 2.0), (3, 0.3), (3, 0.0), (20, 0.5)])
+def test_interval_covers(seeds, between):
+    """Few seeds or many, whether seeds, starts or neither make most of the difference; for means and for paired gains."""
     rng = np.random.default_rng(0)
-    hits = 0
-    for i in range(200):
-        starts, seeds = rng.normal(0, 1, 30), rng.normal(0, 0.5, (20, 1))
-        found = bootstrap(starts + seeds + rng.normal(0, 0.3, (20, 30)), seed=i)
+    hits, gains = 0, 0
+    for _ in range(600):
+        starts = rng.normal(0, 1, 30)
+        a, b = (starts + rng.normal(0, between, (seeds, 1)) + rng.normal(0, 0.7, (seeds, 30)) for _ in range(2))
+        found, gain = mean_interval(a), paired(a, b)
         hits += found.low <= 0 <= found.high
-    assert hits >= 180
+        gains += gain.low <= 0 <= gain.high
+    assert 0.93 <= hits / 600 <= 0.985
+    assert 0.93 <= gains / 600 <= 0.99
 
 
 def test_verdict_rules(tmp_path, runs):

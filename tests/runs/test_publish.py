@@ -13,7 +13,7 @@ from deadreckon.errors import UserError
 from deadreckon.policies import library, store
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.online import train_online
-from deadreckon.runs.publish import Publish, publish
+from deadreckon.runs.publish import Publish, _joined, publish
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +86,16 @@ def test_measuring_goes_on_where_it_was_stopped(run, shipped, tmp_path):
 def test_episodes_are_added_until_the_error_is_small(run, tmp_path):
     path = publish(Publish(str(run), medium=24, expert=80, episodes=4, most=12, error=0.0, out=str(tmp_path)))
     assert json.loads(path.read_text())["policies"]["snapshot-01"]["sampled"]["episodes"] == 12
+
+
+def test_batches_join_to_the_mean_and_error_of_all():
+    rng = np.random.default_rng(0)
+    x = rng.normal(5.0, 2.0, 60)
+    parts, done, known = np.split(x, [7, 25]), 0, (0.0, 0.0)
+    for part in parts:
+        known = _joined(done, known, part)
+        done += len(part)
+    assert known == pytest.approx((x.mean(), x.std(ddof=1) / 60**0.5))
 
 
 def test_more_episodes_are_measured_when_asked_for(run, tmp_path):

@@ -8,7 +8,7 @@ from deadreckon.collect import generate
 from deadreckon.files import read_json, write_json
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
-from deadreckon.runs.evaluate import bootstrap, evaluate
+from deadreckon.runs.evaluate import evaluate, mean_interval
 from deadreckon.tasks import task
 
 
@@ -83,6 +83,26 @@ def test_a_finished_run_is_given_back_and_another_is_refused(run, log):
     assert again.metrics.equals(run.metrics)
     with pytest.raises(dr.UserError, match=r"holds another run: agent.fields.alpha was 2.5, now 3.0"):
         dr.train(agent(alpha=3.0), log, out=run.path, resume=True, **SETTINGS)
+
+
+def test_a_finished_run_made_longer_equals_one_that_was_long_from_the_beginning(run, log, tmp_path):
+    import shutil
+
+    shutil.copytree(run.path, tmp_path / "r")
+    more = SETTINGS | {"steps": SETTINGS["steps"] + 20}
+    period = run.config["evaluation"]["every"]
+    long = dr.train(agent(), log, out=tmp_path / "long", **more | {"evaluate_every": period})
+    again = dr.train(agent(), log, out=tmp_path / "r", resume=True, **{k: v for k, v in more.items() if k != "evaluate_every"})
+    assert again.config["steps"] == more["steps"]
+    assert again.metrics.equals(long.metrics)
+    x = np.zeros((5, 4), np.float32)
+    for a, b in zip(again.policies, long.policies, strict=True):
+        np.testing.assert_array_equal(a(x), b(x))
+    # What was judged stays, and only the new end is new.
+    old = again.evaluations.filter(np.asarray(again.evaluations["step"]) <= SETTINGS["steps"])
+    assert old.equals(run.evaluations)
+    with pytest.raises(dr.UserError, match="holds another run: steps was"):
+        dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
 
 
 def test_other_versions_are_told_on_resume(run, log, tmp_path):
@@ -202,16 +222,15 @@ def test_discounted_returns_and_lengths():
     assert (result.lengths == 300).all()
 
 
-def test_bootstrap_covers_the_mean_and_keeps_the_spread_between_policies():
-    rng = np.random.default_rng(0)
-    hits = 0
-    for trial in range(200):
-        x = bootstrap(rng.normal(3.0, 1.0, (1, 40)), seed=trial)
-        hits += x.low <= 3.0 <= x.high
-    assert 0.90 <= hits / 200 <= 0.98
-    apart = bootstrap(np.array([[0.0] * 50, [10.0] * 50]))
-    assert apart.mean == 5.0
-    assert (apart.low, apart.high) == (0.0, 10.0)
+def test_interval_of_a_mean_by_hand():
+    """Two policies far apart say little of a third; one policy in one episode says nothing of its spread."""
+    apart = mean_interval(np.array([[0.0] * 50, [10.0] * 50]))
+    assert (apart.mean, apart.high) == pytest.approx((5.0, 5.0 + 5.0 * 12.7062), rel=1e-4)
+    alone = mean_interval(np.array([1.0, 2.0, 3.0]))
+    assert (alone.mean, alone.high) == pytest.approx((2.0, 2.0 + 4.302653 / 3**0.5), rel=1e-4)
+    one = mean_interval(np.array([[7.0]]))
+    assert one.mean == 7.0
+    assert np.isnan(one.low)
 
 
 def test_logged_value_of_whole_episodes_and_of_cut_ones(log):

@@ -33,6 +33,7 @@ class Collect:
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """.hdf5 file; None: the cache, where `deadreckon train --data NAME` finds it"""
     threads: int | None = None  # to simulate with; None: all cores. The log does not depend on it
+    force: bool = False  # replace a file that is there
 
 
 @dataclass
@@ -117,16 +118,24 @@ def _list(options: List) -> None:
 
 def _collect(options: Collect) -> None:
     from deadreckon.collect import collect, recipe
+    from deadreckon.collect.recipes import default_path
 
     if options.out is not None and Path(options.out).suffix.lower() not in (".hdf5", ".h5"):
         made = Path(options.out).with_suffix(".hdf5") if Path(options.out).name else "LOG.hdf5"
         how = f"`--out {made}`, then `deadreckon data convert {made} {options.out}`"
         raise UserError(f"--out {options.out}: logs are collected into .hdf5 files; {how}")
-    steps = options.steps if options.steps is not None else recipe(options.name).steps
+    found = recipe(options.name)
+    steps = options.steps if options.steps is not None else found.steps
+    path = default_path(found, options.steps, options.seed)
+    if options.out is None and path.exists() and not options.force:
+        print(f"! {path.name} is there already; --force collects it again", file=sys.stderr)
+        print(path)
+        return
     with Bar(f"collecting {options.name}", steps, "steps") as bar:
         path = collect(
-            options.name, steps=options.steps, seed=options.seed, out=options.out, threads=options.threads, progress=bar
-        )
+            options.name, steps=options.steps, seed=options.seed, out=options.out, threads=options.threads,
+            force=options.force, progress=bar,
+        )  # fmt: skip
     print(path)
 
 

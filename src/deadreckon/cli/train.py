@@ -155,11 +155,11 @@ def summary(run) -> str:
             distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
             lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
         if "score" in evaluations:
-            from deadreckon.runs.evaluate import bootstrap
+            from deadreckon.runs.evaluate import mean_interval
 
             scores = np.asarray(evaluations["score"])[last].reshape(count, -1)
             returns = np.asarray(evaluations["return"])[last].reshape(count, -1)
-            lines.append(f"{run.config['task']}: return {bootstrap(returns)}, score {bootstrap(scores)}")
+            lines.append(f"{run.config['task']}: return {mean_interval(returns)}, score {mean_interval(scores)}")
     for seed, failure in zip(run.seeds, run.failures):
         if failure is not None:
             lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")

@@ -1,5 +1,6 @@
 """How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
 
+import warnings
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
@@ -18,6 +19,7 @@ from deadreckon.errors import UserError
 from deadreckon.policies import library
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.fit import Fit
+from deadreckon.versions import differences, versions
 
 UNIFORM = "uniform"  # actions drawn uniformly between the bounds, thesis A.4
 # Who acts in equal parts of each kind of log. "random" is a randomly initialised policy (7.3), which is not uniform.
@@ -98,8 +100,8 @@ def collect_replay(
 ) -> Dataset:
     """Trains the task's behaviour policy again up to `medium` and gives every step that it took on the way.
 
-    With seed 0 it is the run that the shipped policies come from: to the bit on the platform and with the number of
-    threads it was made with, else the same in kind.
+    With seed 0 it is the run that the shipped policies come from: to the bit with the versions and the number of threads
+    that it was made with (one: `taskset -c 0`), else the same in kind, which a warning then says.
 
     Args:
         task: where.
@@ -118,7 +120,12 @@ def collect_replay(
     lanes = [agent.resolve(spec, updates)]
     folder = scratch / "replay"
     path = folder / "rows.bin"
-    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first"}
+    now = versions()
+    if seed == 0 and (different := differences(run["versions"] | {"lanes": 1}, now | {"lanes": 1})):
+        text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
+        warnings.warn(text, stacklevel=2)
+    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
+             "trained_with": now}  # fmt: skip
     provenance = _provenance(name, seed, extra)
     same_collection(folder, asked_for(name, seed, [steps], provenance))
     experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)

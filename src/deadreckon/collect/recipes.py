@@ -1,5 +1,6 @@
 """The recipes by name. A domain adds its own with `register`."""
 
+import dataclasses
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -104,7 +105,8 @@ def _make(
         raise UserError(f"{found.name}: steps must be 1 or more, got {steps}")
     if not 0 <= seed < 2**32:
         raise UserError(f"{found.name}: seed must be 0 .. 2^32 - 1, got {seed}")
-    return found.make(name=found.name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress)
+    made = found.make(name=found.name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress)
+    return dataclasses.replace(made, name=collected_name(found, steps, seed))
 
 
 def collect(
@@ -114,6 +116,7 @@ def collect(
     seed: int = 0,
     out: Path | str | None = None,
     threads: int | None = None,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
     """Makes a log and writes it as an HDF5 file with D4RL's column names.
@@ -127,15 +130,23 @@ def collect(
         seed: of everything random.
         out: the file; if None, the place in the cache where `deadreckon.load` finds it (see `default_path`).
         threads: to simulate with; all cores if None. The log does not depend on it.
+        force: replace a file that is there.
         progress: called now and then with the rows done and the rows in all.
 
     Returns:
-        The file's path. It is written whole or not at all.
+        The file's path. It is written whole or not at all. A log that lies in the cache already is not made again.
+
+    Raises:
+        UserError: an unknown recipe, or a file `out` that is there already.
     """
     from deadreckon.data.hdf5 import write_hdf5
 
     found = recipe(name)
     path = Path(out) if out is not None else default_path(found, steps, seed)
+    if path.exists() and not force:
+        if out is not None:
+            raise UserError(f"{path} is there already; --force (force=True) replaces it")
+        return path
     scratch = path.parent / f".{path.name}.part"
     with alone(path):
         write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
@@ -143,11 +154,16 @@ def collect(
     return path
 
 
-def default_path(found: Recipe, steps: int | None, seed: int) -> Path:
-    """Where `collect` writes by default. A part or another seed has it in its name: it never passes for the full log."""
+def collected_name(found: Recipe, steps: int | None, seed: int) -> str:
+    """What a collected log is called. A part or another seed has it in its name: it never passes for the full log."""
     part = f"-{steps}-steps" if steps is not None and steps != found.steps else ""
     other = f"-seed-{seed}" if seed else ""
-    return cached_path(f"{found.name}@{VERSION}{part}{other}")
+    return f"{found.name}@{VERSION}{part}{other}"
+
+
+def default_path(found: Recipe, steps: int | None, seed: int) -> Path:
+    """Where `collect` writes by default."""
+    return cached_path(collected_name(found, steps, seed))
 
 
 # ---- Maze2D -----------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_at, write_json
 from deadreckon.policies.policy import Deployed, Step
 from deadreckon.tasks.task import Simulator, Task
+from deadreckon.versions import differences
 
 SCHEME = 1  # of how draws follow from the seed; a collection begun under another one is not gone on with
 COPIES = 64  # side by side
@@ -235,8 +236,8 @@ def same_collection(scratch: Path, asked: dict[str, Any]) -> None:
     note = scratch / "asked.json"
     if not note.exists():
         write_json(note, asked)
-    elif read_json(note) != asked:
-        raise UserError(f"{scratch} holds the beginning of another collection; delete it, or ask for the same one again")
+    elif different := differences(read_json(note), asked):
+        raise UserError(f"{scratch} holds the beginning of another collection ({different[0]}); delete it to begin anew")
 
 
 class _Stage:

@@ -113,12 +113,24 @@ def evaluate_log(
                 policies = [s.policy() for s in snapshots]
                 case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
             behavior = float(np.mean(data.returns(discount)))
-            result = _result(found.on(case), data.name, behavior, truth, errors, str(found))
+            try:
+                estimates = found.on(case)
+            except UserError as error:  # numbers that went bad, say: neither other methods nor other logs are held up
+                if isinstance(found, Function):
+                    raise
+                estimates = _nothing(found, names, discount, str(error))
+            result = _result(estimates, data.name, behavior, truth, errors, str(found))
             if path is not None:
                 write_json(path, {"asked": asked, "result": _to_json(result)})
         results.append(result)
         told(result)
     return results
+
+
+def _nothing(asked: Any, names: tuple[str, ...], discount: float, why: str) -> Estimates:
+    """What stands for the estimates of a method that gave none."""
+    nan = np.full(len(names), np.nan)
+    return Estimates(asked.label, names, nan, nan, nan, discount, warnings=(f"no estimates: {why}",))
 
 
 def _result(
@@ -212,16 +224,22 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
         printed = [row[m].printed if m in row else None for m in methods]
         if any(printed):
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
-    means = {m: [row[m].mean for row in found.values() if m in row and math.isfinite(row[m].mean)] for m in methods}
-    return "\n".join([*lines, "| median | " + " | ".join(f"{np.median(v):.2f}" if v else "" for v in means.values()) + " |"])
+    # Of all logs or of none: a median of those that a method can do would flatter it.
+    means = {m: [row[m].mean if m in row else math.nan for row in found.values()] for m in methods}
+    medians = [f"{np.median(v):.2f}" if np.isfinite(v).all() else "" for v in means.values()]
+    return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
 
 
 def risks(results: Sequence[Result], k: int = 5) -> str:
-    """A table of what choosing by each estimator risks, means over logs where they are defined; see `Result.risks`."""
+    """A table of what choosing by each estimator risks, means over logs (of those where a rate is defined).
+
+    Methods without finite estimates on some log are left out; see `Result.risks`.
+    """
     lines = [f"| | SharpeRatio@{k} | type I error | type II error |", "|---|---:|---:|---:|"]
     for method in dict.fromkeys(r.method for r in results):
-        found = np.array([r.risks(k) for r in results if r.method == method and np.isfinite(r.estimates).all()])
-        means = [column[np.isfinite(column)].mean() if np.isfinite(column).any() else math.nan for column in found.T]
-        shown = [f"{x:.2f}" if math.isfinite(x) else "" for x in means or [math.nan] * 3]
-        lines.append(f"| {method} | " + " | ".join(shown) + " |")
+        own = [r for r in results if r.method == method]
+        if all(np.isfinite(r.estimates).all() for r in own):
+            columns = np.array([r.risks(k) for r in own]).T
+            shown = [f"{np.nanmean(c):.2f}" if np.isfinite(c).any() else "" for c in columns]
+            lines.append(f"| {method} | " + " | ".join(shown) + " |")
     return "\n".join(lines)

@@ -35,6 +35,11 @@ class DoublyRobust(Estimator):
     lengths: int = static(10)  # magic: how many lengths of correction are blended
     confidence: float = 0.5  # magic: level of the interval of the full correction that biases are measured from
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
+
     def solve(self, case: Case) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
         episodes = case.once("episodes", lambda: Episodes(case.data, case.discount, case.seed))
@@ -66,9 +71,8 @@ class DoublyRobust(Estimator):
             highs.append(high)
             effective.append(sums.effective)
         effective = np.asarray(effective)
-        label = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
         return Estimates(
-            label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.discount,
+            self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.discount,
             redraws=np.stack(redraws, 1), effective=effective, warnings=tuple(episodes.warnings(case.names, effective)),
         )  # fmt: skip
 

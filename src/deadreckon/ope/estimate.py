@@ -349,6 +349,11 @@ class Estimator(eqx.Module):
         found = self.solve(case)
         return dataclasses.replace(found, seconds=time.perf_counter() - begun)
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        raise NotImplementedError
+
     def solve(self, case: Case) -> Estimates:
         """What the estimator is."""
         raise NotImplementedError

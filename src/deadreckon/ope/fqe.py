@@ -137,6 +137,11 @@ class FQE(Estimator):
         state = case.train(learner, rows, self.steps, "fqe")
         return Fitted(state.targets, Scale.of(case).unit, rows.view)
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "FQE-L2"
+
     def solve(self, case: Case) -> Estimates:
         """Mean value of the initial observations."""
         values = self.fitted(case).values(case.data.observations[case.data.starts], case.initial_actions(self.initial_samples))
@@ -144,6 +149,6 @@ class FQE(Estimator):
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
         low, high = spread(found)
         return Estimates(
-            "FQE-L2", case.names, found.mean(0), low, high, case.discount, redraws=found,
+            self.label, case.names, found.mean(0), low, high, case.discount, redraws=found,
             warnings=tuple(case.unsettled("fqe", "q")),
         )  # fmt: skip

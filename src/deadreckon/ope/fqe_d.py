@@ -172,6 +172,11 @@ class FQED(Estimator):
     samples: int = static(1)  # actions drawn at each next observation, once
     initial_samples: int = static(10)  # actions drawn at each initial observation
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "FQE-D"
+
     def solve(self, case: Case) -> Estimates:
         """Mean of the distributions at the initial observations."""
         data, scale = case.data, Scale.of(case)
@@ -189,6 +194,6 @@ class FQED(Estimator):
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = spread(found)
         return Estimates(
-            "FQE-D", case.names, found.mean(0), low, high, case.discount, redraws=found,
+            self.label, case.names, found.mean(0), low, high, case.discount, redraws=found,
             warnings=tuple(case.unsettled("fqe-d", "q")),
         )  # fmt: skip

@@ -45,9 +45,9 @@ def percentiles(draws: np.ndarray, effective: float, alpha: float = ALPHA) -> tu
     """
     n = max(effective, 2.0)
     # In standard deviations of the redraws, and how far they reach for sure.
-    wanted = np.sqrt(1.0 / (1.0 - 1.0 / n)) * stats.t.ppf(1 - alpha / 2, n - 1)
-    safe = min(wanted, stats.norm.ppf(1 - min(TAIL / len(draws), 0.5 - 1e-3)))
-    tail = 100 * stats.norm.sf(safe)
+    wanted = float(np.sqrt(1.0 / (1.0 - 1.0 / n)) * stats.t.ppf(1 - alpha / 2, n - 1))
+    safe = min(wanted, float(stats.norm.ppf(1 - min(TAIL / len(draws), 0.5 - 1e-3))))
+    tail = 100.0 * float(stats.norm.sf(safe))
     middle, low, high = np.percentile(draws, [50.0, tail, 100.0 - tail])
     return float(middle - wanted / safe * (middle - low)), float(middle + wanted / safe * (high - middle))
 

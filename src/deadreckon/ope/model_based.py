@@ -46,6 +46,11 @@ class ModelBased(Estimator):
         params, _, unit = case.train(model, rows, self.steps, f"model-{self.kind}")
         return model, (params, float(unit)), rows
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return {"feedforward": "MB-FF", "autoregressive": "MB-AR"}[self.kind]
+
     def solve(self, case: Case) -> Estimates:
         """Makes up episodes and averages their returns."""
         model, (params, unit), rows = self.fitted(case)
@@ -74,8 +79,7 @@ class ModelBased(Estimator):
                 observation, alive, total = _step(model, params, limits, observation, action, alive, total, factor, key)
             returns[:, i] = unit * np.asarray(total.mean(1))
         low, high = spread(returns)
-        label = {"feedforward": "MB-FF", "autoregressive": "MB-AR"}[self.kind]
-        return Estimates(label, case.names, returns.mean(0), low, high, case.discount, redraws=returns)
+        return Estimates(self.label, case.names, returns.mean(0), low, high, case.discount, redraws=returns)
 
 
 @eqx.filter_jit

@@ -67,6 +67,11 @@ class Function(Estimator):
     fn: Callable[[Dataset, Sequence[Any], float], Any] = eqx.field(static=True)
     name: str = static("yours")
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return self.name
+
     def solve(self, case: Case) -> Estimates:
         """Calls the function; it gives no intervals."""
         values = np.asarray(self.fn(case.data, case.policies, case.discount), float)

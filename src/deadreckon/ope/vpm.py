@@ -120,10 +120,15 @@ class VPM(Estimator):
         found = Fitted(state.tau, 1.0, rows.view).of_actions(data.observations, data.actions)
         return np.asarray(jax.nn.softplus(jnp.asarray(found)))
 
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "VPM"
+
     def solve(self, case: Case) -> Estimates:
         """The weighted average of the logged rewards."""
         data, ratios = case.data, self.ratios(case)
         masses = weighted(case, ratios, mass(np.asarray(data.terminals, np.float64), case.discount))
         found = weighted(case, ratios, data.rewards) / (1.0 - case.discount) / masses
         low, high = spread(found)
-        return Estimates("VPM", case.names, found.mean(0), low, high, case.discount, redraws=found)
+        return Estimates(self.label, case.names, found.mean(0), low, high, case.discount, redraws=found)

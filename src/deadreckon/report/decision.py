@@ -31,8 +31,8 @@ def decision(page: Page, found: Verdict) -> Markup:
     lines = [tag("p", line) for line in found.beaten]
     why = tag("div", tag("h3", "What beats imitation, and why"), lines, class_="why") if lines else None
     how = note(
-        "Numbers are means over seeds and episodes of the last evaluation; brackets are 95 % bootstrap intervals that redraw "
-        "seeds and episodes. Differences between agents are paired: episode i starts alike for all. "
+        "Numbers are means over seeds and episodes of the last evaluation; brackets are 95 % intervals, in which both seeds "
+        "and episodes count as chance. Differences between agents are paired: episode i starts alike for all. "
         + (f"The logged behaviour's worth is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
     )
     limits = tag("div", tag("h3", "What this does not show"), _caveats(found))

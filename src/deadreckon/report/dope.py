@@ -49,9 +49,11 @@ def write_bench(results: Sequence[Result], out: Path | str) -> Path:
 
 
 def _means(found: dict[str, dict[str, Cell]], method: str) -> Interval:
-    """Mean over logs, with the least and the greatest."""
-    values = [row[method].mean for row in found.values() if method in row and math.isfinite(row[method].mean)]
-    return Interval(float(np.mean(values)), min(values), max(values)) if values else Interval(*[math.nan] * 3)
+    """Mean over logs, with the least and the greatest; nothing where a log is missing, for a mean of the easy ones misleads."""
+    values = [row[method].mean if method in row else math.nan for row in found.values()]
+    if not np.isfinite(values).all():
+        return Interval(math.nan, math.nan, math.nan)
+    return Interval(float(np.mean(values)), min(values), max(values))
 
 
 def _lead(tables: dict[str, dict[str, dict[str, Cell]]]) -> str:
@@ -79,7 +81,7 @@ def _metrics(tables: dict[str, dict[str, dict[str, Cell]]], slots: dict[str, int
             ticks = ticks or other is not None
             rows.append((method, slot, _means(found, method), other))
         drawn.append(figure(charts.bars(rows, METRICS[metric]), METRICS[metric]))
-    text = "Means over logs; whiskers reach from the least to the greatest."
+    text = "Means over logs; whiskers reach from the least to the greatest. No bar: no finite estimates on some log."
     if ticks:
         text += " Upright ticks: the thesis's mean (E.2) of the original logs and policies of the same names."
     return join(tag("div", drawn, class_="charts two"), note(text))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.report.entries import Entry, Page
-from deadreckon.runs.evaluate import RESAMPLES, Interval, bootstrap, percentiles, redraws, resampler
+from deadreckon.runs.evaluate import MANY, Effects, Interval, mean_interval
 from deadreckon.tasks.task import Task
 
 
@@ -76,24 +76,26 @@ class Difference:
         return self.score or self.returns
 
 
-def paired(a: np.ndarray, b: np.ndarray, seed: int = 0) -> Interval:
-    """Mean of a - b with its 95 % bootstrap interval, both (seeds, episodes) over the same starts.
+def paired(a: np.ndarray, b: np.ndarray) -> Interval:
+    """Mean of a - b with its 95 % interval, both (seeds, episodes) over the same starts.
 
-    Episodes are redrawn together, so that a hard start counts against both; seeds are redrawn apart, for they share
-    nothing. If one has more episodes, the common first ones are compared.
+    Episodes are compared one by one, so that a hard start counts against both; seeds share nothing. If one has more episodes,
+    the common first ones are compared.
     """
     episodes = min(a.shape[1], b.shape[1])
     a, b = a[:, :episodes], b[:, :episodes]
-    rng, which = resampler(episodes, seed)
-    return percentiles(a.mean() - b.mean(), redraws(a, rng, which) - redraws(b, rng, which))
+    mine, theirs = Effects.of(a), Effects.of(b)
+    sources = [effects.sources[0] for effects, values in ((mine, a), (theirs, b)) if len(values) > 1]
+    if episodes > 1:
+        sources.append((float((a.mean(0) - b.mean(0)).var(ddof=1)) / episodes, episodes - 1.0))
+    return Effects(tuple(sources), mine.twice + theirs.twice).interval(a.mean() - b.mean())
 
 
-def against(values: np.ndarray, other: Interval, seed: int = 0) -> Interval:
+def against(values: np.ndarray, other: Interval) -> Interval:
     """Mean of (seeds, episodes) values minus an independent estimate, whose interval is taken as that of a normal."""
-    rng, which = resampler(values.shape[1], seed)
+    own = Effects.of(values)
     error = (other.high - other.low) / (2 * 1.959964)
-    draws = redraws(values, rng, which) - rng.normal(other.mean, error, RESAMPLES)
-    return percentiles(values.mean() - other.mean, draws)
+    return Effects((*own.sources, (error**2, MANY)), own.twice).interval(values.mean() - other.mean)
 
 
 def to_score(task: Task | None, returns: Interval) -> Interval | None:
@@ -134,8 +136,8 @@ def row(entry: Entry) -> Row:
     return Row(
         entry.label,
         entry,
-        None if returns is None else bootstrap(returns),
-        None if scores is None else bootstrap(scores),
+        None if returns is None else mean_interval(returns),
+        None if scores is None else mean_interval(scores),
         () if values is None else tuple(float(v) for v in values.mean(1)),
         *(_mean(entry.last(name)) for name in ("estimated_value", "discounted_return", "mmd_to_data", "outside_range")),
         updates=updates,

@@ -11,34 +11,17 @@
 """
 
 import contextlib
-import os
-import platform
 import re
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jax
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, replacing, write_json
-
-
-def versions() -> dict[str, Any]:
-    """What the bits of a run depend on beside its settings."""
-    named = {name: metadata.version(name) for name in ("deadreckon", "jax", "jaxlib", "equinox", "optax", "numpy", "mujoco")}
-    device = jax.devices()[0]
-    return named | {
-        "python": platform.python_version(),
-        "platform": f"{sys.platform} {platform.machine()}",
-        "device": f"{device.platform} {device.device_kind}",
-        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-    }
+from deadreckon.versions import differences
 
 
 @dataclass(frozen=True)
@@ -103,8 +86,13 @@ class Folder:
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()
 
+    def period(self, resume: bool) -> int | None:
+        """Updates between the evaluations of the run that is gone on with, which it keeps where nobody names others."""
+        before = read_json(self.config) if resume and self.config.exists() else {}
+        return before.get("evaluation", {}).get("every")
+
     def begin(self, config: dict[str, Any], *, resume: bool) -> list[str]:
-        """Writes run.json, or checks it against what is asked for now.
+        """Writes run.json, or checks it against what is asked for now, which may be more updates of the same.
 
         Returns:
             What differs without forbidding a resume: versions and threads, one line each.
@@ -121,21 +109,19 @@ class Folder:
         if not resume:
             raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
         before = read_json(self.config)
-        if different := _differences(before, config, ("agent", "online", "data", "task", "seeds", "steps", "evaluation")):
+        longer = before.get("steps", 0) < config["steps"]
+        asked = config | {"steps": before.get("steps")} if longer else config
+        if different := differences(before, asked, ("agent", "online", "data", "task", "seeds", "steps", "evaluation")):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
         return [
             f"{text}: the last bits of the numbers may differ from those of an unbroken run"
-            for text in _differences(before, config, ("versions",))
+            for text in differences(before, config, ("versions",))
         ]
 
-
-def _differences(before: Any, now: Any, keys: Sequence[str], prefix: str = "") -> list[str]:
-    out = []
-    for key in keys:
-        a, b = before.get(key), now.get(key)
-        if isinstance(a, dict) and isinstance(b, dict):
-            inner = [k for k in {**a, **b} if k not in ("path", "created")]
-            out += _differences(a, b, inner, f"{prefix}{key}.")
-        elif a != b:
-            out.append(f"{prefix}{key} was {a}, now {b}")
-    return out
+    def lengthen(self, config: dict[str, Any]) -> None:
+        """Takes note that more updates are asked for than the run has had; called once it can be gone on with."""
+        before = read_json(self.config)
+        if before["steps"] < config["steps"]:
+            for number in config["seeds"]:
+                self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
+            write_json(self.config, before | {"steps": config["steps"]})

@@ -10,13 +10,13 @@ from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
 from deadreckon.collect.online import Exploration, Online
 from deadreckon.data.spec import Spec
-from deadreckon.files import read_json, write_json
-from deadreckon.runs.folder import Folder, versions
+from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
 from deadreckon.runs.train import Run, check_plan, fields_of, lanes_of, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
+from deadreckon.versions import versions
 
 
 def train_online(
@@ -65,10 +65,9 @@ def train_online(
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
     folder = Folder(Path(out) if out is not None else Path("runs") / f"{name}-{task.name}-online")
-    before = read_json(folder.config) if resume and folder.config.exists() else {}
     every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
-    if evaluate_every is None and "evaluation" in before:
-        every = before["evaluation"]["every"]  # the run may be made longer; its period stays
+    if evaluate_every is None:
+        every = folder.period(resume) or every
     job = Fit(
         lanes, Exploration(task, lanes[0], numbers, updates, settings, [folder.replay(s) for s in numbers], threads),
         numbers, updates, chunk, folder.checkpoints, stops=every,
@@ -84,15 +83,10 @@ def train_online(
         "versions": versions() | {"lanes": seeds},
     }
     config = json.loads(json.dumps(config, default=str))
-    # Nothing depends on how many steps are asked for, so a run may be taken up again with more of them.
-    longer = "online" in before and before.get("steps", updates) < updates
-    for text in folder.begin(config | {"steps": before["steps"]} if longer else config, resume=resume):
+    for text in folder.begin(config, resume=resume):
         warnings.warn(text, stacklevel=2)
     job.resume()
-    if longer:
-        for number in numbers:
-            folder.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
-        write_json(folder.config, before | {"steps": updates})
+    folder.lengthen(config)
     folder.drop_after(job.step)
 
     recorder = Recorder(folder, job, task, None, job.stops, episodes)

@@ -21,7 +21,7 @@ from deadreckon.files import read_json, write_json
 from deadreckon.policies import library, store
 from deadreckon.policies.library import Returns
 from deadreckon.policies.policy import BlackBoxPolicy
-from deadreckon.runs.evaluate import Evaluation, evaluate
+from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.folder import Folder
 from deadreckon.tasks.registry import task as find_task
 
@@ -81,8 +81,9 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
 
     def measure(key: str, mode: str, policy: Any) -> dict[str, Any]:
         found = measured.setdefault(key, {})
-        if mode not in found or not _enough(Returns(**found[mode]), options):
-            found[mode] = dataclasses.asdict(_measure(policy, task, mode == "greedy", options))
+        while mode not in found or not _enough(Returns(**found[mode]), options):
+            before = Returns(**found[mode]) if mode in found else None
+            found[mode] = dataclasses.asdict(_measure(policy, task, mode == "greedy", before, options))
             write_json(state, {"run": run, "measured": measured})
             watch(f"{task} {key} {mode}: {found[mode]['mean']:.1f} +- {found[mode]['error']:.1f}")
         return found[mode]
@@ -127,23 +128,26 @@ def _replay(folder: Folder, task: str, copies: int, steps: int) -> dict[str, Any
     return {"environment_steps": steps, "episodes": log.episodes, "mean": float(log.returns().mean())}
 
 
-def _measure(policy: Any, task: str, greedy: bool, options: Publish) -> Returns:
-    """Episodes in batches until the error bar of the discounted return is small, or there are `most`."""
-    results: list[Evaluation] = []
-    while True:
-        seed = options.seed + len(results)
-        results.append(
-            evaluate(policy, find_task(task), episodes=options.episodes, seed=seed, greedy=greedy, discount=DISCOUNT)
-        )
-        returns, discounted, lengths = (
-            np.concatenate([getattr(r, name)[0] for r in results]) for name in ("returns", "discounted", "lengths")
-        )
-        count = len(returns)
-        error, discounted_error = (float(x.std(ddof=1) / np.sqrt(count)) for x in (returns, discounted))
-        mean, worth = float(returns.mean()), float(discounted.mean())
-        found = Returns(count, mean, error, worth, discounted_error, DISCOUNT, float(lengths.mean()))
-        if _enough(found, options):
-            return found
+def _measure(policy: Any, task: str, greedy: bool, before: Returns | None, options: Publish) -> Returns:
+    """`before` and a batch of episodes more, on starts of their own; at first as many as are missing to one batch."""
+    done = before.episodes if before else 0
+    batch = options.episodes - done if done < options.episodes else options.episodes
+    found = evaluate(policy, find_task(task), episodes=batch, seed=options.seed + done, greedy=greedy, discount=DISCOUNT)
+    mean, error = _joined(done, (before.mean, before.error) if before else (0.0, 0.0), found.returns[0])
+    known = (before.discounted, before.discounted_error) if before else (0.0, 0.0)
+    worth, worth_error = _joined(done, known, found.discounted[0])
+    count, steps = done + batch, found.lengths.sum() + (before.length * done if before else 0.0)
+    return Returns(count, mean, error, worth, worth_error, DISCOUNT, float(steps / count))
+
+
+def _joined(done: int, before: tuple[float, float], more: np.ndarray) -> tuple[float, float]:
+    """Mean and standard error of `done` numbers, known by theirs, and of more."""
+    mean, error = before
+    count = done + len(more)
+    shift = float(more.mean()) - mean
+    within = error**2 * done * max(done - 1, 0) + float(np.square(more - more.mean()).sum())
+    squares = within + shift**2 * done * len(more) / count
+    return mean + shift * len(more) / count, float(np.sqrt(squares / (count - 1) / count))
 
 
 if __name__ == "__main__":

@@ -19,11 +19,12 @@ from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
 from deadreckon.runs.diagnostics import logged_value
-from deadreckon.runs.folder import Folder, versions
+from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Failure, Fit
+from deadreckon.versions import versions
 
 
 @dataclasses.dataclass
@@ -93,7 +94,7 @@ def train(
         evaluate_every: updates between evaluations; None is a tenth of the run. The last update is always evaluated.
         episodes: an evaluation.
         chunk: updates between checkpoints, which is also what a kill can lose.
-        resume: go on with the run in `out`; a finished one is given back as it is.
+        resume: go on with the run in `out`; a finished one is given back as it is, or made longer if more steps are asked for.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
         strict: refuse logs with actions out of bounds.
         watch: called after every chunk.
@@ -111,7 +112,8 @@ def train(
         )
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
     lanes = [lane.resolve(log.spec, steps) for lane in lanes_of(agent, seeds)]
-    every = min(evaluate_every or max(steps // 10, 1), steps)
+    folder = Folder(Path(out) if out is not None else Path("runs") / f"{agent_name(lanes[0])}-{log.name}")
+    every = min(evaluate_every or folder.period(resume) or max(steps // 10, 1), steps)
     rows = Rows(log, lanes[0].needs(log.spec))
 
     config = {
@@ -127,12 +129,12 @@ def train(
         "versions": versions() | {"lanes": seeds},
     }  # fmt: skip
     config = json.loads(json.dumps(config, default=str))
-    folder = Folder(Path(out) if out is not None else Path("runs") / f"{config['agent']['name']}-{log.name}")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
     job = Fit(lanes, rows, config["seeds"], steps, chunk, folder.checkpoints, stream=stream, stops=every)
     for text in folder.begin(config, resume=resume):
         warnings.warn(text, stacklevel=2)
     job.resume()
+    folder.lengthen(config)
     folder.drop_after(job.step)
 
     recorder = Recorder(folder, job, judge, log, every, episodes)

@@ -358,13 +358,13 @@ class Fit:
         for _, path in reversed(found):
             try:
                 tree, meta = load_tree(path, self._tree())
+                states = tree
+                if self.experience is not None:
+                    states = tree["learner"]
+                    self.experience.restore(tree["experience"])  # refuses if the rows it counts are not all there
             except UserError as error:
                 problem = error
                 continue
-            states = tree
-            if self.experience is not None:
-                states = tree["learner"]
-                self.experience.restore(tree["experience"])
             self.states = jax.device_put(states)
             self.step = int(meta["step"])
             self.failures = tuple(None if f is None else Failure(*f) for f in meta["failures"])

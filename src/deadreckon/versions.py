@@ -1,0 +1,38 @@
+"""What the bits of a result depend on beside its settings, and how two such notes differ."""
+
+import os
+import platform
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+
+def versions() -> dict[str, Any]:
+    """Of packages, Python, platform and device, and the threads there are."""
+    import jax
+
+    named = {name: metadata.version(name) for name in ("deadreckon", "jax", "jaxlib", "equinox", "optax", "numpy", "mujoco")}
+    device = jax.devices()[0]
+    return named | {
+        "python": platform.python_version(),
+        "platform": f"{sys.platform} {platform.machine()}",
+        "device": f"{device.platform} {device.device_kind}",
+        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+    }
+
+
+def differences(before: Any, now: Any, keys: Sequence[str] | None = None, prefix: str = "") -> list[str]:
+    """One line for each value that differs between two nested notes; of these keys, or of all.
+
+    Where something lies and when it was made are passed over.
+    """
+    out = []
+    for key in dict.fromkeys([*before, *now]) if keys is None else keys:
+        a, b = before.get(key), now.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            inner = [k for k in dict.fromkeys([*a, *b]) if k not in ("path", "created")]
+            out += differences(a, b, inner, f"{prefix}{key}.")
+        elif a != b:
+            out.append(f"{prefix}{key} was {a}, now {b}")
+    return out
