@@ -96,6 +96,7 @@ class Options:
     out: str = "runs/gym"  # folder of runs and pages
     picture: str | None = None  # SVG file of curves, a panel a log
     quantity: str = "score"  # what is drawn there: a column of the evaluations or metrics, such as q or mmd
+    symlog: bool = False  # on a symmetric logarithmic axis
 
 
 def main(options: Options) -> None:
@@ -118,7 +119,7 @@ def main(options: Options) -> None:
     if options.picture:
         behaviour = {name: {"behaviour": _behaviour(dr.load_run(folders[0]))} for name, folders in shown.items()}
         references = behaviour if options.quantity == "score" else None
-        print(picture(options.picture, shown, quantity=options.quantity, references=references))
+        print(picture(options.picture, shown, quantity=options.quantity, references=references, symlog=options.symlog))
     print("\n" + markdown(shown))
 
 

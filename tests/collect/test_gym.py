@@ -127,7 +127,9 @@ def test_shipped_policies(name):
             assert returns.discount == 0.995
             assert returns.episodes >= (250 if name == "ant" else 1000)
             assert returns.error > 0
-            assert abs(returns.discounted) <= abs(returns.mean) + 300
+            # Of 1,000 even steps the discount leaves a fifth; of shorter or front-loaded episodes more, never beyond the whole.
+            if abs(returns.mean) > 300:
+                assert 0.15 < returns.discounted / returns.mean < 1.0
     expert, medium = found[12], found[11]
     assert expert.sampled.mean > medium.sampled.mean > found[0].sampled.mean
     world = task(name)

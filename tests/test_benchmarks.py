@@ -1,0 +1,20 @@
+"""What the speed table rests on: operations counted by hand are those of the programs that are timed."""
+
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+
+
+def test_operations_by_hand_are_those_of_the_program(monkeypatch):
+    """Of fitted Q evaluation: the program may do a little more, never less than it is credited with."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import flops
+    import ours
+    import protocol
+
+    options = protocol.options("fqe-11", batch=64, width=64, threads=1, rows=500)
+    program = ours.make_ours("fqe-11", options).flops
+    assert flops.needed(options) <= program * 1.001
+    assert program == pytest.approx(flops.needed(options), rel=0.05)
