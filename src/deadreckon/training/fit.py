@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.points import Points
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
@@ -232,7 +233,7 @@ def _choose(take_new: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
 
 
-def _packed(rows: Rows, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
+def _packed(rows: Rows | Points, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
     """All rows as `_pack` gives them, made block by block so that a second copy of them never is in memory."""
     out: dict[str, np.ndarray] = {}
     for start in range(0, rows.count, BLOCK):
@@ -247,7 +248,7 @@ def _packed(rows: Rows, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
 class _Source:
     """Rows on the device, or fetched for each chunk while the one before is computed."""
 
-    def __init__(self, rows: Rows, plan: _Plan, chunk: int):
+    def __init__(self, rows: Rows | Points, plan: _Plan, chunk: int):
         self.rows, self.plan, self.chunk = rows, plan, chunk
         self.resident: dict[str, Any] | None = None
         if plan.resident:
@@ -276,7 +277,7 @@ class _Source:
             self.pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _fits(rows: Rows) -> bool:
+def _fits(rows: Rows | Points) -> bool:
     stats = jax.devices()[0].memory_stats()
     if stats and "bytes_limit" in stats:
         return rows.nbytes < RESIDENT_SHARE * stats["bytes_limit"]
@@ -303,7 +304,7 @@ class Fit:
 
     Attributes:
         learners: one a lane, alike in everything but float fields.
-        rows: the log as the learners need it, or experience that grows while they learn.
+        rows: the log or the designs as the learners need them, or experience that grows while they learn.
         seeds: one a lane.
         steps: updates in all.
         chunk: most updates between two looks from outside; also what a kill can lose.
@@ -313,7 +314,7 @@ class Fit:
     """
 
     learners: Sequence[Any]
-    rows: Rows | Experience
+    rows: Rows | Points | Experience
     seeds: Sequence[int]
     steps: int
     chunk: int = 1000
@@ -331,9 +332,9 @@ class Fit:
             raise UserError("lanes of one program must need the same batches (discount with n-step rows, standardisation)")
         if self.stops:
             self.chunk = min(self.chunk, self.stops)
-        self.experience = None if isinstance(self.rows, Rows) else self.rows
+        self.experience = None if isinstance(self.rows, Rows | Points) else self.rows
         resident, initial = True, None
-        if isinstance(self.rows, Rows):
+        if isinstance(self.rows, Rows | Points):
             resident = not self.stream if self.stream is not None else _fits(self.rows)
             initial = self.rows.initial
         else:
@@ -378,7 +379,7 @@ class Fit:
         The checkpoint is written when the caller comes back for more, so what the caller wrote for a chunk is on disk
         before it; after a kill in between, the chunk is computed and written again, the same.
         """
-        source = _Source(self.rows, self.plan, self.chunk) if isinstance(self.rows, Rows) else None
+        source = _Source(self.rows, self.plan, self.chunk) if isinstance(self.rows, Rows | Points) else None
         refresh = self._refresh
         prepares = hasattr(self.learners[0], "prepare")
         try:
@@ -490,7 +491,7 @@ class Fit:
 
 def fit(
     learners: Sequence[Any],
-    rows: Rows,
+    rows: Rows | Points,
     seeds: Sequence[int],
     steps: int,
     *,

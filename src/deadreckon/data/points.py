@@ -1,0 +1,42 @@
+"""Designs as rows for the training loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from deadreckon.data.designs import Designs
+
+
+class Points:
+    """Designs as `training.fit` takes rows: coordinates `x` and standardised scores `y`, in a batch's `extra`.
+
+    Args:
+        designs: what is learned from.
+        needs: of the learner; only the batch size counts.
+        more: further columns, a row a design.
+    """
+
+    initial = None
+    view: Any = None  # policies have one, designs have `spec`, their coordinates
+
+    def __init__(self, designs: Designs, needs: Any, more: Mapping[str, np.ndarray] | None = None):
+        self.needs = needs
+        self.spec: Any = designs.coordinates
+        y = (designs.y - self.spec.y_mean) / self.spec.y_std
+        self.columns = {"x": self.spec.encode(designs.x), "y": y.astype(np.float32), **(more or {})}
+        self.count = len(designs)
+        self.fields = {name: (column.shape[1:], column.dtype) for name, column in self.columns.items()}
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that all columns take."""
+        return sum(column.nbytes for column in self.columns.values())
+
+    def take(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns at these indices."""
+        return {name: column[index] for name, column in self.columns.items()}
+

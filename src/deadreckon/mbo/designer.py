@@ -1,0 +1,180 @@
+"""What every designer is asked and answers: designs that should score high, from scored designs alone (thesis chapter 6)."""
+
+import dataclasses
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.data.designs import Designs
+from deadreckon.data.points import Points
+from deadreckon.errors import UserError
+from deadreckon.files import write_json
+from deadreckon.nets.optim import begin, descend
+from deadreckon.training.fit import Fit
+from deadreckon.training.learner import check_fields
+
+Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Designs that a method proposes.
+
+    Attributes:
+        method: the designer.
+        x: (n, variables) as the data holds them; see `Designs.decode` for a table.
+        predicted: (n,) what the method believes that they score; NaN where it believes nothing.
+        doubt: (n,) standard deviation of that belief; NaN likewise.
+        seed: of everything random.
+        seconds: it took, of all seeds of a program together.
+        warnings: why not to trust it, one line each.
+    """
+
+    method: str
+    x: np.ndarray
+    predicted: np.ndarray
+    doubt: np.ndarray
+    seed: int
+    seconds: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+class Setting(NamedTuple):
+    """What a designer works on."""
+
+    data: Designs
+    n: int
+    seeds: list[int]
+    out: Path | None
+    watch: Watcher
+
+    def train(self, learner: Any, steps: int, what: str, more: dict[str, np.ndarray] | None = None) -> list[Any]:
+        """States of a learner on the designs after `steps` updates, one a seed, gone on with from checkpoints.
+
+        Raises:
+            UserError: its numbers went bad.
+        """
+        points = Points(self.data, learner.needs(self.data.coordinates), more)
+        folder = None if self.out is None else self._folder(learner, points, steps, what)
+        job = Fit([learner] * len(self.seeds), points, self.seeds, steps, chunk=max(1, min(500, steps // 10)), folder=folder)
+        job.resume()
+        for progress in job.chunks():
+            self.watch(what, progress.step, steps)
+        for seed, failure in zip(self.seeds, job.failures):
+            if failure is not None:
+                told = f"{what}: {failure.metric} was not finite at update {failure.step} with seed {seed}"
+                raise UserError(f"{told}; a lower learning rate may help")
+        return [jax.tree.map(lambda leaf, i=i: leaf[i], job.states) for i in range(len(self.seeds))]
+
+    def _folder(self, learner: Any, points: Points, steps: int, what: str) -> Path:
+        """Where checkpoints lie: a folder of its own for all data and each setting."""
+        assert self.out is not None
+        digest = hashlib.blake2b(digest_size=6)
+        for column in points.columns.values():
+            digest.update(np.ascontiguousarray(column).tobytes())
+        digest.update(json.dumps([str(learner), steps, self.n, self.seeds]).encode())
+        folder = self.out / f"{what}-{digest.hexdigest()}"
+        if not folder.exists():
+            write_json(folder / "asked.json", {"learner": str(learner), "steps": steps, "seeds": self.seeds})
+        return folder
+
+
+class Designer(eqx.Module):
+    """Hyperparameters in, proposals out."""
+
+    def propose(
+        self,
+        data: Designs,
+        n: int = 128,
+        *,
+        seed: int = 0,
+        out: Path | str | None = None,
+        watch: Watcher = lambda what, step, steps: None,
+    ) -> Proposals:
+        """Designs that should score high.
+
+        Args:
+            data: scored designs, all that is looked at.
+            n: how many to propose.
+            seed: of everything random.
+            out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
+            watch: called with what is fitted, the updates done and those in all.
+
+        Raises:
+            UserError: settings that no designer can work with, or numbers that went bad.
+        """
+        return self.propose_many(data, n, seeds=[seed], out=out, watch=watch)[0]
+
+    def propose_many(
+        self,
+        data: Designs,
+        n: int = 128,
+        *,
+        seeds: Sequence[int],
+        out: Path | str | None = None,
+        watch: Watcher = lambda what, step, steps: None,
+    ) -> list[Proposals]:
+        """The same for several seeds, as one program where the method is a compiled one."""
+        if n < 1:
+            raise UserError(f"n must be 1 or more, got {n}")
+        if not seeds or min(seeds) < 0 or max(seeds) >= 2**32:
+            raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
+        check_fields(self)
+        begun = time.perf_counter()
+        found = self.solve(Setting(data, n, list(seeds), None if out is None else Path(out), watch))
+        seconds = time.perf_counter() - begun
+        for each in found:
+            data.check(each.x)
+        return [dataclasses.replace(each, seconds=seconds) for each in found]
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return type(self).__name__
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """What the designer is: proposals, one a seed."""
+        raise NotImplementedError
+
+    def replace(self, **changes: Any) -> Any:
+        """The same designer with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
+    def decoded(self, setting: Setting, seed: int, z: Any, predicted: Any, doubt: Any = None) -> Proposals:
+        """Proposals of coordinates (n, size) and standardised beliefs (n,)."""
+        view = setting.data.coordinates
+        doubts = np.full(setting.n, np.nan) if doubt is None else view.y_std * np.asarray(doubt, np.float64)
+        return Proposals(self.label, view.decode(np.asarray(z)), view.score(np.asarray(predicted)), doubts, seed)
+
+
+class Search(NamedTuple):
+    """Designs on their way up: coordinates (m, size) and their optimiser."""
+
+    x: Float[Array, "m z"]
+    opt: optax.OptState
+
+    @classmethod
+    def start(cls, data: Designs, n: int, worst: bool = False) -> "Search":
+        """From the best designs of the data, or the worst."""
+        x = jnp.asarray(data.coordinates.encode(data.x[data.best(n, worst)]))
+        return cls(x, begin(x))
+
+    def ascend(self, value: Callable[[Array], Array], lr: Any, low: Array, high: Array) -> "Search":
+        """One step of Adam up the gradient of `value` ((m, size) -> (m,)), each design for itself, kept within bounds."""
+        grads = jax.grad(lambda x: -value(x).sum())(self.x)
+        x, opt = descend(self.x, grads, self.opt, lr)
+        return Search(jnp.clip(x, low, high), opt)

@@ -1,0 +1,279 @@
+"""NEMO: normalised maximum likelihood for offline model-based optimisation (thesis chapter 6, Algorithms 4 and 6).
+
+K models, one for each bin of the score. Model k is fitted to the data and, with weight w, to the claim that a design now under
+search falls into bin k; so where the data says little, every claim is believed, and
+
+    p_NML(k | x) = p(k | x, theta_k) / sum_j p(j | x, theta_j)                                              (6.2)
+
+is diffuse. Data bins are counted from 0 here; with u the score on a scale where the data reaches from 0 to 1,
+
+    o_k(x) = P(bin >= k) = sigmoid((mu(x) - k / K) / s),  k = 1 .. K - 1,  o_0 = 1, o_K = 0,
+    p(k | x) = o_k - o_{k+1},   E[g] = g_0 + sum_k (g_k - g_{k-1}) o_k.
+
+The printed sigmoid (mu + k/K) would rise in k where labels fall, and has no scale, which caps an inner bin at 1/(4K): see the
+deviations on the method's page.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.training.learner import static
+
+
+class Net(eqx.Module):
+    """A distribution over K bins.
+
+    Attributes:
+        mlp: to mu, the mean of a logistic distribution (`logistic`), or to K logits (`categorical`).
+        log_scale: of the logistic distribution; unused otherwise.
+        bins: K.
+    """
+
+    mlp: MLP
+    log_scale: Float[Array, ""]
+    bins: int = eqx.field(static=True)
+
+    @classmethod
+    def create(cls, size: int, hidden: tuple[int, ...], bins: int, logistic: bool, key: Any) -> "Net":
+        """A fresh network; a logistic's scale begins at a tenth of the data's range."""
+        mlp = MLP.create(size, hidden, 1 if logistic else bins, key, activation="softplus")
+        return cls(mlp, jnp.log(jnp.float32(0.1)), bins)
+
+    @property
+    def logistic(self) -> bool:
+        """Which of the two it is."""
+        return self.mlp.biases[-1].shape[-1] == 1
+
+    def log_probs(self, x: Float[Array, "b z"]) -> Float[Array, "b k"]:
+        """Log-probabilities of all bins."""
+        out = self.mlp(x)
+        return bin_log_probs(out[..., 0], self.log_scale, self.bins) if self.logistic else jax.nn.log_softmax(out)
+
+    def internal(self, x: Float[Array, "b z"]) -> Float[Array, "b"]:
+        """What designs ascend: mu, which has the gradient's direction of the mean and no flat regions (Proposition 6.3.1)."""
+        if self.logistic:
+            return self.mlp(x)[..., 0]
+        return jax.nn.softmax(self.mlp(x)) @ middles(self.bins)
+
+
+def middles(bins: int) -> Float[Array, "k"]:
+    """Middles of the bins, where the data reaches from 0 to 1."""
+    return (jnp.arange(bins) + 0.5) / bins
+
+
+def exceed(mu: Array, log_scale: Array, bins: int) -> Float[Array, "b k1"]:
+    """o_k, the probabilities of bin >= k, for k = 1 .. K - 1."""
+    return jax.nn.sigmoid(_arguments(mu, log_scale, bins))
+
+
+def _arguments(mu: Array, log_scale: Array, bins: int) -> Array:
+    return (mu[..., None] - jnp.arange(1, bins) / bins) / jnp.exp(log_scale)
+
+
+def bin_log_probs(mu: Array, log_scale: Array, bins: int) -> Float[Array, "b k"]:
+    """log(o_k - o_{k+1}), from sigmoid(a) - sigmoid(b) = sigmoid(a) sigmoid(-b) (1 - e^(b - a)), which does not cancel."""
+    a = _arguments(mu, log_scale, bins)
+    above, below = jax.nn.log_sigmoid(a), jax.nn.log_sigmoid(-a)
+    gap = jnp.log(-jnp.expm1(-1.0 / (bins * jnp.exp(log_scale))))
+    inner = above[..., :-1] + below[..., 1:] + gap
+    return jnp.concatenate([below[..., :1], inner, above[..., -1:]], -1)
+
+
+def quantise(u: Array, bins: int) -> Int[Array, "b"]:
+    """The bin of each score, of 0 .. K - 1; the greatest belongs to the last, what lies beyond to the nearest."""
+    return jnp.clip(jnp.floor(u * bins), 0, bins - 1).astype(jnp.int32)
+
+
+def nll(net: Net, x: Array, label: Array) -> Float[Array, "b"]:
+    """Negative log-likelihood of bins."""
+    return -jnp.take_along_axis(net.log_probs(x), label[..., None], -1)[..., 0]
+
+
+def cross_entropy(net: Net, x: Array, label: Array) -> Float[Array, "b"]:
+    """Binary cross-entropy of each o_k with whether the bin is k or higher: what 6.3 prints as the loss."""
+    a = _arguments(net.mlp(x)[..., 0], net.log_scale, net.bins)
+    return optax.sigmoid_binary_cross_entropy(a, (jnp.arange(1, net.bins) <= label[..., None]).astype(a.dtype)).sum(-1)
+
+
+def p_nml(nets: Net, x: Float[Array, "b z"]) -> Float[Array, "b k"]:
+    """Log of the normalised maximum likelihood distribution: each bin's probability under its own model, normalised."""
+    own = jax.vmap(lambda net: net.log_probs(x))(nets)  # (K models, b, K bins)
+    return jax.nn.log_softmax(jnp.diagonal(own, axis1=0, axis2=2), -1)
+
+
+def reached(probs: Float[Array, "b k"], confidence: float) -> Float[Array, "b"]:
+    """The score (on 0 .. 1) that is exceeded with a probability of `confidence`, probability spread evenly within bins."""
+    bins = probs.shape[-1]
+    beyond = jnp.concatenate([jnp.cumsum(probs[..., ::-1], -1)[..., ::-1], jnp.zeros_like(probs[..., :1])], -1)
+    # The last bin at whose lower edge enough is still to come.
+    k = jnp.clip((beyond[..., :-1] >= confidence).sum(-1) - 1, 0, bins - 1)[..., None]
+    upper, lower = (jnp.take_along_axis(beyond, k + i, -1)[..., 0] for i in (0, 1))
+    return (k[..., 0] + (upper - confidence) / jnp.maximum(upper - lower, 1e-12)) / bins
+
+
+class State(NamedTuple):
+    """K models, their slow copies, their optimiser, and the designs under search."""
+
+    nets: Net
+    targets: Net
+    opt: optax.OptState
+    search: Search
+
+
+class Training(eqx.Module):
+    """What `fit` trains: the models alone at first, then models and designs by turns (Algorithm 6)."""
+
+    lr: float
+    design_lr: float
+    target_rate: float
+    weight: float
+    confidence: float
+    low: Any = eqx.field(static=True)  # Fixed: bounds of the coordinates
+    high: Any = eqx.field(static=True)
+    begin: Any = eqx.field(static=True)  # Fixed: where designs begin
+    scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
+    g: Any = eqx.field(static=True)  # Fixed: worth of each bin, or None
+    bins: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    logistic: bool = eqx.field(static=True)
+    bce: bool = eqx.field(static=True)
+    objective: str = eqx.field(static=True)
+    pretrain: int = eqx.field(static=True)
+    ratio: int = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Designs and scores."""
+        return Needs(columns=(), batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh models; targets are copies."""
+        make = lambda k: Net.create(spec.size, self.hidden, self.bins, self.logistic, k)  # noqa: E731
+        nets = ensemble(make, self.bins, key)
+        x = jnp.asarray(self.begin.value)
+        return State(nets, copy(nets), begin(nets), Search(x, begin(x)))
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step of all models; after pretraining, and every `ratio` of them, one of all designs."""
+        assert batch.extra is not None
+        x, y = batch.extra["x"], batch.extra["y"]
+        low, high = self.scale
+        label = quantise((y - low) / (high - low), self.bins)
+        # One design, the same for all models, and for each model the claim that it falls into the model's bin.
+        which = jax.random.randint(key, (), 0, len(state.search.x))
+        weight = jnp.where(step < self.pretrain, 0.0, self.weight)
+        grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
+        nets, opt = descend(state.nets, grads, state.opt, self.lr)
+        # Targets do not lag behind pretraining: they are copies where it ends.
+        rate = jnp.where(step < self.pretrain, 1.0, self.target_rate)
+        targets = track(state.targets, nets, rate)
+        turn = (step >= self.pretrain) & ((step - self.pretrain) % self.ratio == self.ratio - 1)
+        rise = lambda search: search.ascend(lambda z: self.worth(targets, z), self.design_lr, *self.bounds)  # noqa: E731
+        search = jax.lax.cond(turn, rise, lambda search: search, state.search)
+        return State(nets, targets, opt, search), metrics
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of the coordinates."""
+        return jnp.asarray(self.low.value), jnp.asarray(self.high.value)
+
+    def loss(self, nets: Net, x: Array, label: Array, design: Array, weight: Array):
+        """Of all models, summed: each sees the batch, and the design with its own bin at weight w."""
+        of = cross_entropy if self.bce else nll
+
+        def one(net: Net, claim: Array) -> tuple[Array, Array]:
+            return of(net, x, label).mean(), of(net, design, claim[None])[0]
+
+        data, claims = jax.vmap(one)(nets, jnp.arange(self.bins))
+        return (data + weight * claims).sum(), {"loss": data.mean(), "claim": claims.mean()}
+
+    def worth(self, nets: Net, z: Float[Array, "m z"]) -> Float[Array, "m"]:
+        """What designs ascend."""
+        if self.objective == "internal":
+            return jax.vmap(lambda net: net.internal(z))(nets).mean(0)
+        probs = jnp.exp(p_nml(nets, z))
+        if self.objective == "confidence":
+            return reached(probs, self.confidence)
+        return probs @ (middles(self.bins) if self.g is None else jnp.asarray(self.g.value))
+
+
+class Fixed:
+    """An array that is part of a program, told apart by its bytes."""
+
+    def __init__(self, value: np.ndarray):
+        self.value = np.asarray(value, np.float32)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Fixed) and np.array_equal(self.value, other.value)
+
+    def __hash__(self) -> int:
+        return hash(self.value.tobytes())
+
+    def __repr__(self) -> str:
+        return f"Fixed({hash(self)})"
+
+
+class NEMO(Designer):
+    """Normalised maximum likelihood for offline model-based optimisation."""
+
+    bins: int = static(40)  # K: bins of the score, and models
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    architecture: Literal["logistic", "categorical"] = static("logistic")  # discretised logistic (6.3), or K logits
+    loss: Literal["bce", "likelihood"] = static("bce")  # of the logistic: as printed, or the likelihood of the bins
+    objective: Literal["internal", "mean", "confidence"] = static("internal")  # mu (Alg. 6), or E[g] under p_NML (Alg. 4)
+    g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of a score, for objective="mean"; None: the score
+    confidence: float = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
+    steps: int = static(2000)  # updates of the models after pretraining
+    pretrain: int = static(2000)  # updates of the models before
+    ratio: int = static(1)  # updates of the models for each of the designs
+    batch_size: int = static(128)  # designs of the data an update (missing in Algorithm 6)
+    lr: float = 0.05  # of the models, alpha_theta
+    design_lr: float = 0.1  # of the designs, alpha_x, in standardised coordinates
+    target_rate: float = 0.05  # tau
+    weight: float | None = None  # of the claim beside the data's mean; None: 1 / rows (6.3)
+    start: Literal["best", "worst"] = static("best")  # designs of the data to begin with
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "NEMO"
+
+    def training(self, setting: Setting) -> Training:
+        """The learner for some data."""
+        data, view = setting.data, setting.data.coordinates
+        y = (data.y - view.y_mean) / view.y_std
+        low, high = float(y.min()), float(y.max())
+        g = None
+        if self.g is not None:
+            g = Fixed(np.asarray(self.g(view.score(low + (high - low) * np.asarray(middles(self.bins))))))
+        return Training(
+            self.lr, self.design_lr, self.target_rate, 1.0 / len(data) if self.weight is None else self.weight, self.confidence,
+            Fixed(view.low), Fixed(view.high), Fixed(view.encode(data.x[data.best(setting.n, self.start == "worst")])),
+            (low, high), g, self.bins, self.hidden, self.architecture == "logistic",
+            self.loss == "bce" and self.architecture == "logistic", self.objective, self.pretrain, self.ratio, self.batch_size,
+        )  # fmt: skip
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """The designs at the end of their search, with mean and deviation under p_NML of the target models."""
+        learner = self.training(setting)
+        states = setting.train(learner, self.pretrain + self.steps, "nemo")
+        low, high = learner.scale
+        found = []
+        for seed, state in zip(setting.seeds, states):
+            probs = np.exp(np.asarray(jax.jit(p_nml)(state.targets, state.search.x), np.float64))
+            middle = low + (high - low) * (np.arange(self.bins) + 0.5) / self.bins
+            mean = probs @ middle
+            doubt = np.sqrt(np.maximum(probs @ np.square(middle) - np.square(mean), 0.0))
+            found.append(self.decoded(setting, seed, state.search.x, mean, doubt))
+        return found

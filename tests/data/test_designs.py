@@ -1,0 +1,121 @@
+"""Tables of scored designs: what comes in, what is refused in one line, and the coordinates that methods search in."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import csv
+
+from deadreckon.data.designs import Designs, Variable
+from deadreckon.errors import UserError
+
+
+def table(rows=12, **changes):
+    rng = np.random.default_rng(0)
+    columns = {
+        "temperature": rng.uniform(20, 80, rows).round(1).tolist(),
+        "layers": rng.integers(1, 6, rows).tolist(),
+        "solvent": ["water", "ethanol", "acetone"] * (rows // 3),
+        "y": rng.normal(size=rows).tolist(),
+    }
+    return columns | changes
+
+
+def test_kinds_are_seen_and_bounds_are_those_of_the_data():
+    found = Designs.from_frame(table(), "y")
+    assert [v.kind for v in found.variables] == ["continuous", "integer", "categorical"]
+    assert found.variables[2].levels == ("acetone", "ethanol", "water")
+    assert found.variables[0].low == min(table()["temperature"])
+    np.testing.assert_allclose(found.y, table()["y"])
+    assert found.x[0, 2] == 2
+
+
+def test_kinds_bounds_levels_and_the_sign_as_told():
+    found = Designs.from_frame(
+        table(), "y", kinds={"layers": "categorical"}, bounds={"temperature": (0, 100)},
+        levels={"solvent": ["water", "ethanol", "acetone", "toluene"]}, minimise=True,
+    )  # fmt: skip
+    assert found.variables[1].levels == (1, 2, 3, 4, 5)
+    assert (found.variables[0].low, found.variables[0].high) == (0.0, 100.0)
+    assert len(found.variables[2].levels) == 4
+    np.testing.assert_allclose(found.y, -np.array(table()["y"]))
+
+
+def test_a_csv_goes_round(tmp_path):
+    csv.write_csv(pa.table(table()), tmp_path / "mine.csv")
+    found = Designs.from_csv(tmp_path / "mine.csv", "y", ignore=["layers"])
+    assert found.name == "mine"
+    found.write(tmp_path / "proposals.csv", found.x[:3], {"predicted": [1.0, 2.0, 3.0]})
+    again = csv.read_csv(tmp_path / "proposals.csv").to_pydict()
+    assert list(again) == ["temperature", "solvent", "predicted"]
+    assert again["solvent"] == table()["solvent"][:3]
+    np.testing.assert_allclose(found.encode(again), found.x[:3])
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "words"),
+    [
+        (table(), {"target": "z"}, "unknown column 'z'"),
+        (table(y=[1.0] * 12), {}, "y is 1 in all rows, so nothing tells good from bad"),
+        (table(y=[1.0, float("nan"), *range(10)]), {}, "column y is empty in row 1"),
+        (table(temperature=[1.0, None, *range(10)]), {}, "column temperature is empty in row 1"),
+        (table(solvent=["water", None] * 6), {}, "column solvent is empty in row 1"),
+        (table(), {"bounds": {"temperature": (0, 30)}}, r"column temperature has .* in row \d+, outside the bounds \[0, 30\]"),
+        (table(), {"bounds": {"solvent": (0, 30)}}, "column solvent is categorical and has levels, not bounds"),
+        (table(9), {}, "9 rows are too few to learn from, 10 or more are needed"),
+        (table(), {"kinds": {"layers": "whole"}}, "unknown kind 'whole'"),
+        (table(), {"kinds": {"temperature": "integer"}}, "whole numbers are needed"),
+        (table(), {"levels": {"solvent": ["water"]}}, "unknown level 'ethanol' in row 1; known are water"),
+        ({"y": list(range(12))}, {}, "no column beside the target 'y'"),
+    ],
+)
+def test_refusals_name_what_is_wrong(columns, options, words):
+    with pytest.raises(UserError, match=words) as told:
+        Designs.from_frame(columns, **{"target": "y"} | options)
+    assert "\n" not in str(told.value)
+
+
+def test_proposals_of_people_are_checked():
+    found = Designs.from_frame(table(), "y")
+    good = {"temperature": [30.0], "layers": [2], "solvent": ["water"]}
+    assert found.encode(good).tolist() == [[30.0, 2.0, 2.0]]
+    with pytest.raises(UserError, match="unknown level 'oil' in row 0; known are acetone, ethanol, water"):
+        found.encode(good | {"solvent": ["oil"]})
+    with pytest.raises(UserError, match=r"temperature is 900 in row 0, a number in \[.*\] is needed"):
+        found.encode(good | {"temperature": [900.0]})
+    with pytest.raises(UserError, match="layers is 2.5 in row 0, a whole number"):
+        found.encode(good | {"layers": [2.5]})
+    with pytest.raises(UserError, match="unknown column 'solvent'"):
+        found.encode({"temperature": [30.0], "layers": [2]})
+
+
+def test_coordinates_go_round():
+    rng = np.random.default_rng(0)
+    of = lambda name, levels: Variable(name, "categorical", levels=tuple(levels))  # noqa: E731
+    numbers = Variable("a", low=-5, high=5), Variable("c", "integer", 0, 9)
+    variables = [numbers[0], of("b", "xyz"), numbers[1], of("d", "uvwxy"), of("e", "pqr")]
+    x = np.stack([rng.uniform(-5, 5, 50), rng.integers(0, 3, 50), rng.integers(0, 10, 50), rng.integers(0, 5, 50),
+                  rng.integers(0, 3, 50)], 1)  # fmt: skip
+    designs = Designs.from_arrays(x, rng.normal(size=50), variables)
+    view = designs.coordinates
+    z = view.encode(designs.x)
+    assert z.shape == (50, view.size) == (50, 2 + 2 + 2 + 4)
+    np.testing.assert_allclose(z[:, :2].mean(0), 0.0, atol=1e-5)
+    np.testing.assert_allclose(z[:, :2].std(0), 1.0, atol=1e-5)
+    assert set(np.unique(z[:, 2:])) == {-1.0, 0.0, 1.0}
+    np.testing.assert_allclose(view.decode(z), designs.x, atol=1e-5)
+    # Beyond the bounds it is cut, between whole numbers rounded; of bounds the coordinates know too.
+    far = view.decode(np.full((1, view.size), 50.0))
+    assert far[0, 0] == 5.0
+    assert far[0, 2] == 9.0
+    np.testing.assert_allclose(view.decode(np.where(np.isfinite(view.low), view.low, 0.0)[None])[0, [0, 2]], [-5.0, 0.0])
+    assert np.isinf(view.high[2:]).all()
+    np.testing.assert_allclose(view.score((designs.y - designs.y.mean()) / designs.y.std()), designs.y)
+
+
+def test_best_and_worst():
+    designs = Designs.from_arrays(np.arange(20.0)[:, None], np.arange(20.0))
+    assert designs.best(3).tolist() == [19, 18, 17]
+    assert designs.best(3, worst=True).tolist() == [0, 1, 2]
+    assert len(designs.best(50)) == 50
+    with pytest.raises(ValueError, match="read-only"):
+        designs.x[0] = 3.0

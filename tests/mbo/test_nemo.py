@@ -1,0 +1,159 @@
+"""NEMO's parts against numpy, and that it finds good designs where they are to be found."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from deadreckon.data.designs import Designs, Variable
+from deadreckon.errors import UserError
+from deadreckon.mbo import NEMO
+from deadreckon.mbo.nemo import Net, bin_log_probs, cross_entropy, exceed, middles, nll, p_nml, quantise, reached
+from deadreckon.nets.mlp import ensemble
+
+K = 8
+SMALL = NEMO(bins=K, hidden=(16, 16), steps=60, pretrain=40, lr=0.01, design_lr=0.01, batch_size=32)
+
+
+def numpy_probs(mu, s, bins):
+    o = np.array([1.0, *(expit((mu - k / bins) / s) for k in range(1, bins)), 0.0])
+    return o[:-1] - o[1:]
+
+
+@pytest.mark.parametrize("s", [0.02, 0.1, 1.0])
+def test_discretised_logistic_equals_numpy(s):
+    mus = np.linspace(-0.3, 1.4, 9)
+    found = np.exp(np.asarray(bin_log_probs(jnp.asarray(mus, jnp.float32), jnp.log(s), K)))
+    exact = np.stack([numpy_probs(mu, s, K) for mu in mus])
+    np.testing.assert_allclose(found, exact, atol=2e-6)
+    np.testing.assert_allclose(found.sum(-1), 1.0, atol=1e-5)
+    # The mean is g_0 + sum_k (g_k - g_{k-1}) o_k.
+    g = np.asarray(middles(K))
+    o = np.asarray(exceed(jnp.asarray(mus, jnp.float32), jnp.log(s), K))
+    np.testing.assert_allclose(g[0] + o @ np.diff(g), exact @ g, atol=1e-5)
+    assert (np.diff(o, axis=-1) <= 0).all()
+    assert (o[:, 0] > o[:, -1]).any()  # falls in k, as labels do; the printed sign would rise
+
+
+def test_probabilities_far_out_stay_finite():
+    """The difference of two sigmoids cancels in floats; its logarithm does not here."""
+    logs = np.asarray(bin_log_probs(jnp.asarray([40.0, -40.0]), jnp.log(0.1), K))
+    assert np.isfinite(logs).all()
+    np.testing.assert_allclose(logs[0, 3] - logs[0, 2], 1 / (K * 0.1), rtol=1e-3)
+
+
+def test_quantisation_at_the_edges():
+    u = jnp.asarray([0.0, 0.1249, 0.125, 0.5, 0.999, 1.0, 1.7, -0.2])
+    np.testing.assert_array_equal(quantise(u, K), [0, 0, 1, 4, 7, 7, 7, 0])
+
+
+def test_losses_equal_numpy():
+    net = Net.create(3, (4,), K, True, jax.random.key(0))
+    x = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
+    label = np.array([0, 3, 7, 2, 5])
+    mu, s = np.asarray(net.mlp(x))[:, 0], float(np.exp(net.log_scale))
+    probs = np.stack([numpy_probs(m, s, K) for m in mu])
+    np.testing.assert_allclose(nll(net, x, label), -np.log(probs[np.arange(5), label]), rtol=1e-4)
+    o = expit((mu[:, None] - np.arange(1, K) / K) / s)
+    wanted = np.arange(1, K) <= label[:, None]
+    np.testing.assert_allclose(
+        cross_entropy(net, x, label), -(np.where(wanted, np.log(o), np.log1p(-o))).sum(-1), rtol=1e-4
+    )
+
+
+def test_gradients_of_mu_and_of_the_mean_point_alike():
+    """Proposition 6.3.1."""
+    net = Net.create(4, (8, 8), K, True, jax.random.key(1))
+    x = jax.random.normal(jax.random.key(2), (64, 4))
+    of_mu = jax.grad(lambda x: net.internal(x).sum())(x)
+    of_mean = jax.grad(lambda x: (jnp.exp(net.log_probs(x)) @ middles(K)).sum())(x)
+    cosine = (of_mu * of_mean).sum(-1) / (jnp.linalg.norm(of_mu, axis=-1) * jnp.linalg.norm(of_mean, axis=-1))
+    np.testing.assert_allclose(cosine, 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("logistic", [True, False])
+def test_p_nml_takes_each_bin_from_its_own_model(logistic):
+    nets = ensemble(lambda key: Net.create(2, (4,), K, logistic, key), K, jax.random.key(0))
+    x = jax.random.normal(jax.random.key(1), (3, 2))
+    own = np.stack([np.exp(jax.tree.map(lambda leaf, k=k: leaf[k], nets).log_probs(x)[:, k]) for k in range(K)], -1)
+    np.testing.assert_allclose(np.exp(p_nml(nets, x)), own / own.sum(-1, keepdims=True), rtol=1e-5)
+
+
+def test_what_is_exceeded_with_confidence():
+    probs = jnp.asarray([[0.25, 0.25, 0.25, 0.25], [0.0, 0.0, 1.0, 0.0], [0.5, 0.0, 0.0, 0.5]])
+    np.testing.assert_allclose(reached(probs, 0.5), [0.5, 0.625, 0.75], atol=1e-6)
+    np.testing.assert_allclose(reached(probs, 0.9), [0.1, 0.525, 0.05], atol=1e-6)
+    # It rises with every probability that moves up.
+    slope = jax.grad(lambda t: reached(jax.nn.softmax(t * jnp.arange(4.0))[None], 0.8)[0])(0.1)
+    assert slope > 0
+
+
+@pytest.fixture(scope="module")
+def bowl():
+    """A bowl in four coordinates whose best designs the data lacks."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-2, 2, (600, 4)).astype(np.float32)
+    y = -np.square(x - 0.5).sum(1)
+    keep = y < np.quantile(y, 0.8)
+    return Designs.from_arrays(x[keep], y[keep], [Variable(f"x{i}", low=-2.0, high=2.0) for i in range(4)], name="bowl")
+
+
+def score(proposals):
+    return -np.square(proposals.x - 0.5).sum(1)
+
+
+def test_designs_improve_and_stay_within_bounds(bowl):
+    found = NEMO(bins=12, hidden=(32, 32), steps=400, pretrain=400, lr=0.005, design_lr=0.02).propose(bowl, 16)
+    assert np.median(score(found)) > bowl.y.max()
+    assert found.x.min() >= -2
+    assert found.x.max() <= 2
+    assert np.isfinite(found.predicted).all()
+    assert (found.doubt > 0).all()
+    assert found.method == "NEMO"
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"objective": "mean", "g": lambda y: y**3, "loss": "likelihood"},
+        {"objective": "confidence", "architecture": "categorical"},
+    ],
+)
+def test_every_form_runs(bowl, fields):
+    found = SMALL.replace(**fields).propose(bowl, 4)
+    assert found.x.shape == (4, 4)
+    assert np.isfinite(found.predicted).all()
+
+
+def test_seeds_side_by_side_and_checkpoints(bowl, tmp_path):
+    both = SMALL.propose_many(bowl, 4, seeds=[0, 1])
+    alone = SMALL.propose(bowl, 4, seed=1)
+    assert [each.seed for each in both] == [0, 1]
+    np.testing.assert_allclose(both[1].x, alone.x, atol=2e-2)
+    assert not np.array_equal(both[0].x, both[1].x)
+
+    class Killed(Exception):
+        pass
+
+    def kill(what, step, steps):
+        if step >= 50:
+            raise Killed
+
+    with pytest.raises(Killed):
+        SMALL.propose(bowl, 4, seed=1, out=tmp_path, watch=kill)
+    seen = []
+    again = SMALL.propose(bowl, 4, seed=1, out=tmp_path, watch=lambda what, step, steps: seen.append(step))
+    assert seen[0] >= 40
+    np.testing.assert_array_equal(again.x, alone.x)
+
+
+def test_refusals(bowl):
+    with pytest.raises(UserError, match="n must be 1 or more, got 0"):
+        SMALL.propose(bowl, 0)
+    with pytest.raises(UserError, match=r"NEMO.bins takes a whole number >= 2, got 1"):
+        SMALL.replace(bins=1).propose(bowl)
+    with pytest.raises(UserError, match="NEMO.architecture takes 'logistic' or 'categorical'"):
+        SMALL.replace(architecture="tree").propose(bowl)
+    with pytest.raises(UserError, match="nemo: .* was not finite at update .*; a lower learning rate may help"):
+        SMALL.replace(lr=1e30).propose(bowl, 2)
