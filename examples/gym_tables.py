@@ -49,6 +49,8 @@ ABLATIONS = {
     "bear-no-actor-maximisation": ("bear", {"warm_start": 2**31 - 1}),  # longer than any run
     "bear-density-weighting": ("bear", {"density_weighting": True}),
     "bear-vae": ("bear", {"behavior": "vae"}),
+    "bear-mean-critic": ("bear", {"actor_value": "mean"}),  # better on Walker2d (A.4)
+    "bear-threshold-0.25": ("bear", {"threshold": 0.25}),  # above what two sets of draws of one policy have: can be met
 }
 
 
