@@ -16,10 +16,11 @@ from deadreckon._version import __version__
 from deadreckon.errors import UserError
 
 if TYPE_CHECKING:
-    from deadreckon import agents, collect, data, ope, policies, report, runs, tasks, theory
+    from deadreckon import agents, collect, data, mbo, ope, policies, report, runs, tasks, theory
     from deadreckon.collect.recipes import collect as collect_log
     from deadreckon.data.catalogue import load
     from deadreckon.data.dataset import Dataset
+    from deadreckon.data.designs import Designs
     from deadreckon.data.io import read
     from deadreckon.policies.library import load_policies
     from deadreckon.runs.evaluate import evaluate
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
+    "Designs": ("data.designs", "Designs"),
     "Run": ("runs.train", "Run"),
     "collect_log": ("collect.recipes", "collect"),
     "evaluate": ("runs.evaluate", "evaluate"),
@@ -39,10 +41,10 @@ _HOMES = {
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
 }
-_PACKAGES = ("agents", "collect", "data", "ope", "policies", "report", "runs", "tasks", "theory")
+_PACKAGES = ("agents", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
-    "Dataset", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "evaluate", "load",
-    "load_policies", "load_run", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train", "train_online",
+    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "evaluate", "load",
+    "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train", "train_online",
 ]  # fmt: skip
 
 

@@ -1,6 +1,11 @@
-"""Design from data alone: problems with oracles, and methods that propose designs."""
+"""Design from data alone: methods that propose designs from scored ones."""
 
+from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.designer import Designer, Proposals
+from deadreckon.mbo.floor import BestOfData, Random
+from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.nemo import NEMO
+from deadreckon.mbo.ram import RaM
+from deadreckon.mbo.registry import DESIGNERS, designer
 
-__all__ = ["NEMO", "Designer", "Proposals"]
+__all__ = ["DESIGNERS", "NEMO", "BestOfData", "COMs", "Designer", "Forward", "Proposals", "RaM", "Random", "designer"]

@@ -62,6 +62,11 @@ class Setting(NamedTuple):
     out: Path | None
     watch: Watcher
 
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """(size,) least and greatest coordinates."""
+        return jnp.asarray(self.data.coordinates.low), jnp.asarray(self.data.coordinates.high)
+
     def train(self, learner: Any, steps: int, what: str, more: dict[str, np.ndarray] | None = None) -> list[Any]:
         """States of a learner on the designs after `steps` updates, one a seed, gone on with from checkpoints.
 

@@ -1,0 +1,102 @@
+"""COMs: conservative objective models (Trabucco, Kumar, Geng and Levine 2021).
+
+The model is kept from promising more at designs that ascent finds than at those of the data: a penalty whose weight is adapted
+until the difference is `margin`.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.surrogate import climb
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """The model, its optimiser, and the logarithm of the penalty's weight."""
+
+    net: MLP
+    opt: optax.OptState
+    log_alpha: Float[Array, ""]
+
+
+class Conservative(eqx.Module):
+    """What `fit` trains."""
+
+    lr: float
+    alpha_lr: float
+    margin: float
+    design_lr: float
+    ascent: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Designs and scores."""
+        return Needs(columns=(), batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """A fresh model; the penalty counts as much as the error at first."""
+        net = MLP.create(spec.size, self.hidden, 1, key, activation="relu")
+        return State(net, begin(net), jnp.float32(0.0))
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step of the model and one of the penalty's weight, which grows while the difference is above the margin."""
+        assert batch.extra is not None
+        x, y = batch.extra["x"], batch.extra["y"]
+        beyond = jax.lax.stop_gradient(self.adversaries(state.net, x))
+        alpha = jnp.exp(state.log_alpha)
+        grads, metrics = jax.grad(self.loss, has_aux=True)(state.net, x, y, beyond, alpha)
+        net, opt = descend(state.net, grads, state.opt, self.lr)
+        log_alpha = jnp.clip(state.log_alpha + self.alpha_lr * (metrics["overestimation"] - self.margin), -10.0, 10.0)
+        return State(net, opt, log_alpha), metrics | {"alpha": alpha}
+
+    def adversaries(self, net: MLP, x: Array) -> Array:
+        """Where ascent leads from the data."""
+        rise = lambda _, x: x + self.design_lr * jax.grad(lambda x: promised(net, x).sum())(x)  # noqa: E731
+        return jax.lax.fori_loop(0, self.ascent, rise, x)
+
+    def loss(self, net: MLP, x: Array, y: Array, beyond: Array, alpha: Array):
+        """Squared error, and how much more the model promises beyond the data than on it."""
+        on = promised(net, x)
+        error = jnp.square(on - y).mean()
+        more = promised(net, beyond).mean() - on.mean()
+        return error + alpha * more, {"error": error, "overestimation": more}
+
+
+def promised(net: MLP, x: Float[Array, "b z"]) -> Float[Array, "b"]:
+    """The model's score."""
+    return net(x)[..., 0]
+
+
+class COMs(Designer):
+    """A model that does not promise more where the data ends, and gradient ascent on it."""
+
+    hidden: tuple[int, ...] = static((2048, 2048))  # width of each hidden layer
+    steps: int = static(5000)  # updates of the model
+    batch_size: int = static(128)  # designs an update
+    lr: float = 3e-4  # of the model
+    alpha_lr: float = 0.01  # of the penalty's weight, on its logarithm
+    margin: float = 0.5  # difference that is allowed, in deviations of the score (0.5; 2.0 for discrete designs)
+    ascent: int = static(50)  # steps of the designs, in training and after it
+    design_lr: float = 0.05  # of the designs, times sqrt(coordinates)
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """From the best designs of the data, up the gradient."""
+        view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
+        rate = self.design_lr * view.size**0.5
+        learner = Conservative(self.lr, self.alpha_lr, self.margin, rate, self.ascent, self.hidden, self.batch_size)
+        found: list[Any] = []
+        for seed, state in zip(setting.seeds, setting.train(learner, self.steps, "coms")):
+            x = climb(promised, state.net, start, self.ascent, rate, *setting.bounds)
+            found.append(self.decoded(setting, seed, x, np.asarray(promised(state.net, x))))
+        return found

@@ -1,0 +1,36 @@
+"""What any designer has to beat: the best designs of the data, and designs at random."""
+
+import numpy as np
+
+from deadreckon.mbo.designer import Designer, Proposals, Setting
+
+
+class BestOfData(Designer):
+    """The designs of the data with the highest scores, as they are."""
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """The same for every seed."""
+        rows = setting.data.best(setting.n)
+        x, y = setting.data.x[rows], setting.data.y[rows]
+        return [Proposals(self.label, x, y, np.zeros(setting.n), seed) for seed in setting.seeds]
+
+
+class Random(Designer):
+    """Each variable drawn for itself: continuous ones evenly between their bounds (those of the data where it has none)."""
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """A draw for every seed."""
+        data, found = setting.data, []
+        nan = np.full(setting.n, np.nan)
+        for seed in setting.seeds:
+            rng = np.random.default_rng(seed)
+            columns = []
+            for v, seen in zip(data.variables, data.x.T):
+                low, high = (v.low if np.isfinite(v.low) else seen.min()), (v.high if np.isfinite(v.high) else seen.max())
+                if v.kind == "continuous":
+                    columns.append(rng.uniform(low, high, setting.n))
+                else:
+                    first, last = (0, len(v.levels) - 1) if v.kind == "categorical" else (int(low), int(high))
+                    columns.append(rng.integers(first, last + 1, setting.n))
+            found.append(Proposals(self.label, np.stack(columns, 1).astype(np.float32), nan, nan, seed))
+        return found

@@ -1,0 +1,78 @@
+"""Forward models: one network or a bootstrapped ensemble of the score, and gradient ascent on what it promises (thesis 6.5).
+
+Settings of the public baselines (FACTS 6): 2048 x 2048, Gaussian likelihood, 200 steps of 0.01 sqrt(d) from the best designs. Their
+"mean" ensemble takes the minimum; here both are what they are called.
+"""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.surrogate import Surrogate, bootstrap, climb
+from deadreckon.nets.mlp import MLP
+from deadreckon.training.learner import static
+
+LOG_STD = -5.0, 2.0  # bounds of the predicted log-deviation, in deviations of the score
+
+
+class Gaussian(Surrogate):
+    """Mean and log-deviation of the score by maximum likelihood."""
+
+    def loss(self, net: MLP, x, y, weight, key):
+        """Negative log-likelihood, weighted by how often a design counts."""
+        mean, log_std = believed(net, x)
+        error = 0.5 * jnp.square((y - mean) / jnp.exp(log_std)) + log_std
+        return (error * weight).mean(), {"nll": error.mean(), "error": jnp.square(y - mean).mean()}
+
+
+def believed(net: MLP, x: Float[Array, "b z"]) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+    """Mean and log-deviation."""
+    out = net(x)
+    return out[..., 0], jnp.clip(out[..., 1], *LOG_STD)
+
+
+def mean_of(nets: MLP, x: Array) -> Array:
+    """Of what the members believe."""
+    return jax.vmap(lambda net: believed(net, x)[0])(nets).mean(0)
+
+
+def least_of(nets: MLP, x: Array) -> Array:
+    """Of what the members believe."""
+    return jax.vmap(lambda net: believed(net, x)[0])(nets).min(0)
+
+
+class Forward(Designer):
+    """A model of the score and gradient ascent on its mean; with several members an ensemble on redrawn designs."""
+
+    members: int = static(1)  # networks, each on redrawn designs
+    objective: Literal["mean", "min"] = static("mean")  # over members, what is ascended
+    hidden: tuple[int, ...] = static((2048, 2048))  # width of each hidden layer
+    steps: int = static(5000)  # updates of the networks
+    batch_size: int = static(128)  # designs an update
+    lr: float = 3e-4  # of the networks
+    ascent: int = static(200)  # steps of the designs
+    design_lr: float = 0.01  # of the designs, times sqrt(coordinates)
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "Forward" if self.members == 1 else f"Ensemble, {self.objective}"
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """From the best designs of the data, up the gradient."""
+        learner = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
+        states = setting.train(learner, self.steps, "forward", bootstrap(setting.data, self.members))
+        view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
+        value = mean_of if self.objective == "mean" else least_of
+        found = []
+        for seed, (nets, _) in zip(setting.seeds, states):
+            x = climb(value, nets, start, self.ascent, self.design_lr * view.size**0.5, *setting.bounds)
+            each, log_std = (np.asarray(part) for part in jax.vmap(lambda net, x=x: believed(net, x))(nets))
+            # Of a mixture: what each member is unsure of, and how far they disagree.
+            doubt = np.sqrt(np.exp(2 * log_std).mean(0) + each.var(0))
+            found.append(self.decoded(setting, seed, x, each.mean(0) if self.objective == "mean" else each.min(0), doubt))
+        return found

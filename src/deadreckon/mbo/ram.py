@@ -1,0 +1,57 @@
+"""RaM: models trained to rank (Tan et al. 2025).
+
+What ascent needs of a model is the order of designs, not their scores; so lists of designs are drawn from the data and the
+model learns their order (ListNet's cross-entropy). Its output is then standardised over the data: a step means the same.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.surrogate import Surrogate, climb
+from deadreckon.nets.mlp import MLP
+from deadreckon.training.learner import static
+
+
+class Ranking(Surrogate):
+    """A score whose softmax over a batch is that of the true scores."""
+
+    def loss(self, net: MLP, x, y, weight, key):
+        """ListNet: cross-entropy between the two softmaxes over the list that a batch is."""
+        wanted = jax.nn.softmax(y)
+        error = -(wanted * jax.nn.log_softmax(net(x)[..., 0])).sum()
+        return error, {"listnet": error, "agreement": jnp.corrcoef(net(x)[..., 0], y)[0, 1]}
+
+
+def ranked(nets: tuple[MLP, Any, Any], x: Array) -> Array:
+    """The model's output, standardised."""
+    net, mean, std = nets
+    return (jax.tree.map(lambda leaf: leaf[0], net)(x)[..., 0] - mean) / std
+
+
+class RaM(Designer):
+    """A model that ranks, and gradient ascent on it."""
+
+    hidden: tuple[int, ...] = static((1024, 1024))  # width of each hidden layer
+    steps: int = static(5000)  # updates of the model
+    list_size: int = static(256)  # designs a list, one list an update
+    lr: float = 3e-4  # of the model
+    ascent: int = static(200)  # steps of the designs
+    design_lr: float = 0.01  # of the designs, times sqrt(coordinates)
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """From the best designs of the data, up the gradient; it predicts an order, not scores."""
+        learner = Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)
+        view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
+        seen = jnp.asarray(view.encode(setting.data.x))
+        found = []
+        for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ram")):
+            out = jax.lax.map(lambda x, nets=nets: ranked((nets, 0.0, 1.0), x[None])[0], seen, batch_size=1024)
+            scaled = nets, out.mean(), jnp.maximum(out.std(), 1e-6)
+            x = climb(ranked, scaled, start, self.ascent, self.design_lr * view.size**0.5, *setting.bounds)
+            found.append(self.decoded(setting, seed, x, np.full(setting.n, np.nan)))
+        return found

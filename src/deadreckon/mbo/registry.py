@@ -1,0 +1,38 @@
+"""Designers by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+from deadreckon.errors import unknown
+from deadreckon.mbo.coms import COMs
+from deadreckon.mbo.designer import Designer
+from deadreckon.mbo.floor import BestOfData, Random
+from deadreckon.mbo.forward import Forward
+from deadreckon.mbo.nemo import NEMO
+from deadreckon.mbo.ram import RaM
+
+DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
+    "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
+    "forward": (Forward, "a model of the score and gradient ascent on it (thesis 6.5)"),
+    "ensemble": (lambda: Forward(members=5), "the mean of five models on redrawn designs (thesis 6.5)"),
+    "ensemble-min": (lambda: Forward(members=5, objective="min"), "the least of five models (public code's ensemble)"),
+    "coms": (COMs, "conservative objective models (Trabucco et al. 2021)"),
+    "ram": (RaM, "models trained to rank (Tan et al. 2025)"),
+    "best": (BestOfData, "the best designs of the data, as they are"),
+    "random": (Random, "designs at random"),
+}
+
+
+def designer(name: str, **changes: Any) -> Designer:
+    """A designer by name, with some fields changed.
+
+    Raises:
+        UserError: an unknown name or field.
+    """
+    if name not in DESIGNERS:
+        raise unknown("designer", name, DESIGNERS)
+    found = DESIGNERS[name][0]()
+    for field in changes:
+        if not hasattr(found, field):
+            raise unknown("field", field, vars(found))
+    return found.replace(**changes)

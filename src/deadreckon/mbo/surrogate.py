@@ -1,0 +1,81 @@
+"""Models of the score and gradient ascent on them: what forward models, ensembles, COMs and RaM have in common."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.designs import Designs
+from deadreckon.mbo.designer import Search
+from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.nets.optim import begin, descend
+
+
+class Surrogate(eqx.Module):
+    """What `fit` trains: several networks from coordinates to outputs; methods differ in `loss`.
+
+    The rows may have a column `weight` (members): how often each design counts for each network.
+    """
+
+    lr: float
+    members: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    outputs: int = eqx.field(static=True)
+    activation: str = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Designs and scores."""
+        return Needs(columns=(), batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks and their optimiser."""
+        make = lambda k: MLP.create(spec.size, self.hidden, self.outputs, k, activation=self.activation)  # noqa: E731
+        nets = ensemble(make, self.members, key)
+        return nets, begin(nets)
+
+    def update(self, state, batch: Batch, *, step, key):
+        """One step of every network."""
+        assert batch.extra is not None
+        nets, opt = state
+        x, y = batch.extra["x"], batch.extra["y"]
+        weight = batch.extra["weight"].T if "weight" in batch.extra else jnp.ones((self.members, len(y)))
+
+        def total(nets: MLP) -> tuple[Array, dict[str, Array]]:
+            losses, metrics = jax.vmap(lambda net, w: self.loss(net, x, y, w, key))(nets, weight)
+            return losses.sum(), jax.tree.map(jnp.mean, metrics)
+
+        grads, metrics = jax.grad(total, has_aux=True)(nets)
+        nets, opt = descend(nets, grads, opt, self.lr)
+        return (nets, opt), metrics
+
+    def loss(self, net: MLP, x: Array, y: Array, weight: Array, key: Any) -> tuple[Array, dict[str, Array]]:
+        """Of one network on one batch."""
+        raise NotImplementedError
+
+
+def bootstrap(data: Designs, members: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """A column `weight`: how often each design is redrawn for each member; one member has every design once."""
+    rows = len(data)
+    if members == 1:
+        return {}
+    counts = np.random.default_rng([seed, 1]).multinomial(rows, np.full(rows, 1.0 / rows), members)
+    return {"weight": counts.T.astype(np.float32)}
+
+
+@eqx.filter_jit
+def climb(
+    value: Callable[[Any, Array], Float[Array, "m"]], nets: Any, start: Search, steps: int, lr: Any, low: Array, high: Array
+) -> Float[Array, "m z"]:
+    """Coordinates after `steps` of plain gradient ascent on `value(nets, x)`, each design for itself, within bounds."""
+
+    def step(_: Any, x: Array) -> Array:
+        slope = jax.grad(lambda x: value(nets, x).sum())(x)
+        return jnp.clip(x + lr * slope, low, high)
+
+    return jax.lax.fori_loop(0, steps, step, start.x)

@@ -1,0 +1,78 @@
+"""One suite for every designer: what it proposes, the same from the same seed, within bounds, for every kind of variable."""
+
+import numpy as np
+import pytest
+
+from deadreckon.data.designs import Designs, Variable
+from deadreckon.errors import UserError
+from deadreckon.mbo import DESIGNERS, COMs, designer
+from deadreckon.mbo.surrogate import bootstrap
+
+SMALL = {
+    "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},
+    "coms": {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent": 5, "lr": 3e-3},
+    "ram": {"hidden": (16,), "steps": 200, "list_size": 32, "ascent": 20, "lr": 3e-3, "design_lr": 0.05},
+} | {name: {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent": 20, "lr": 3e-3, "design_lr": 0.05}
+     for name in ("forward", "ensemble", "ensemble-min")}  # fmt: skip
+
+
+def small(name):
+    return designer(name, **SMALL.get(name, {}))
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """A slope in a number, a whole number and a level; the best corner is not in the data."""
+    rng = np.random.default_rng(0)
+    x = np.stack([rng.uniform(-2, 2, 400), rng.integers(0, 6, 400), rng.integers(0, 3, 400)], 1)
+    y = x[:, 0] + 0.5 * x[:, 1] + np.array([0.0, 1.0, 2.0])[x[:, 2].astype(int)]
+    keep = y < np.quantile(y, 0.7)
+    level = Variable("c", "categorical", levels=tuple("xyz"))
+    variables = [Variable("a", low=-2, high=2), Variable("b", "integer", 0, 5), level]
+    return Designs.from_arrays(x[keep], y[keep], variables, name="mixed")
+
+
+def worth(x):
+    return x[:, 0] + 0.5 * x[:, 1] + x[:, 2]
+
+
+@pytest.mark.parametrize("name", DESIGNERS)
+def test_proposals(mixed, name):
+    found, other = small(name).propose_many(mixed, 8, seeds=[3, 4])
+    assert found.x.shape == (8, 3)
+    mixed.check(found.x)
+    assert (found.seed, other.seed) == (3, 4)
+    assert found.predicted.shape == found.doubt.shape == (8,)
+    if name == "random":
+        assert not np.array_equal(found.x, other.x)
+        return
+    # The best of the data is where all begin, and there is a slope to climb.
+    assert np.median(worth(found.x)) >= (mixed.y.max() - 0.3 if name == "best" else mixed.y.max())
+    again = small(name).propose_many(mixed, 8, seeds=[3, 4])[0]
+    np.testing.assert_array_equal(again.x, found.x)
+
+
+def test_redrawn_designs_count():
+    data = Designs.from_arrays(np.arange(20.0)[:, None], np.arange(20.0))
+    assert bootstrap(data, 1) == {}
+    weight = bootstrap(data, 3)["weight"]
+    assert weight.shape == (20, 3)
+    np.testing.assert_array_equal(weight.sum(0), 20)
+
+
+def test_coms_learns_not_to_promise_beyond_the_data():
+    """With the penalty its ascent ends on lower promises than without."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, (300, 2))
+    data = Designs.from_arrays(x, x.sum(1))
+    fields = SMALL["coms"] | {"steps": 600, "ascent": 20}
+    held = COMs(**fields, margin=0.0, alpha_lr=0.05).propose(data, 16)
+    free = COMs(**fields, margin=1e6).propose(data, 16)
+    assert held.predicted.mean() < free.predicted.mean() - 0.1 * data.y.std()
+
+
+def test_names():
+    with pytest.raises(UserError, match="unknown designer 'nimo': did you mean nemo"):
+        designer("nimo")
+    with pytest.raises(UserError, match="unknown field 'bin': did you mean bins"):
+        designer("nemo", bin=3)
