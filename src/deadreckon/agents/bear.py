@@ -24,7 +24,7 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import GreedyQ, TanhGaussian
 from deadreckon.training.learner import Metrics, static
 
-WARM_STEPS, WARM_SHARE = 40_000, 0.2  # of the run, whichever is smaller (FACTS 1 has 40,000 of 500,000 and more)
+WARM_STEPS, WARM_SHARE = 40_000, 0.2  # of the run, whichever is smaller (the D4RL version: 40,000 of 500,000 and more)
 
 
 class State(NamedTuple):

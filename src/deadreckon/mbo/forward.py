@@ -1,6 +1,6 @@
 """Forward models: one network or a bootstrapped ensemble of the score, and gradient ascent on what it promises (thesis 6.5).
 
-Settings of the public baselines (FACTS 6): 2048 x 2048, Gaussian likelihood, 200 steps of 0.01 sqrt(d) from the best designs. Their
+Settings of the public baselines: 2048 x 2048, Gaussian likelihood, 200 steps of 0.01 sqrt(d) from the best designs. Their
 "mean" ensemble takes the minimum; here both are what they are called.
 """
 

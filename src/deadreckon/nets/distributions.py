@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0  # FACTS 4 and the common SAC codes; outside, densities overflow float32
+LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0  # those of the common SAC codes; outside, densities overflow float32
 
 
 class Gaussian(NamedTuple):

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.nets.mlp import MLP
 
-LOG_STD_MIN, LOG_STD_MAX = -4.0, 15.0  # of the latent, as in the official code (FACTS 1)
+LOG_STD_MIN, LOG_STD_MAX = -4.0, 15.0  # of the latent, as in the official code
 LATENT_CLIP = 0.5  # latents drawn at decoding time are clamped, so that decoded actions stay near the data
 
 

@@ -1,4 +1,4 @@
-"""FQE-L2: fitted Q evaluation with a squared loss (Le et al. 2019; thesis 8.5; settings of its public implementation, FACTS 4).
+"""FQE-L2: fitted Q evaluation with a squared loss (Le et al. 2019; thesis 8.5; settings of the public implementation).
 
 Every policy has `members` critics, each of which learns from episodes redrawn with replacement (`Case.redrawn`): their mean is
 the estimate and their spread its interval. All critics of all policies are one program and see the same minibatches.
