@@ -1,4 +1,4 @@
-"""FQE-D: fitted Q evaluation of the distribution of returns (Paine et al. 2020; thesis 8.5; settings of the public implementation).
+"""FQE-D: fitted Q evaluation of the distribution of returns (Paine et al. 2020; thesis 8.5; settings of the public code).
 
 Each critic gives probabilities of `atoms` returns, evenly spaced over what is possible (C51, Bellemare et al. 2017). The target
 is the distribution of r + discount Z(s', a'), put back on the atoms, from a copy of the critics that is renewed every so often.
