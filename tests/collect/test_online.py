@@ -23,6 +23,7 @@ from deadreckon.policies.policy import Inner
 from deadreckon.tasks.task import Starts, Task
 from deadreckon.training.fit import Fit
 from deadreckon.training.learner import static
+from deadreckon.versions import versions
 from tests.agents.little import Little
 
 LOW, HIGH = np.array([-1.0, 0.5], np.float32), np.array([3.0, 1.0], np.float32)
@@ -422,7 +423,7 @@ def hopper(monkeypatch):
     monkeypatch.setattr(gym, "SAC", Little)
     monkeypatch.setattr(gym, "CHUNK", 8)
     online = {"copies": 4, "explore": 16, "updates_per_step": 0.5, "block": 16}
-    about = {"run": {"agent": {"lr": 0.01, "hidden": [4], "batch_size": 8}, "online": online}}
+    about = {"run": {"agent": {"lr": 0.01, "hidden": [4], "batch_size": 8}, "online": online, "versions": versions()}}
     monkeypatch.setattr(library, "about", lambda name: about)
     return tasks.task("hopper")
 
