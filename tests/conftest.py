@@ -9,6 +9,17 @@ ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("DEADRECKON_TEST_DATA") or ROOT.parent / "shared" / "data")
 
 
+def _pin() -> None:
+    """Each worker of pytest-xdist on a core of its own: thread pools that share cores wait for one another."""
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker.startswith("gw") and hasattr(os, "sched_setaffinity") and not os.environ.get("NOPIN"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker[2:]) % len(cores)]})
+
+
+_pin()  # before anything starts threads
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Tests of a file stay on one worker, unless they say otherwise: what they share is made and compiled once."""

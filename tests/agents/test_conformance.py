@@ -185,7 +185,8 @@ LEARNERS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in LEARNERS])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LEARNERS)
 def test_learns_the_corridor(name):
     most, fields = LEARNERS[name]
     agent = small(name, actor_lr=1e-3, critic_lr=1e-3, discount=0.9, **fields)
@@ -196,6 +197,7 @@ def test_learns_the_corridor(name):
     assert np.abs(policy(s) - np.clip(-5 * s, -1, 1)).mean() < most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["gaussian", "vae"])
 def test_bc_copies_what_was_logged(model):
     """Actions that follow from the state are found again; the mean squared error falls below 1 % of their variance."""
