@@ -31,10 +31,10 @@ demo: $(STAMP) ## the main job on data that we make ourselves: collect, learn, j
 	$(BIN)/deadreckon demo --out runs/demo
 
 test: lint ## lint and the fast tests
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test-slow: $(STAMP) ## the tests marked slow: learning, kills, the built wheel
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m slow
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
 
 lint: $(STAMP) ## ruff, import-linter, pyright
 	$(BIN)/ruff check .

@@ -12,20 +12,12 @@ DATA = Path(os.environ.get("DEADRECKON_TEST_DATA") or ROOT.parent / "shared" / "
 def _pin() -> None:
     """Each worker of pytest-xdist on a core of its own: thread pools that share cores wait for one another."""
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    if worker.startswith("gw") and hasattr(os, "sched_setaffinity") and not os.environ.get("NOPIN"):
+    if worker.startswith("gw") and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker[2:]) % len(cores)]})
 
 
 _pin()  # before anything starts threads
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Tests of a file stay on one worker, unless they say otherwise: what they share is made and compiled once."""
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.path.name))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -36,8 +36,7 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-# One worker an agent, so that its program is compiled once.
-@pytest.fixture(scope="session", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in AGENTS])
+@pytest.fixture(scope="session", params=AGENTS)
 def trained(request):
     """(agent, rows, fit of two lanes, metrics by chunk)."""
     agent = small(request.param)

@@ -40,8 +40,7 @@ WORLDS = {
 }
 
 
-# One worker a world, so that each fit is done once.
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in WORLDS])
+@pytest.fixture(scope="module", params=WORLDS)
 def world(request):
     """A case of three policies, the first of which made the log."""
     true = WORLDS[request.param]

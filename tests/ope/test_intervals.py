@@ -84,7 +84,6 @@ def logs():
     return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(400)], true.value(target, 0.9)
 
 
-@pytest.mark.xdist_group("coverage")  # one worker makes the logs
 @pytest.mark.parametrize("name", COVERED)
 def test_coverage(logs, name):
     makers, exact = logs
@@ -92,7 +91,6 @@ def test_coverage(logs, name):
     assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
 
 
-@pytest.mark.xdist_group("coverage")
 def test_bounds_that_hold_for_every_number_of_episodes(logs):
     makers, exact = logs
     case = makers[0]()
