@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from deadreckon.data.batch import redrawn
 from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, COMs, designer
-from deadreckon.mbo.surrogate import bootstrap
 
 SMALL = {
     "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},
@@ -53,9 +53,8 @@ def test_proposals(mixed, name):
 
 
 def test_redrawn_designs_count():
-    data = Designs.from_arrays(np.arange(20.0)[:, None], np.arange(20.0))
-    assert bootstrap(data, 1) == {}
-    weight = bootstrap(data, 3)["weight"]
+    np.testing.assert_array_equal(redrawn(20, 1, 0), np.ones((20, 1)))
+    weight = redrawn(20, 3, 0)
     assert weight.shape == (20, 3)
     np.testing.assert_array_equal(weight.sum(0), 20)
 
@@ -74,5 +73,8 @@ def test_coms_learns_not_to_promise_beyond_the_data():
 def test_names():
     with pytest.raises(UserError, match="unknown designer 'nimo': did you mean nemo"):
         designer("nimo")
+    for field in ("bin", "propose"):  # a method is no field
+        with pytest.raises(UserError, match=f"unknown field '{field}'"):
+            designer("nemo", **{field: 3})
     with pytest.raises(UserError, match="unknown field 'bin': did you mean bins"):
         designer("nemo", bin=3)

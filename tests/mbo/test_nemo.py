@@ -9,7 +9,7 @@ from scipy.special import expit
 from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
-from deadreckon.mbo.nemo import Net, bin_log_probs, cross_entropy, exceed, middles, nll, p_nml, quantise, reached
+from deadreckon.mbo.nemo import Fixed, Net, bin_log_probs, cross_entropy, exceed, middles, nll, p_nml, quantise, reached
 from deadreckon.nets.mlp import ensemble
 
 K = 8
@@ -146,6 +146,11 @@ def test_seeds_side_by_side_and_checkpoints(bowl, tmp_path):
     again = SMALL.propose(bowl, 4, seed=1, out=tmp_path, watch=lambda what, step, steps: seen.append(step))
     assert seen[0] >= 40
     np.testing.assert_array_equal(again.x, alone.x)
+
+
+def test_a_killed_fit_goes_on_in_another_process_too():
+    """The folder's name holds bounds by their digest, not by Python's hash, which every process salts anew."""
+    assert repr(Fixed(np.array([1.0, 2.0]))) == "Fixed(0a108fd7267a5566)"
 
 
 def test_refusals(bowl):

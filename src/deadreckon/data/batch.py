@@ -59,6 +59,17 @@ class Needs:
     gamma: float = 0.99
 
 
+def redrawn(count: int, members: int, seed: int) -> np.ndarray:
+    """(count, members) how often each of `count` things counts for each member of an ensemble: redrawn with replacement.
+
+    One member alone counts each once.
+    """
+    if members == 1:
+        return np.ones((count, 1), np.float32)
+    draws = np.random.default_rng([seed, 1]).multinomial(count, np.full(count, 1 / count), members)
+    return draws.T.astype(np.float32)
+
+
 class Rows:
     """A log as a method wants it: single rows or windows that `take` fetches by index, on the host.
 

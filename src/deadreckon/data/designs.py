@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -58,7 +58,6 @@ class Designs:
         name: of the data, used in errors and tables.
         target: name of the score.
         minimise: whether the score was turned around: `y` is then minus what the table held.
-        warnings: what was noticed at the door, one line each.
     """
 
     x: np.ndarray
@@ -67,7 +66,6 @@ class Designs:
     name: str = "designs"
     target: str = "y"
     minimise: bool = False
-    warnings: tuple[str, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
@@ -217,10 +215,6 @@ class Designs:
         with replacing(path) as temporary:
             csv.write_csv(pa.table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}), temporary)
         return Path(path)
-
-    def renamed(self, name: str) -> "Designs":
-        """The same under another name."""
-        return replace(self, name=name)
 
 
 def _variable(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,9 +18,9 @@ from jaxtyping import Array, Float
 from deadreckon.data.designs import Designs
 from deadreckon.data.points import Points
 from deadreckon.errors import UserError
-from deadreckon.files import write_json
 from deadreckon.nets.optim import begin, descend
-from deadreckon.training.fit import Fit
+from deadreckon.training.checkpoint import folder_of
+from deadreckon.training.fit import Fit, complete
 from deadreckon.training.learner import check_fields
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
@@ -38,7 +37,6 @@ class Proposals:
         doubt: (n,) standard deviation of that belief; NaN likewise.
         seed: of everything random.
         seconds: it took, of all seeds of a program together.
-        warnings: why not to trust it, one line each.
     """
 
     method: str
@@ -47,7 +45,6 @@ class Proposals:
     doubt: np.ndarray
     seed: int
     seconds: float = 0.0
-    warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.x)
@@ -76,26 +73,17 @@ class Setting(NamedTuple):
         points = Points(self.data, learner.needs(self.data.coordinates), more)
         folder = None if self.out is None else self._folder(learner, points, steps, what)
         job = Fit([learner] * len(self.seeds), points, self.seeds, steps, chunk=max(1, min(500, steps // 10)), folder=folder)
-        job.resume()
-        for progress in job.chunks():
-            self.watch(what, progress.step, steps)
-        for seed, failure in zip(self.seeds, job.failures):
-            if failure is not None:
-                told = f"{what}: {failure.metric} was not finite at update {failure.step} with seed {seed}"
-                raise UserError(f"{told}; a lower learning rate may help")
+        complete(job, what, lambda progress: self.watch(what, progress.step, steps))
         return [jax.tree.map(lambda leaf, i=i: leaf[i], job.states) for i in range(len(self.seeds))]
 
     def _folder(self, learner: Any, points: Points, steps: int, what: str) -> Path:
         """Where checkpoints lie: a folder of its own for all data and each setting."""
         assert self.out is not None
-        digest = hashlib.blake2b(digest_size=6)
+        data = hashlib.blake2b(digest_size=16)
         for column in points.columns.values():
-            digest.update(np.ascontiguousarray(column).tobytes())
-        digest.update(json.dumps([str(learner), steps, self.n, self.seeds]).encode())
-        folder = self.out / f"{what}-{digest.hexdigest()}"
-        if not folder.exists():
-            write_json(folder / "asked.json", {"learner": str(learner), "steps": steps, "seeds": self.seeds})
-        return folder
+            data.update(np.ascontiguousarray(column).tobytes())
+        asked = {"learner": str(learner), "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
+        return folder_of(self.out, what, asked)
 
 
 class Designer(eqx.Module):

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from deadreckon.data.batch import redrawn
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
-from deadreckon.mbo.surrogate import Surrogate, bootstrap, climb
+from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.training.learner import static
 
@@ -65,7 +66,9 @@ class Forward(Designer):
     def solve(self, setting: Setting) -> list[Proposals]:
         """From the best designs of the data, up the gradient."""
         learner = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
-        states = setting.train(learner, self.steps, "forward", bootstrap(setting.data, self.members))
+        # The same redraws whatever the seed: lanes of one program share their rows.
+        weight = {"weight": redrawn(len(setting.data), self.members, 0)}
+        states = setting.train(learner, self.steps, "forward", weight)
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         value = mean_of if self.objective == "mean" else least_of
         found = []

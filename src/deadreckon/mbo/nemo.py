@@ -14,6 +14,7 @@ The printed sigmoid (mu + k/K) would rise in k where labels fall, and has no sca
 deviations on the method's page.
 """
 
+import hashlib
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
@@ -141,7 +142,8 @@ class Training(eqx.Module):
     confidence: float
     low: Any = eqx.field(static=True)  # Fixed: bounds of the coordinates
     high: Any = eqx.field(static=True)
-    begin: Any = eqx.field(static=True)  # Fixed: where designs begin
+    designs: int = eqx.field(static=True)  # under search
+    worst: bool = eqx.field(static=True)  # whether they begin at the data's worst
     scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
     g: Any = eqx.field(static=True)  # Fixed: worth of each bin, or None
     bins: int = eqx.field(static=True)
@@ -161,8 +163,7 @@ class Training(eqx.Module):
         """Fresh models; targets are copies."""
         make = lambda k: Net.create(spec.size, self.hidden, self.bins, self.logistic, k)  # noqa: E731
         nets = ensemble(make, self.bins, key)
-        x = jnp.asarray(self.begin.value)
-        return State(nets, copy(nets), begin(nets), Search(x, begin(x)))
+        return State(nets, copy(nets), begin(nets), Search.start(spec.designs, self.designs, self.worst))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of all models; after pretraining, and every `ratio` of them, one of all designs."""
@@ -220,8 +221,8 @@ class Fixed:
     def __hash__(self) -> int:
         return hash(self.value.tobytes())
 
-    def __repr__(self) -> str:
-        return f"Fixed({hash(self)})"
+    def __repr__(self) -> str:  # part of a checkpoint folder's name, and Python's own hash differs between processes
+        return f"Fixed({hashlib.blake2b(self.value.tobytes(), digest_size=8).hexdigest()})"
 
 
 class NEMO(Designer):
@@ -259,8 +260,8 @@ class NEMO(Designer):
             g = Fixed(np.asarray(self.g(view.score(low + (high - low) * np.asarray(middles(self.bins))))))
         return Training(
             self.lr, self.design_lr, self.target_rate, 1.0 / len(data) if self.weight is None else self.weight, self.confidence,
-            Fixed(view.low), Fixed(view.high), Fixed(view.encode(data.x[data.best(setting.n, self.start == "worst")])),
-            (low, high), g, self.bins, self.hidden, self.architecture == "logistic",
+            Fixed(view.low), Fixed(view.high), setting.n, self.start == "worst", (low, high), g, self.bins, self.hidden,
+            self.architecture == "logistic",
             self.loss == "bce" and self.architecture == "logistic", self.objective, self.pretrain, self.ratio, self.batch_size,
         )  # fmt: skip
 

@@ -33,6 +33,6 @@ def designer(name: str, **changes: Any) -> Designer:
         raise unknown("designer", name, DESIGNERS)
     found = DESIGNERS[name][0]()
     for field in changes:
-        if not hasattr(found, field):
+        if field not in vars(found):
             raise unknown("field", field, vars(found))
     return found.replace(**changes)

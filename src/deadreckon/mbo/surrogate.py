@@ -6,11 +6,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, Needs
-from deadreckon.data.designs import Designs
 from deadreckon.mbo.designer import Search
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import begin, descend
@@ -57,15 +55,6 @@ class Surrogate(eqx.Module):
     def loss(self, net: MLP, x: Array, y: Array, weight: Array, key: Any) -> tuple[Array, dict[str, Array]]:
         """Of one network on one batch."""
         raise NotImplementedError
-
-
-def bootstrap(data: Designs, members: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """A column `weight`: how often each design is redrawn for each member; one member has every design once."""
-    rows = len(data)
-    if members == 1:
-        return {}
-    counts = np.random.default_rng([seed, 1]).multinomial(rows, np.full(rows, 1.0 / rows), members)
-    return {"weight": counts.T.astype(np.float32)}
 
 
 @eqx.filter_jit

@@ -7,7 +7,6 @@ beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount)
 
 import dataclasses
 import hashlib
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.data.batch import Batch, Needs, Rows, redrawn
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
@@ -29,7 +28,8 @@ from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Deployed, Policy, TanhGaussian
-from deadreckon.training.fit import Fit
+from deadreckon.training.checkpoint import folder_of
+from deadreckon.training.fit import Fit, Progress, complete
 from deadreckon.training.learner import check_fields, static
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
@@ -167,7 +167,7 @@ class Case:
         if logged:
             self.names = (*self.names, LOGGED)
         self._kept: dict[Any, Any] = {}
-        self._metrics: dict[str, list[tuple[int, dict[str, float]]]] = {}
+        self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by updates done
 
     @property
     def count(self) -> int:
@@ -251,31 +251,29 @@ class Case:
         """
         folder = None if self.out is None else self._folder(learner, rows, steps, what)
         job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
-        job.resume()
         kept = None if folder is None else folder / "metrics.json"
-        seen = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
-        seen = [(step, metrics) for step, metrics in seen if step <= job.step]
-        for progress in job.chunks():
-            seen.append((progress.step, {name: float(value[0]) for name, value in progress.metrics.items()}))
+        known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
+        seen = self._metrics[what] = {step: metrics for step, metrics in known}
+
+        def told(progress: Progress) -> None:
+            # What a kill lost is computed, and noted, again.
+            seen[progress.step] = {name: float(value[0]) for name, value in progress.metrics.items()}
             if kept is not None:  # for who asks again when the fit is done
-                write_json(kept, {"metrics": seen})
+                write_json(kept, {"metrics": list(seen.items())})
             self.watch(what, progress.step, steps)
-        self._metrics[what] = seen
-        if job.failures[0] is not None:
-            metric, step = job.failures[0]
-            raise UserError(f"{what}: {metric} was not finite at update {step}; a lower learning rate may help")
+
+        complete(job, what, told)
         return jax.tree.map(lambda leaf: leaf[0], job.states)
 
     def unsettled(self, what: str, metric: str) -> list[str]:
         """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
-        seen = self._metrics.get(what, [])
-        if not seen:
+        seen = self._metrics.get(what, {})
+        last = max(seen, default=0)
+        early = max((step for step in seen if step <= 0.8 * last), default=None)
+        if early is None:
             return []
-        last, value = seen[-1][0], seen[-1][1][metric]
-        before = [(step, m[metric]) for step, m in seen if step <= 0.8 * last]
-        if not before:
-            return []
-        change = abs(value - before[-1][1]) / max(abs(value), abs(before[-1][1]), 1e-12)
+        value, before = seen[last][metric], seen[early][metric]
+        change = abs(value - before) / max(abs(value), abs(before), 1e-12)
         if change <= SETTLED:
             return []
         found = f"{metric} by {100 * change:.0f} % over its last fifth"
@@ -289,11 +287,7 @@ class Case:
             "learner": str(learner), "steps": steps, "log": self.data.fingerprint, "policies": self._manner, "columns": columns,
             "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
         }  # fmt: skip
-        digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=6).hexdigest()
-        folder = self.out / f"{what}-{digest}"
-        if not (folder / "asked.json").exists():
-            write_json(folder / "asked.json", asked)
-        return folder
+        return folder_of(self.out, what, asked)
 
     @cached_property
     def _manner(self) -> str:
@@ -313,11 +307,7 @@ class Case:
 
         One member alone counts every episode once.
         """
-        episodes = self.data.episodes
-        if members == 1:
-            return np.ones((episodes, 1), np.float32)
-        rng = np.random.default_rng([self.seed, 1])
-        return rng.multinomial(episodes, np.full(episodes, 1 / episodes), members).T.astype(np.float32)
+        return redrawn(self.data.episodes, members, self.seed)
 
 
 class Estimator(eqx.Module):

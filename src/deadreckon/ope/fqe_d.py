@@ -182,7 +182,7 @@ class FQED(Estimator):
         data, scale = case.data, Scale.of(case)
         learner = Distributions(
             self.lr, case.discount, scale.std, scale.low, max(scale.high, scale.low + 1e-3), self.gradient_clip, self.renew,
-            self.atoms, self.members, len(case.names), self.hidden, self.batch_size,
+            self.atoms, self.members, case.count, self.hidden, self.batch_size,
         )  # fmt: skip
         redrawn = case.redrawn(self.members)
         extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}

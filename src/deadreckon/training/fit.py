@@ -489,6 +489,27 @@ class Fit:
             path.unlink()
 
 
+def complete(job: Fit, what: str, told: Callable[[Progress], None]) -> None:
+    """Takes a fit to its end, from its checkpoints where it has some.
+
+    Args:
+        job: not yet begun.
+        what: is fitted, for the error.
+        told: called after every chunk.
+
+    Raises:
+        UserError: a lane's numbers went bad.
+    """
+    job.resume()
+    for progress in job.chunks():
+        told(progress)
+    for seed, failure in zip(job.seeds, job.failures):
+        if failure is not None:
+            whose = f" with seed {seed}" if len(job.seeds) > 1 else ""
+            bad = f"{what}: {failure.metric} was not finite at update {failure.step}{whose}"
+            raise UserError(f"{bad}; a lower learning rate may help")
+
+
 def fit(
     learners: Sequence[Any],
     rows: Rows | Points,
