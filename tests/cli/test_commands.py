@@ -78,9 +78,10 @@ def test_human_demonstrations_train_and_report_losses_and_mmd(real_data, tmp_pat
     monkeypatch.chdir(tmp_path)
     log = real_data / "adroit" / "door-v0_demos.pickle"
     small = ["--steps", "60", "--chunk", "20", "--agent.hidden", "16", "16", "--agent.batch-size", "32"]
-    assert main(["train", "--agent", "td3_bc", "--data", str(log), "--out", "run", *small]) == 0
+    assert main(["train", "--agent", "bear", "--data", str(log), "--out", "run", *small]) == 0
     out = capsys.readouterr().out
     assert "5497 of 6729 rows (82 %) have actions out of bounds" in out
     assert "25 of 6729 rows have no known successor" in out
     assert "critic_loss" in out
+    assert "mmd " in out
     assert "MMD to the log" in out

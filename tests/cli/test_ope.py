@@ -61,7 +61,7 @@ def test_bad_input_in_one_line(made, capsys):
 
 def test_bench_on_a_short_log(tmp_path, capsys):
     options = ["--kinds", "random", "--log-steps", "600", "--out", str(tmp_path / "dope"), *SMALL]
-    assert main(["ope", "bench", "--tasks", "hopper", "--estimators", "is,wis", *options]) == 0
+    assert main(["ope", "bench", "--tasks", "hopper", "--estimators", "fqe,is", *options]) == 0
     out = capsys.readouterr().out
     assert "| hopper-random-v2@dr1-600-steps |" in out
     assert out.count("| median |") == 3
@@ -69,5 +69,5 @@ def test_bench_on_a_short_log(tmp_path, capsys):
     assert np.isfinite(numbers).all()
     page = (tmp_path / "dope" / "report.html").read_text()
     assert out.rstrip().endswith("report.html")
-    for said in ("Rank correlation", "hopper-random-v2@dr1-600-steps", "estimate against true value", "WPDIS"):
+    for said in ("Rank correlation", "hopper-random-v2@dr1-600-steps", "estimate against true value", "WPDIS", "FQE-L2"):
         assert said in page

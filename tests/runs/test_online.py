@@ -165,7 +165,7 @@ def test_a_replay_file_that_lost_rows(run, tmp_path):
     assert_same(train(tmp_path / "r", resume=True), run)
     assert rows.read_bytes() == whole
     rows.write_bytes(whole[:1000])
-    with pytest.raises(dr.UserError, match=r"seed0.bin holds \d+ rows, the checkpoint counts \d+$"):
+    with pytest.raises(dr.UserError, match=f"seed0.bin holds 8 rows, the checkpoint counts {STEPS - 16}$"):
         train(tmp_path / "r", resume=True)
     rows.unlink()
     with pytest.raises(dr.UserError, match=r"cannot read .*seed0.bin: No such file or directory$"):

@@ -121,7 +121,7 @@ def collect_replay(
     folder = scratch / "replay"
     path = folder / "rows.bin"
     now = versions()
-    if seed == 0 and (different := differences(run["versions"] | {"lanes": 1}, now | {"lanes": 1})):
+    if seed == 0 and (different := differences(run["versions"], now, [*now])):
         text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
         warnings.warn(text, stacklevel=2)
     extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",

@@ -10,11 +10,13 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
@@ -28,6 +30,7 @@ METRICS = {
     "rank_correlation": "Rank correlation",
     "regret": "Regret@1, in ranges of the true values",
 }
+TRIED = 5  # policies that SharpeRatio@k tries out
 PRINTED = {"WPDIS": "IS", "WDR": "DR"}  # what thesis E.2 calls methods that have a more exact name here
 
 
@@ -62,10 +65,17 @@ class Result:
     settings: str
 
     def metrics(self, **options: Any) -> Metrics:
-        """Absolute error, rank correlation and regret; see `metrics.compare`."""
-        return compare(self.estimates, self.truth, **options)
+        """Absolute error, rank correlation and regret; see `metrics.compare`. Redrawn once for all tables that ask."""
+        asked = tuple(sorted(options.items()))
+        if asked not in self._compared:
+            self._compared[asked] = compare(self.estimates, self.truth, **options)
+        return self._compared[asked]
 
-    def risks(self, k: int = 5) -> tuple[float, float, float]:
+    @cached_property
+    def _compared(self) -> dict[Any, Metrics]:
+        return {}
+
+    def risks(self, k: int = TRIED) -> tuple[float, float, float]:
         """SharpeRatio@k against the log's own policy; type I and II error rates of deploying what seems no worse than it."""
         sharpe = sharpe_ratio(self.estimates, self.truth, self.behavior, k)
         return sharpe, *error_rates(self.estimates, self.truth, self.behavior)
@@ -97,6 +107,7 @@ def evaluate_log(
     truth, errors = (np.array([getattr(s.sampled, f) for s in snapshots]) for f in ("discounted", "discounted_error"))
     names = tuple(s.name for s in snapshots)
     case: Case | None = None
+    behavior = math.nan  # known with the case
     results = []
     for given in estimators:
         found = as_estimator(given)
@@ -110,9 +121,8 @@ def evaluate_log(
         else:
             if case is None:
                 fits = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
-                policies = [s.policy() for s in snapshots]
+                policies, behavior = [s.policy() for s in snapshots], float(np.mean(data.returns(discount)))
                 case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
-            behavior = float(np.mean(data.returns(discount)))
             try:
                 estimates = found.on(case)
             except UserError as error:  # numbers that went bad, say: neither other methods nor other logs are held up
@@ -204,7 +214,7 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
 
 def _printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
     table = published()[{"regret": "regret_at_1"}.get(metric, metric)]["d4rl"]
-    values = table.get(log.removesuffix("@dr1").removesuffix("-v2"), {}).get(PRINTED.get(method, method))
+    values = table.get(log.removesuffix(f"@{VERSION}").removesuffix("-v2"), {}).get(PRINTED.get(method, method))
     return None if values is None else (float(values[0]), float(values[1]))
 
 
@@ -230,7 +240,7 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
     return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
 
 
-def risks(results: Sequence[Result], k: int = 5) -> str:
+def risks(results: Sequence[Result], k: int = TRIED) -> str:
     """A table of what choosing by each estimator risks, means over logs (of those where a rate is defined).
 
     Methods without finite estimates on some log are left out; see `Result.risks`.

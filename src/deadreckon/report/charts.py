@@ -238,9 +238,7 @@ def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, referenc
     ends = [v for _, _, i in bars for v in (i.low, i.high, i.mean) if math.isfinite(v)] + [v for _, v in references]
     x = _Axis(min(ends), max(ends), left, right)
     parts = [tag("title", f"{unit}: mean and 95 % interval of each policy")]
-    for t in x.ticks:
-        parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
-        parts.append(tag("text", _short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
+    parts += _columns(x, top, height)
     for name, value in references:
         at = float(x(value))
         parts.append(tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=top - 4, y2=height - 24, class_="reference"))
@@ -248,12 +246,22 @@ def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, referenc
     for k, (name, slot, spread) in enumerate(bars):
         y = top + row * (k + 0.5)
         inner = [tag("title", f"{name}: {spread}"), tag("text", _cut(name), x=left - 14, y=y + 4.5, class_="label end")]
-        inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
+        if math.isfinite(spread.low):  # one seed in one episode has no interval
+            inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
         inner.append(marker(0 if slot is None else slot, float(x(spread.mean)), y))
         parts.append(tag("g", inner, class_="log" if slot is None else f"s{slot}"))
     return tag(
         "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=f"{unit} of each policy", class_=f"chart v{width}"
     )
+
+
+def _columns(x: _Axis, top: float, height: float) -> list[Markup]:
+    """Grid lines through rows one under another, with their ticks below."""
+    parts = []
+    for t in x.ticks:
+        parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
+        parts.append(tag("text", _short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
+    return parts
 
 
 def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> Markup:
@@ -267,9 +275,7 @@ def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> 
     height = top + row * len(rows) + 26
     x = _Axis(*_ends(rows), left, right)
     parts = [tag("title", unit)]
-    for t in x.ticks:
-        parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
-        parts.append(tag("text", _short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
+    parts += _columns(x, top, height)
     for k, (name, slot, spread, other) in enumerate(rows):
         y = top + row * (k + 0.5)
         inner = [tag("title", f"{name}: {number(spread.mean)}")]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.files import replacing
-from deadreckon.ope.dope import METRICS, Cell, Result, cells
+from deadreckon.ope.dope import METRICS, TRIED, Cell, Result, cells
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
@@ -16,7 +16,6 @@ from deadreckon.report.text import number, words
 from deadreckon.runs.evaluate import Interval
 
 SLOTS = 8  # colours there are
-K = 5  # policies that are tried out, for SharpeRatio@K
 
 
 def write_bench(results: Sequence[Result], out: Path | str) -> Path:
@@ -112,17 +111,17 @@ def _scatters(results: Sequence[Result], slots: dict[str, int]) -> Markup:
 
 
 def _risks(results: Sequence[Result]) -> Markup:
-    heads = f"SharpeRatio@{K}", "type I error", "type II error"
+    heads = f"SharpeRatio@{TRIED}", "type I error", "type II error"
     rows = []
     for r in results:
         if np.isfinite(r.estimates).all():
-            found = [tag("td", number(x)) for x in r.risks(K)]
+            found = [tag("td", number(x)) for x in r.risks()]
             rows.append(tag("tr", tag("th", r.log, scope="row"), tag("td", r.method), found))
     head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in ("log", "estimator", *heads)]))
     text = note(
-        f"SharpeRatio@{K}: what the best of the {K} policies with the highest estimates gains over the log's own policy, for "
-        f"the deviation among the {K} (Kiyohara et al. 2024). Type I: of the policies truly worse than the log's, the share "
-        "that is estimated to be as good or better; type II: of the others, the share that is not."
+        f"SharpeRatio@{TRIED}: what the best of the {TRIED} policies with the highest estimates gains over the log's own "
+        f"policy, for the deviation among the {TRIED} (Kiyohara et al. 2024). Type I: of the policies truly worse than the "
+        "log's, the share that is estimated to be as good or better; type II: of the others, the share that is not."
     )
     return join(scroll(tag("table", head, tag("tbody", rows))), text)
 
