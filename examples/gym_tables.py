@@ -161,7 +161,8 @@ def markdown(shown: dict[str, list[Path]]) -> str:
         for folder in folders:
             run = dr.load_run(folder)
             # A seed that failed keeps its last good policy, which is what is judged of it; the table says so.
-            last = run.evaluations.filter(np.asarray(run.evaluations["step"]) == max(np.asarray(run.evaluations["step"])))
+            steps = np.asarray(run.evaluations["step"])
+            last = run.evaluations.filter(steps == steps.max())
             scores = np.asarray(last["score"]).reshape(len(run.seeds), -1)
             failed = sum(failure is not None for failure in run.failures)
             cells[folder.name] = str(mean_interval(scores)) + (f" ({failed} of {len(run.seeds)} failed)" if failed else "")
