@@ -1,10 +1,10 @@
 """`deadreckon ope`: what policies are worth, from a log alone; `deadreckon ope bench`: how good such estimates are."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -50,6 +50,7 @@ class Bench:
     kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # of logs
     estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # which
     public: bool = False  # importance weights as in the public code: learned behaviour, log-ratios within (-6, 2)
+    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: about an hour a log on one core
     seed: int = 0  # of everything random
     log_steps: int | None = None  # rows of the logs; None: all
     out: str = "runs/dope"  # folder of results; what is there is not computed again
@@ -70,7 +71,7 @@ def ope(args: Sequence[str]) -> None:
     from deadreckon.data import catalogue
     from deadreckon.runs.offline import checked, judge
 
-    found = _estimators(options.estimators, options.fits)
+    found = _estimators(options.estimators, options.fits, {})
     data = catalogue.load(options.data)
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
@@ -97,10 +98,10 @@ def bench(args: Sequence[str]) -> None:
     from deadreckon.collect.recipes import default_path
     from deadreckon.data.io import read
     from deadreckon.ope import dope
-    from deadreckon.ope.registry import PUBLIC, with_fields
+    from deadreckon.ope.registry import CPU_BUDGET, PUBLIC, with_fields
     from deadreckon.report.dope import write_bench
 
-    found = _estimators(options.estimators, options.fits)
+    found = _estimators(options.estimators, options.fits, CPU_BUDGET if options.budget == "cpu" else {})
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
     results = []
@@ -121,8 +122,8 @@ def bench(args: Sequence[str]) -> None:
     print(f"\n{write_bench(results, Path(options.out) / 'report.html')}")
 
 
-def _estimators(names: str, fits: Fits) -> list[Any]:
+def _estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]]) -> list[Any]:
     from deadreckon.ope.registry import estimator
 
     changes = {name: value for name, value in vars(fits).items() if value is not None}
-    return [estimator(name.strip(), **changes) for name in names.split(",")]
+    return [estimator(name, **budget.get(name, {}) | changes) for name in map(str.strip, names.split(","))]
