@@ -38,6 +38,25 @@ def parse(kind: type[T], args: Sequence[str], command: str) -> T:
         raise UserError(_line(kind, err.getvalue(), prog)) from error
 
 
+def chosen(what: str, args: Sequence[str]) -> tuple[str | None, list[str]]:
+    """Takes `--WHAT NAME` out, where the name decides which other options there are.
+
+    Raises:
+        UserError: it is given twice.
+    """
+    rest, name, flag = list(args), None, f"--{what}"
+    for i, a in enumerate(rest):
+        if a == flag and i + 1 < len(rest):
+            name, rest = rest[i + 1], rest[:i] + rest[i + 2 :]
+            break
+        if a.startswith(f"{flag}="):
+            name, rest = a.removeprefix(f"{flag}="), rest[:i] + rest[i + 1 :]
+            break
+    if any(a == flag or a.startswith(f"{flag}=") for a in rest):
+        raise UserError(f"{flag} is given twice; one {what} a run")
+    return name, rest
+
+
 def _line(kind: type, box: str, prog: str) -> str:
     """The first paragraph of tyro's box, without its frame, and the nearest option where one was unknown."""
     text = [re.sub(r"[│╭╮╰╯─]", "", line).strip() for line in box.splitlines()]

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from deadreckon.cli.data import Mapping, mapping_options
-from deadreckon.cli.parse import parse
+from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar
 from deadreckon.errors import UserError
 
@@ -53,26 +53,11 @@ class Train:
     strict: bool = False  # refuse actions out of bounds instead of clipping them
 
 
-def _agent_argument(args: Sequence[str]) -> tuple[str | None, list[str]]:
-    """Takes `--agent NAME` out: it decides which options there are."""
-    rest, name = list(args), None
-    for i, a in enumerate(rest):
-        if a == "--agent" and i + 1 < len(rest):
-            name, rest = rest[i + 1], rest[:i] + rest[i + 2 :]
-            break
-        if a.startswith("--agent="):
-            name, rest = a.removeprefix("--agent="), rest[:i] + rest[i + 1 :]
-            break
-    if any(a == "--agent" or a.startswith("--agent=") for a in rest):
-        raise UserError("--agent is given twice; one agent a run")
-    return name, rest
-
-
 def train(args: Sequence[str]) -> None:
     """Trains, evaluates and says where the run lies."""
     from deadreckon.agents import AGENTS, agent_class
 
-    name, rest = _agent_argument(args)
+    name, rest = chosen("agent", args)
     if name is None and not any(a in ("-h", "--help") for a in rest):
         raise UserError(f"missing --agent, one of {', '.join(AGENTS)}")
     online = "--online" in rest

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -176,6 +176,10 @@ class Designs:
             number = "a whole number" if v.kind == "integer" else "a number"
             asked = f"one of {len(v.levels)} levels" if v.kind == "categorical" else f"{number} in [{v.low:g}, {v.high:g}]"
             raise UserError(f"{self.name}: {v.name} is {value:g} in row {row}, {asked} is needed")
+
+    def part(self, rows: np.ndarray, name: str | None = None) -> "Designs":
+        """Some of the designs, under another name if one is given."""
+        return replace(self, x=self.x[rows], y=self.y[rows], name=name or self.name)
 
     def best(self, count: int, worst: bool = False) -> np.ndarray:
         """(count,) rows with the highest scores, or the lowest; over again from the first where there are fewer."""

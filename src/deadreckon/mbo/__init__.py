@@ -5,7 +5,11 @@ from deadreckon.mbo.designer import Designer, Proposals
 from deadreckon.mbo.floor import BestOfData, Random
 from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.nemo import NEMO
+from deadreckon.mbo.problems import PROBLEMS, Problem, problem
 from deadreckon.mbo.ram import RaM
 from deadreckon.mbo.registry import DESIGNERS, designer
 
-__all__ = ["DESIGNERS", "NEMO", "BestOfData", "COMs", "Designer", "Forward", "Proposals", "RaM", "Random", "designer"]
+__all__ = [
+    "DESIGNERS", "NEMO", "PROBLEMS", "BestOfData", "COMs", "Designer", "Forward", "Problem", "Proposals", "RaM", "Random",
+    "designer", "problem",
+]  # fmt: skip

@@ -295,13 +295,16 @@ def _ends(rows: Sequence[tuple[str, int, Interval, float | None]]) -> tuple[floa
     return min([0.0, *values]), max([0.0, *values])
 
 
-def scatter(points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str) -> Markup:
+def scatter(
+    points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str, diagonal: bool = True
+) -> Markup:
     """Points with whiskers both ways, and the diagonal on which both axes agree.
 
     Args:
         points: name, colour, and x with its half-width, and y with its lower and upper end, each.
         across: unit of the horizontal axis.
         unit: of the vertical one, written above it.
+        diagonal: whether both axes measure the same.
     """
     width, height, left, right, top, bottom = 480, 340, 58, 466, 30, 302
     finite = [p for p in points if math.isfinite(p[2]) and math.isfinite(p[4])]
@@ -323,7 +326,7 @@ def scatter(points: Sequence[tuple[str, int, float, float, float, float, float]]
     parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
     parts.append(tag("text", unit, x=4, y=14, class_="axis"))
     both = max(x.low, y.low), min(x.high, y.high)
-    if both[0] < both[1]:
+    if diagonal and both[0] < both[1]:
         where = {f"{axis}{i + 1}": f"{of(v):.1f}" for i, v in enumerate(both) for axis, of in (("x", x), ("y", y))}
         parts.append(tag("line", **where, class_="reference"))
     for name, slot, across_value, half, value, lower, upper in finite:

@@ -1,0 +1,188 @@
+"""`deadreckon design`: designs that should score high, from scored ones alone; `design problems`, `methods`, `bench`."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from deadreckon.cli.parse import chosen, parse
+from deadreckon.cli.progress import Watch
+from deadreckon.errors import UserError
+
+_NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
+
+
+@dataclass
+class Design:
+    """Propose designs that should score high; --method NAME chooses how. See also `design problems|methods|bench`."""
+
+    data: str | None = None  # CSV of scored designs, a row each
+    target: str | None = None  # its column to make large
+    kinds: dict[str, str] = dataclasses.field(default_factory=dict)  # COLUMN continuous, integer or categorical, ...
+    bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)  # COLUMN LOW HIGH, ...; else the data's
+    ignore: tuple[str, ...] = ()  # columns that are no inputs
+    minimise: bool = False  # make the target small instead
+    problem: str | None = None  # instead of --data: a problem with a judge
+    path: str | None = None  # the problem's file, where it has one
+    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # designs to propose
+    seed: int = 0  # of everything random
+    out: str | None = None  # folder of the proposals, a page and checkpoints; None: runs/design/METHOD-DATA
+
+
+@dataclass
+class Bench:
+    """Judge methods on problems: the best and the median of their designs, over seeds, beside the thesis's tables."""
+
+    problems: Annotated[str, _NAMES] = "branin,hartmann6,ackley,nk"  # which (see `design problems`)
+    methods: Annotated[str, _NAMES] = "best,random,forward,ensemble,coms,ram,nemo"  # which (see `design methods`)
+    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # designs a method proposes
+    seeds: int = 16  # how many: SEED .. SEED + SEEDS - 1
+    seed: int = 0  # the first
+    together: int | None = None  # seeds of one program; None: all. Fewer take less memory
+    paths: dict[str, str] = dataclasses.field(default_factory=dict)  # PROBLEM FILE, ...; else the package's folder of designs
+    out: str = "runs/design-bench"  # folder of results; what is there is not computed again
+
+
+def design(args: Sequence[str]) -> None:
+    """Proposes, writes and prints."""
+    if args and args[0] in ("problems", "methods", "bench"):
+        return {"problems": problems, "methods": methods, "bench": bench}[args[0]](args[1:])
+    from deadreckon.mbo.registry import DESIGNERS, designer
+
+    name, rest = chosen("method", args)
+    fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")])]
+    if name is not None:
+        method = designer(name, chosen("problem", rest)[0])  # with the settings published for it
+        fields.append(("method", type(method), dataclasses.field(default_factory=lambda: method)))
+    kind = dataclasses.make_dataclass("DesignMethod", fields)
+    kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
+    parsed = parse(kind, rest, "design")
+    if name is None:
+        raise UserError(f"missing --method, one of {', '.join(DESIGNERS)}")
+    return _propose(name, parsed.method, parsed.design)
+
+
+def _propose(name: str, method: Any, options: Design) -> None:
+    if (options.data is None) == (options.problem is None):
+        raise UserError("design needs --data FILE --target COLUMN, or --problem NAME")
+    problem = None
+    if options.problem is not None:
+        problem = _problem(options.problem, options.path)
+        data = problem.visible
+    else:
+        data = _designs(options)
+    out = Path(options.out or f"runs/design/{name}-{data.name}")
+    with Watch() as watch:
+        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch)
+    scores = None if problem is None else problem.score(made)
+    from deadreckon.mbo.reach import reach
+    from deadreckon.report.design import write_design
+
+    sign = -1.0 if data.minimise else 1.0
+    more = {"predicted": sign * made.predicted, "doubt": made.doubt, "distance": reach(data, made.x)}
+    if scores is not None:
+        more["judged"] = sign * scores.true
+    written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
+    for line in _told(data, made, sign):
+        print(line)
+    if scores is not None:
+        print(f"{scores}\nthe judge is {problem.about if problem else ''}")
+    print(written)
+    print(write_design(data, made, out / "report.html", scores))
+
+
+def _told(data: Any, made: Any, sign: float) -> list[str]:
+    best = sign * float(data.y.max())
+    lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}"]
+    if made.predicted[0] == made.predicted[0]:
+        promised = sign * float(made.predicted.max())
+        lines.append(f"{made.method}: {len(made):,} proposals, the best promises {promised:,.4g} ({made.seconds:,.0f} s)")
+    else:
+        lines.append(f"{made.method}: {len(made):,} proposals ({made.seconds:,.0f} s)")
+    return lines
+
+
+def _free(name: str, data: Any) -> str:
+    """A column's name that no variable has."""
+    taken = {variable.name for variable in data.variables}
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _designs(options: Design) -> Any:
+    from deadreckon.data.designs import Designs
+
+    if options.target is None:
+        raise UserError("missing --target, the column of the scores")
+    if options.path is not None:
+        raise UserError("--path is the file of a --problem; the file of your own designs is --data")
+    return Designs.from_csv(
+        options.data or "", options.target, kinds=options.kinds, bounds=options.bounds, ignore=options.ignore,
+        minimise=options.minimise,
+    )  # fmt: skip
+
+
+def _problem(name: str, path: str | None) -> Any:
+    from deadreckon.mbo import problem
+
+    return problem(name) if path is None else problem(name, path=path)
+
+
+def problems(args: Sequence[str]) -> None:
+    """Lists the problems."""
+    from deadreckon.cli.show import table
+    from deadreckon.files import home
+    from deadreckon.mbo import PROBLEMS
+
+    parse(Nothing, args, "design problems")
+    rows = [["problem", "file", "what"]]
+    for name, known in PROBLEMS.items():
+        there = "" if known.file is None or (home() / "designs" / known.file).is_file() else " (missing)"
+        rows.append([name, f"{known.file or '-'}{there}", known.about])
+    print(table(rows))
+    print(f"\nfiles lie in {home() / 'designs'}, or are given with --path")
+
+
+def methods(args: Sequence[str]) -> None:
+    """Lists the methods."""
+    from deadreckon.cli.show import table
+    from deadreckon.mbo import DESIGNERS
+
+    parse(Nothing, args, "design methods")
+    print(table([["method", "what and whence"], *([name, line] for name, (_, line) in DESIGNERS.items())]))
+
+
+@dataclass
+class Nothing:
+    """A list; no options."""
+
+
+def bench(args: Sequence[str]) -> None:
+    """Runs the protocol and prints its tables."""
+    options = parse(Bench, args, "design bench")
+    from deadreckon.mbo.protocol import PERCENTILES, exploited, judge, markdown
+    from deadreckon.mbo.registry import designer
+
+    if options.seeds < 1:
+        raise UserError(f"--seeds must be 1 or more, got {options.seeds}")
+    names = [name.strip() for name in options.methods.split(",")]
+    wanted = [name.strip() for name in options.problems.split(",")]
+    if strangers := set(options.paths) - set(wanted):
+        raise UserError(f"--paths names {', '.join(sorted(strangers))}, which is not among --problems")
+    seeds = range(options.seed, options.seed + options.seeds)
+    results = []
+    for name in wanted:
+        problem = _problem(name, options.paths.get(name))
+        designers = [(method, designer(method, name)) for method in names]
+        told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
+        with Watch() as watch:
+            results += judge(
+                problem, designers, options.n, seeds=seeds, together=options.together, out=options.out, watch=watch, told=told
+            )
+    for q, words in PERCENTILES.items():
+        print(f"\n{words}, by the judge\n\n{markdown(results, q)}")
+    print(f"\nPromised beyond the truth, in ranges of all data\n\n{exploited(results)}")

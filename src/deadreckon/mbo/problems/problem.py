@@ -1,0 +1,119 @@
+"""A design problem: the scored designs that methods see, and the judge that they do not."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.data.designs import Designs
+from deadreckon.errors import UserError
+from deadreckon.files import home
+from deadreckon.mbo.designer import Proposals
+
+Oracle = Callable[[np.ndarray], np.ndarray]  # (n, variables) designs as `Designs.x` holds them -> (n,) true scores
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What proposed designs are truly worth.
+
+    Attributes:
+        problem, method: names.
+        true: (n,) by the oracle.
+        predicted: (n,) what the method believed; NaN where it believed nothing.
+        low, high: least and greatest score of all data of the problem, shown or not: 0 and 1 of normalised scores.
+    """
+
+    problem: str
+    method: str
+    true: np.ndarray
+    predicted: np.ndarray
+    low: float
+    high: float
+
+    def percentile(self, q: float = 100.0, normalised: bool = False) -> float:
+        """A percentile of the true scores: 100 is the best design, 50 the median (thesis 6.6)."""
+        found = float(np.percentile(self.true, q))
+        return (found - self.low) / (self.high - self.low) if normalised else found
+
+    @property
+    def exploitation(self) -> float:
+        """Median of what was promised beyond the truth, in ranges of all data; NaN where nothing was promised."""
+        return float(np.median(self.predicted - self.true) / (self.high - self.low))
+
+    def __str__(self) -> str:
+        best, middle = (f"{self.percentile(q):,.4g} ({self.percentile(q, True):.2f})" for q in (100, 50))
+        promised = "" if np.isnan(self.exploitation) else f", promised {np.median(self.predicted):,.4g}"
+        return f"{self.method} on {self.problem}: best of {len(self.true)} {best}, median {middle}{promised}"
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A design problem.
+
+    Attributes:
+        name: of the problem.
+        visible: what methods see.
+        low, high: least and greatest score of all data, shown or not.
+        oracle: the judge.
+        about: one line: what the oracle is, and how far it can be trusted.
+        optimum: the greatest score that any design has, where it is known.
+    """
+
+    name: str
+    visible: Designs
+    low: float
+    high: float
+    oracle: Oracle
+    about: str
+    optimum: float | None = None
+
+    def score(self, designs: Proposals | np.ndarray) -> Scores:
+        """What designs are truly worth.
+
+        Args:
+            designs: a method's proposals, or (n, variables) designs.
+
+        Raises:
+            UserError: designs that the problem's variables do not allow.
+        """
+        made = designs if isinstance(designs, Proposals) else None
+        x = np.asarray(designs.x if isinstance(designs, Proposals) else designs, np.float32)
+        self.visible.check(x)
+        true = np.asarray(self.oracle(x), np.float64)
+        predicted = np.full(len(x), np.nan) if made is None else made.predicted
+        return Scores(self.name, "designs" if made is None else made.method, true, predicted, self.low, self.high)
+
+
+def hidden(
+    name: str, full: Designs, oracle: Oracle, about: str, *, least: float = 0.0, most: float, limit: int | None = None,
+    optimum: float | None = None,
+) -> Problem:  # fmt: skip
+    """A problem that shows those of its designs whose scores lie between two percentiles.
+
+    Args:
+        name: of the problem.
+        full: all designs.
+        oracle, about, optimum: see `Problem`.
+        least, most: percentiles, included.
+        limit: designs shown at most, drawn from the others with a seed that never changes.
+    """
+    low, high = np.percentile(full.y, [least, most])
+    rows = np.flatnonzero((full.y >= low) & (full.y <= high))
+    if limit is not None and len(rows) > limit:
+        rows = np.sort(np.random.default_rng(0).choice(rows, limit, replace=False))
+    return Problem(name, full.part(rows, name), float(full.y.min()), float(full.y.max()), oracle, about, optimum)
+
+
+def file_of(name: str, path: Path | str | None, file: str, source: str) -> Path:
+    """Where a problem's data lies: as given, or in the package's folder of designs.
+
+    Raises:
+        UserError: it is not there; the line says where it comes from and where to put it.
+    """
+    found = home() / "designs" / file if path is None else Path(path)
+    if not found.is_file():
+        there = "" if path is None else f" {path} is not there;"
+        raise UserError(f"{name} needs {file} ({source}):{there} give --path, or put it at {home() / 'designs' / file}")
+    return found

@@ -1,0 +1,60 @@
+"""Problems by name."""
+
+import inspect
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+from deadreckon.errors import unknown
+from deadreckon.mbo.problems.gfp import FILE as GFP_FILE
+from deadreckon.mbo.problems.gfp import gfp
+from deadreckon.mbo.problems.hopper_controller import hopper_controller
+from deadreckon.mbo.problems.molecule import FILE as MOLECULE_FILE
+from deadreckon.mbo.problems.molecule import molecule
+from deadreckon.mbo.problems.problem import Problem
+from deadreckon.mbo.problems.superconductor import FILE as SUPERCONDUCTOR_FILE
+from deadreckon.mbo.problems.superconductor import superconductor
+from deadreckon.mbo.problems.synthetic import FUNCTIONS, nk, synthetic
+from deadreckon.mbo.problems.tfbind8 import FILE as TFBIND8_FILE
+from deadreckon.mbo.problems.tfbind8 import tfbind8
+
+
+class Known(NamedTuple):
+    """How a problem is made, one line about it, and the file that it reads, if any."""
+
+    make: Callable[..., Problem]
+    about: str
+    file: str | None = None
+
+
+PROBLEMS: dict[str, Known] = {
+    "hopper-controller": Known(hopper_controller, "5,126 weights of a controller; MuJoCo judges (thesis 6.5)"),
+    "superconductor": Known(
+        superconductor, "81 statistics of a material; a random forest judges its critical temperature", SUPERCONDUCTOR_FILE
+    ),
+    "gfp": Known(gfp, "237 amino acids; a learned oracle judges the brightness", GFP_FILE),
+    "molecule": Known(molecule, "1,024 substructures; a random forest judges the activity", MOLECULE_FILE),
+    "tfbind8": Known(tfbind8, "8 bases of DNA; every design's score is known", TFBIND8_FILE),
+    "nk": Known(nk, "8 sites of 4 letters with neighbours' influence; every design's score is known"),
+    **{name: Known(partial(synthetic, name), f"{f.dimensions} numbers; a test function") for name, f in FUNCTIONS.items()},
+}
+
+
+def problem(name: str, **options: Any) -> Problem:
+    """A problem by name.
+
+    Args:
+        name: among `PROBLEMS`.
+        options: of the function that makes it, such as `path` or `shown`.
+
+    Raises:
+        UserError: an unknown name or option, or data that is not there.
+    """
+    if name not in PROBLEMS:
+        raise unknown("problem", name, PROBLEMS)
+    make = PROBLEMS[name].make
+    known = [option for option in inspect.signature(make).parameters if option != "name"]
+    for option in options:
+        if option not in known:
+            raise unknown(f"option of {name}", option, known)
+    return make(**options)

@@ -1,0 +1,46 @@
+"""TFBind8: DNA of eight bases that a transcription factor binds (Barrera et al. 2016); every design has a measured score."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.data.designs import Designs, Variable
+from deadreckon.errors import UserError
+from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+
+FILE, SOURCE = "tfbind8_six6.npz", "arrays x and y of Design-Bench's TFBind8, SIX6 reference 1"
+BASES, LENGTH = ("A", "C", "G", "T"), 8
+
+
+def tfbind8(*, path: Path | str | None = None, shown: float = 50.0) -> Problem:
+    """All 65,792 sequences, of which the half that binds worse is shown.
+
+    Args:
+        path: of an npz with x (rows, 8) in 0 .. 3 and y (rows,); None: the package's folder of designs.
+        shown: percentile of the scores up to which designs are shown.
+
+    Raises:
+        UserError: the file is missing, or holds something else.
+    """
+    place = file_of("tfbind8", path, FILE, SOURCE)
+    try:
+        with np.load(place, allow_pickle=False) as arrays:
+            x, y = np.asarray(arrays["x"]).astype(int), np.asarray(arrays["y"], np.float64).reshape(-1)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise UserError(f"{place}: no npz with arrays x and y: {error}") from None
+    if x.ndim != 2 or x.shape[1] != LENGTH or x.min() < 0 or x.max() >= len(BASES):
+        raise UserError(f"{place}: x must be (rows, {LENGTH}) with bases 0 .. {len(BASES) - 1}, got {x.shape}")
+    codes = x @ len(BASES) ** np.arange(LENGTH)
+    # The 256 palindromes are there twice, with the same score.
+    table = np.full(len(BASES) ** LENGTH, np.nan)
+    table[codes] = y
+    if np.isnan(table).any():
+        raise UserError(f"{place}: {int(np.isnan(table).sum()):,} of {len(table):,} sequences have no score")
+
+    def oracle(designs: np.ndarray) -> np.ndarray:
+        return table[np.asarray(designs).astype(int) @ len(BASES) ** np.arange(LENGTH)]
+
+    variables = tuple(Variable(f"base{i}", "categorical", levels=BASES) for i in range(LENGTH))
+    full = Designs(x, y, variables, "tfbind8")
+    return hidden("tfbind8", full, oracle, "exact: every sequence is measured", most=shown, optimum=float(y.max()))

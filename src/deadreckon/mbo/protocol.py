@@ -1,0 +1,196 @@
+"""How designers are judged (thesis 6.6): 128 designs, the best and the median by the oracle, over seeds, beside published
+scores.
+
+The oracle is asked once, when a designer has proposed; what it says reaches no method.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.files import read_json, write_json
+from deadreckon.mbo.designer import Designer, Watcher
+from deadreckon.mbo.problems.problem import Problem, Scores
+from deadreckon.ope.intervals import student
+
+PERCENTILES = {100: "Best of the designs", 50: "Median design"}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a designer's proposals were worth.
+
+    Attributes:
+        problem, method: names.
+        seeds: of the proposals.
+        true, predicted: (seeds, n) scores by the oracle, and what the method believed (NaN where nothing).
+        low, high: least and greatest score of all data of the problem.
+        data_best: the greatest score that was shown.
+        about: what the oracle is.
+        settings: the designer, as text.
+        seconds: all proposals took; judging not counted.
+    """
+
+    problem: str
+    method: str
+    seeds: tuple[int, ...]
+    true: np.ndarray
+    predicted: np.ndarray
+    low: float
+    high: float
+    data_best: float
+    about: str
+    settings: str
+    seconds: float
+
+    def scores(self, i: int) -> Scores:
+        """Of the i-th seed."""
+        return Scores(self.problem, self.method, self.true[i], self.predicted[i], self.low, self.high)
+
+    def percentile(self, q: float, normalised: bool = False) -> "Cell":
+        """A percentile of the true scores: mean over seeds, with Student's 95 % interval."""
+        return _cell(np.array([self.scores(i).percentile(q, normalised) for i in range(len(self.seeds))]))
+
+    @property
+    def exploitation(self) -> "Cell":
+        """How much more was promised than kept, in ranges of all data (`Scores.exploitation`)."""
+        return _cell(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
+
+
+class Cell(NamedTuple):
+    """A mean over seeds with its 95 % interval, without bounds where there is one seed."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        if math.isnan(self.mean):
+            return ""
+        if not math.isfinite(self.low):
+            return f"{self.mean:,.4g}"
+        return f"{self.mean:,.4g} [{self.low:,.4g}, {self.high:,.4g}]"
+
+
+def _cell(values: np.ndarray) -> Cell:
+    return Cell(float(values.mean()), *student(values))
+
+
+def judge(
+    problem: Problem,
+    designers: Iterable[tuple[str, Designer]],
+    n: int = 128,
+    *,
+    seeds: Sequence[int] = range(16),
+    together: int | None = None,
+    out: Path | str | None = None,
+    watch: Watcher = lambda what, step, steps: None,
+    told: Callable[[Result], None] = lambda result: None,
+) -> list[Result]:
+    """Lets designers propose and judges what they propose.
+
+    Args:
+        problem: theirs.
+        designers: names, as tables show them, and designers.
+        n: designs each proposes.
+        seeds: one set of proposals each.
+        together: seeds of one program; None: all. Fewer take less memory.
+        out: folder for results and checkpoints; results that are there are not computed again.
+        watch: called while something is fitted.
+        told: called with every result.
+    """
+    results = []
+    for name, designer in designers:
+        data = hashlib.blake2b(problem.visible.x.tobytes() + problem.visible.y.tobytes(), digest_size=8).hexdigest()
+        asked = {"name": name, "settings": str(designer), "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
+        digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=4).hexdigest()
+        folder = None if out is None else Path(out) / problem.name
+        path = None if folder is None else folder / f"{name}-{digest}.json"
+        if path is not None and path.exists():
+            result = _from_json(read_json(path)["result"])
+        else:
+            found = []
+            for at in range(0, len(seeds), together or len(seeds)):
+                some = list(seeds[at : at + (together or len(seeds))])
+                fits = None if folder is None else folder / "fits"
+                found.append(designer.propose_many(problem.visible, n, seeds=some, out=fits, watch=watch))
+            made = [each for part in found for each in part]
+            scores = [problem.score(each) for each in made]
+            result = Result(
+                problem.name, name, tuple(seeds), np.stack([s.true for s in scores]), np.stack([s.predicted for s in scores]),
+                problem.low, problem.high, float(problem.visible.y.max()), problem.about, str(designer),
+                sum(part[0].seconds for part in found),
+            )  # fmt: skip
+            if path is not None:
+                write_json(path, {"asked": asked, "result": _to_json(result)})
+        results.append(result)
+        told(result)
+    return results
+
+
+def _to_json(result: Result) -> dict[str, Any]:
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(result).items()}
+
+
+def _from_json(fields: dict[str, Any]) -> Result:
+    arrays = {name: np.asarray(fields[name], float) for name in ("true", "predicted")}
+    return Result(**{**fields, **arrays, "seeds": tuple(fields["seeds"])})
+
+
+@cache
+def published() -> dict[str, dict[str, dict[str, tuple[float, float]]]]:
+    """Percentile -> problem -> method -> mean and standard deviation, as the thesis prints them for Design-Bench's data."""
+    return json.loads(files("deadreckon.mbo").joinpath("published.json").read_text("utf-8"))
+
+
+def markdown(results: Sequence[Result], q: int = 100, normalised: bool = False) -> str:
+    """A table of one percentile: a row a problem, below it what the thesis prints, a column a method.
+
+    Args:
+        results: of one or several problems.
+        q: 100 or 50.
+        normalised: on the scale where all data of the problem reaches from 0 to 1.
+
+    Raises:
+        UserError: two results of one method on one problem.
+    """
+    methods = list(dict.fromkeys(r.method for r in results))
+    lines = ["| problem | data | " + " | ".join(methods) + " |", "|---|---:|" + "---:|" * len(methods)]
+    for name in dict.fromkeys(r.problem for r in results):
+        own = _by_method([r for r in results if r.problem == name])
+        first = next(iter(own.values()))
+        best = (first.data_best - first.low) / (first.high - first.low) if normalised else first.data_best
+        cells = [str(own[m].percentile(q, normalised)) if m in own else "" for m in methods]
+        lines.append(f"| {name} | {best:,.4g} | " + " | ".join(cells) + " |")
+        printed = published()[str(q)].get(name, {})
+        if printed and not normalised:
+            cells = [f"{printed[m][0]:,.4g} ± {printed[m][1]:,.4g}" if m in printed else "" for m in methods]
+            data = f"{printed['data'][0]:,.4g}" if "data" in printed else ""
+            lines.append(f"| thesis | {data} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def exploited(results: Sequence[Result]) -> str:
+    """A table of what was promised beyond the truth, in ranges of all data: a row a problem, a column a method."""
+    methods = list(dict.fromkeys(r.method for r in results))
+    lines = ["| problem | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
+    for name in dict.fromkeys(r.problem for r in results):
+        own = _by_method([r for r in results if r.problem == name])
+        lines.append(f"| {name} | " + " | ".join(str(own[m].exploitation) if m in own else "" for m in methods) + " |")
+    return "\n".join(lines)
+
+
+def _by_method(results: Sequence[Result]) -> dict[str, Result]:
+    own = {r.method: r for r in results}
+    if len(own) < len(results):
+        raise UserError(f"{results[0].problem} has several results of one method; keep each setting in a folder of its own")
+    return own

@@ -1,0 +1,38 @@
+"""How far designs lie from those that have a score: what a model says of far ones rests on nothing."""
+
+import numpy as np
+
+from deadreckon.data.designs import Designs
+
+SAMPLE = 1000  # designs of the data whose neighbours tell what near is
+
+
+def reach(data: Designs, x: np.ndarray) -> np.ndarray:
+    """Distance of designs to the nearest scored one, in standardised coordinates, in units of what is usual among the data.
+
+    Args:
+        data: scored designs.
+        x: (n, variables) designs.
+
+    Returns:
+        (n,) distances over the median distance of a scored design to the nearest other one: 1 is as near as the data's own
+        neighbours are, 10 is far out.
+    """
+    z = data.coordinates.encode(data.x).astype(np.float64)
+    rows = np.random.default_rng(0).permutation(len(z))[:SAMPLE]
+    usual = _nearest(z, z[rows], rows)
+    unit = float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
+    return _nearest(z, data.coordinates.encode(x).astype(np.float64)) / unit
+
+
+def _nearest(z: np.ndarray, points: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
+    """(n,) distances of points to the nearest row of `z` but their own."""
+    squares, out = np.square(z).sum(1), np.empty(len(points))
+    for i in range(0, len(points), 64):
+        block = points[i : i + 64]
+        distance = np.square(block).sum(1)[:, None] + squares - 2 * block @ z.T
+        if own is not None:
+            distance[np.arange(len(block)), own[i : i + 64]] = np.inf
+        # The difference of large numbers is not exact: the nearest one's distance is taken anew.
+        out[i : i + 64] = np.linalg.norm(block - z[distance.argmin(1)], axis=1)
+    return out

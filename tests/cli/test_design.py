@@ -1,0 +1,101 @@
+"""`deadreckon design` from a CSV to proposals, and its one-line errors."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from deadreckon.cli.main import main
+
+FORWARD = ["--method", "forward", "--method.hidden", "8", "--method.steps", "50", "--method.ascent", "10"]
+
+
+@pytest.fixture
+def table(tmp_path, monkeypatch):
+    """An alloy's costs: a bowl over a number and a whole number, and one of three colours that is cheapest."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    rows = []
+    for _ in range(60):
+        heat, layers, colour = rng.uniform(0, 10), rng.integers(1, 6), rng.choice(["red", "green", "blue"])
+        rows.append([f"{heat:.3f}", layers, colour, f"{(heat - 4) ** 2 + (layers - 3) ** 2 + (colour == 'red'):.3f}"])
+    with open("alloys.csv", "w", newline="") as file:
+        csv.writer(file).writerows([["heat", "layers", "colour", "cost"], *rows])
+    return tmp_path
+
+
+def test_from_a_table_to_proposals(table, capsys):
+    asked = ["design", *FORWARD, "--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
+    assert main(asked) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith("alloys: 60 designs, 3 variables; best cost 0.")
+    assert out[1].startswith("Forward: 5 proposals, the best promises ")
+    with open(out[2], newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["heat", "layers", "colour", "predicted", "doubt", "distance"]
+    assert len(rows) == 5
+    assert all(0 <= float(row["heat"]) <= 12 and row["layers"] in "12345" and row["colour"] in ("red", "green", "blue") for row in rows)
+    # Costs as the table holds them, not their negatives.
+    assert f"{min(float(row['predicted']) for row in rows):,.4g}" in out[1]
+    page = (table / "runs" / "design" / "forward-alloys" / "report.html").read_text()
+    assert out[3].endswith("report.html")
+    for said in ("5 designs for cost", "usual distances", "colour"):
+        assert said in page
+
+
+def test_with_a_judge(table, capsys):
+    assert main(["design", *FORWARD, "--problem", "branin", "-n", "4", "--out", "b"]) == 0
+    out = capsys.readouterr().out
+    assert "Forward on branin: best of 4 " in out
+    assert "the judge is exact; the greatest score is -0.397887" in out
+    with open("b/proposals.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4
+    assert f"{max(float(row['judged']) for row in rows):,.4g}" in out
+    assert "Above the dashed line more was promised than is true" in (table / "b" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("args", "line"),
+    [
+        ([], "missing --method, one of nemo, "),
+        (["--method", "nimo"], "unknown designer 'nimo': did you mean nemo?"),
+        (["--method", "best"], "design needs --data FILE --target COLUMN, or --problem NAME"),
+        (["--method", "best", "--data", "alloys.csv"], "missing --target, the column of the scores"),
+        (["--method", "best", "--data", "alloys.csv", "--target", "price"], "alloys: unknown column 'price': known: "),
+        (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "nothing.csv: "),
+        (["--method", "best", "--problem", "brannin"], "unknown problem 'brannin': did you mean branin or "),
+        (["--method", "best", "--problem", "branin", "--path", "x"], "unknown option of branin 'path'"),
+        (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--path", "x"], "--path is the file of a --problem"),
+        (["--method", "best", "--data", "alloys.csv", "--target", "cost", "-n", "0"], "n must be 1 or more, got 0"),
+        (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--bounds", "heat", "2", "12"],
+         "alloys: column heat has "),
+        (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--kinds", "heat", "colourful"],
+         "alloys: column heat: unknown kind 'colourful'"),
+        (["bench", "--seeds", "0"], "--seeds must be 1 or more, got 0"),
+        (["bench", "--problems", "nk", "--paths", "gfp", "x"], "--paths names gfp, which is not among --problems"),
+    ],
+)  # fmt: skip
+def test_bad_input_in_one_line(table, capsys, args, line):
+    assert main(["design", *args]) == 2
+    told = capsys.readouterr().err.strip()
+    assert told.startswith(f"deadreckon: {line}")
+    assert "\n" not in told
+    assert not (table / "runs").exists()
+
+
+def test_lists(capsys):
+    assert main(["design", "problems"]) == 0
+    out = capsys.readouterr().out
+    assert "gfp                avgfp.tsv (missing)" in out
+    assert main(["design", "methods"]) == 0
+    assert "nemo" in capsys.readouterr().out
+
+
+def test_bench(tmp_path, capsys):
+    asked = ["design", "bench", "--problems", "branin,nk", "--methods", "best,random", "--seeds", "3", "-n", "8"]
+    assert main([*asked, "--out", str(tmp_path / "b")]) == 0
+    out = capsys.readouterr().out
+    assert out.count("| branin |") == 3
+    assert "random on nk" in out
+    assert "Median design, by the judge" in out
