@@ -25,8 +25,8 @@ def table(tmp_path, monkeypatch):
 
 
 def test_from_a_table_to_proposals(table, capsys):
-    asked = ["design", *FORWARD, "--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
-    assert main(asked) == 0
+    asked = ["--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
+    assert main(["design", *FORWARD, *asked]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].startswith("alloys: 60 designs, 3 variables; best cost 0.")
     assert out[1].startswith("Forward: 5 proposals, the best promises ")
@@ -34,7 +34,10 @@ def test_from_a_table_to_proposals(table, capsys):
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["heat", "layers", "colour", "predicted", "doubt", "distance"]
     assert len(rows) == 5
-    assert all(0 <= float(row["heat"]) <= 12 and row["layers"] in "12345" and row["colour"] in ("red", "green", "blue") for row in rows)
+    for row in rows:
+        assert 0 <= float(row["heat"]) <= 12
+        assert row["layers"] in "12345"
+        assert row["colour"] in ("red", "green", "blue")
     # Costs as the table holds them, not their negatives.
     assert f"{min(float(row['predicted']) for row in rows):,.4g}" in out[1]
     page = (table / "runs" / "design" / "forward-alloys" / "report.html").read_text()

@@ -4,10 +4,14 @@ from collections.abc import Callable
 from typing import Any
 
 from deadreckon.errors import unknown
+from deadreckon.mbo.cbas import CbAS
 from deadreckon.mbo.coms import COMs
+from deadreckon.mbo.ddom import DDOM
 from deadreckon.mbo.designer import Designer
 from deadreckon.mbo.floor import BestOfData, Random
 from deadreckon.mbo.forward import Forward
+from deadreckon.mbo.gp_bo import GPBO
+from deadreckon.mbo.mins import MINs
 from deadreckon.mbo.nemo import NEMO
 from deadreckon.mbo.ram import RaM
 
@@ -16,6 +20,11 @@ DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
     "forward": (Forward, "a model of the score and gradient ascent on it (thesis 6.5)"),
     "ensemble": (lambda: Forward(members=5), "the mean of five models on redrawn designs (thesis 6.5)"),
     "ensemble-min": (lambda: Forward(members=5, objective="min"), "the least of five models (public code's ensemble)"),
+    "mins": (MINs, "model inversion networks (Kumar and Levine 2020)"),
+    "cbas": (CbAS, "conditioning by adaptive sampling (Brookes et al. 2019)"),
+    "autofocus": (lambda: CbAS(refit=0.2), "the same with autofocused oracles (Fannjiang and Listgarten 2020)"),
+    "gp-bo": (GPBO, "expected improvement under a Gaussian process (thesis 6.5)"),
+    "ddom": (DDOM, "guided diffusion of designs given their score (Krishnamoorthy et al. 2023)"),
     "coms": (COMs, "conservative objective models (Trabucco et al. 2021)"),
     "ram": (RaM, "models trained to rank (Tan et al. 2025)"),
     "best": (BestOfData, "the best designs of the data, as they are"),

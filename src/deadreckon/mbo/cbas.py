@@ -1,0 +1,251 @@
+"""CbAS: conditioning by adaptive sampling (Brookes, Park and Listgarten 2019), and autofocused oracles (Fannjiang and
+Listgarten 2020).
+
+A generative model p_0 of the data's designs is bent towards high scores without leaving what it knows: designs are drawn from
+the present model q, counted by
+
+    w = p_0(x | z) / q(x | z) P(y >= c | x)
+
+and q is fitted to them, with c a percentile of what is believed of the drawn designs, never falling. P comes from an ensemble
+on the data. Autofocusing fits the ensemble again in every round, with each design of the data counted by (q(x | z) / p_0(x |
+z))^a: it gets better where q draws.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.data.batch import Batch, Needs, redrawn
+from deadreckon.data.designs import Coordinates
+from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.forward import Gaussian, believed
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.training.learner import static
+
+LOG_RATIO = 10.0  # log-ratios of densities beyond this decide alone, and are cut
+STD = 0.1  # least deviation of a decoded coordinate
+
+
+class Layout(NamedTuple):
+    """Coordinates: numbers first, then groups of categorical variables with equally many levels."""
+
+    numbers: int
+    groups: tuple[tuple[int, int], ...]  # variables and their levels
+
+    @classmethod
+    def of(cls, view: Coordinates) -> "Layout":
+        """Of these coordinates."""
+        return cls(len(view.numeric), tuple((len(columns), levels) for columns, levels in view.groups))
+
+    @property
+    def outputs(self) -> int:
+        """What a decoder gives: a mean and a log-deviation a number, a logit a level."""
+        return 2 * self.numbers + sum(count * levels for count, levels in self.groups)
+
+    def parts(self, out: Float[Array, "b o"]) -> tuple[Array, Array, list[Array]]:
+        """Means, log-deviations, and (b, variables, levels) log-probabilities of each group."""
+        mean, log_std, at = out[:, : self.numbers], out[:, self.numbers : 2 * self.numbers], 2 * self.numbers
+        groups = []
+        for count, levels in self.groups:
+            logits = out[:, at : at + count * levels].reshape(-1, count, levels)
+            groups.append(jax.nn.log_softmax(logits))
+            at += count * levels
+        return mean, jnp.clip(log_std, jnp.log(STD), 1.0), groups
+
+    def log_prob(self, out: Float[Array, "b o"], x: Float[Array, "b z"]) -> Float[Array, "b"]:
+        """Of coordinates under a decoder's output."""
+        mean, log_std, groups = self.parts(out)
+        total = jax.scipy.stats.norm.logpdf(x[:, : self.numbers], mean, jnp.exp(log_std)).sum(-1)
+        at = self.numbers
+        for (count, levels), probs in zip(self.groups, groups):
+            level = with_first(x[:, at : at + count * (levels - 1)].reshape(-1, count, levels - 1)).argmax(-1)
+            total += jnp.take_along_axis(probs, level[..., None], -1)[..., 0].sum(-1)
+            at += count * (levels - 1)
+        return total
+
+    def draw(self, out: Float[Array, "b o"], key: Array) -> Float[Array, "b z"]:
+        """Coordinates from a decoder's output."""
+        mean, log_std, groups = self.parts(out)
+        keys = jax.random.split(key, 1 + len(groups))
+        drawn = [mean + jnp.exp(log_std) * jax.random.normal(keys[0], mean.shape)]
+        for k, (count, levels), probs in zip(keys[1:], self.groups, groups):
+            one = jax.nn.one_hot(jax.random.categorical(k, probs), levels)
+            drawn.append((one[..., 1:] - one[..., :1]).reshape(-1, count * (levels - 1)))
+        return jnp.concatenate(drawn, -1)
+
+
+def with_first(logits: Float[Array, "b v l1"]) -> Float[Array, "b v l"]:
+    """All levels' logits: that of the first is zero and not among the coordinates."""
+    return jnp.concatenate([jnp.zeros_like(logits[..., :1]), logits], -1)
+
+
+class Generator(NamedTuple):
+    """A variational autoencoder of designs."""
+
+    encoder: MLP
+    decoder: MLP
+
+    def elbo(self, layout: Layout, x: Float[Array, "b z"], key: Array) -> Float[Array, "b"]:
+        """Evidence lower bound of each design."""
+        mean, log_std = self.encode(x)
+        latent = mean + jnp.exp(log_std) * jax.random.normal(key, mean.shape)
+        divergence = -0.5 * (1 + 2 * log_std - jnp.square(mean) - jnp.exp(2 * log_std)).sum(-1)
+        return layout.log_prob(self.decoder(latent), x) - divergence
+
+    def encode(self, x: Float[Array, "b z"]) -> tuple[Array, Array]:
+        """Mean and log-deviation of the latents of designs."""
+        mean, log_std = jnp.split(self.encoder(x), 2, -1)
+        return mean, jnp.clip(log_std, -6.0, 2.0)
+
+
+class Autoencoding(eqx.Module):
+    """What `fit` trains: the generator of the data's designs."""
+
+    lr: float
+    layout: Layout = eqx.field(static=True)
+    latent: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Designs."""
+        return Needs(columns=(), batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """A fresh generator and its optimiser."""
+        ke, kd = jax.random.split(key)
+        encoder = MLP.create(spec.size, self.hidden, 2 * self.latent, ke)
+        made = Generator(encoder, MLP.create(self.latent, self.hidden, self.layout.outputs, kd))
+        return made, begin(made)
+
+    def update(self, state, batch: Batch, *, step, key):
+        """One step."""
+        assert batch.extra is not None
+        generator, opt = state
+        even = jnp.ones(self.batch_size)
+        generator, opt, bound = learn(generator, opt, self.layout, batch.extra["x"], even, self.lr, key)
+        return (generator, opt), {"elbo": bound}
+
+
+def learn(generator: Generator, opt: Any, layout: Layout, x: Array, weight: Array, lr: Any, key: Array):
+    """One step of a generator on weighted designs: the new one, its optimiser, and the mean bound."""
+
+    def loss(generator: Generator) -> tuple[Array, Array]:
+        bound = generator.elbo(layout, x, key)
+        return -(weight * bound).mean(), bound.mean()
+
+    grads, bound = jax.grad(loss, has_aux=True)(generator)
+    return *descend(generator, grads, opt, lr), bound
+
+
+class Rounds(NamedTuple):
+    """What a round passes to the next: q and its optimiser, the ensemble and its, and the threshold c."""
+
+    q: Generator
+    opt: Any
+    nets: MLP
+    nets_opt: Any
+    threshold: Array
+
+
+class CbAS(Designer):
+    """Conditioning by adaptive sampling; with `refit` above 0 autofocused."""
+
+    refit: float = 0.0  # a: how sharply the ensemble is refitted where q draws; 0: never
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer of generator and ensemble
+    latent: int = static(32)  # size of the generator's latents
+    members: int = static(5)  # networks of the ensemble, each on redrawn designs
+    steps: int = static(5000)  # updates of the ensemble, and of the generator, before the rounds
+    rounds: int = static(20)  # of drawing, counting and fitting
+    updates: int = static(100)  # of q a round, and of the ensemble where it is refitted
+    draws: int = static(1000)  # designs a round
+    percentile: float = 80.0  # of what is believed of them: c
+    batch_size: int = static(128)  # designs an update
+    lr: float = 3e-4  # of all networks
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "Autofocus" if self.refit > 0 else "CbAS"
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """Designs drawn from the last q."""
+        view = setting.data.coordinates
+        layout = Layout.of(view)
+        ensemble = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
+        weight = redrawn(len(setting.data), self.members, 0)
+        proxies = setting.train(ensemble, self.steps, "forward", {"weight": weight})
+        priors = setting.train(
+            Autoencoding(self.lr, layout, self.latent, self.hidden, self.batch_size), self.steps, "generator"
+        )
+        x = jnp.asarray(view.encode(setting.data.x))
+        y = jnp.asarray((setting.data.y - view.y_mean) / view.y_std, jnp.float32)
+        fixed = x, y, jnp.asarray(weight)
+        found = []
+        for seed, (nets, nets_opt), (prior, _) in zip(setting.seeds, proxies, priors):
+            key = jax.random.fold_in(jax.random.key(seed), 2)
+            state = Rounds(prior, begin(prior), nets, nets_opt, jnp.float32(-jnp.inf))
+            for i in range(self.rounds):
+                state = _round(self, layout, prior, state, *fixed, jax.random.fold_in(key, i), *setting.bounds)
+                setting.watch(f"{self.label.lower()} seed {seed}", i + 1, self.rounds)
+            drawn = _draw(layout, state.q, jax.random.fold_in(key, self.rounds), setting.n, *setting.bounds)[0]
+            mean, std = (np.asarray(part) for part in _believed(state.nets, drawn))
+            found.append(self.decoded(setting, seed, drawn, mean, std))
+        return found
+
+
+def _draw(layout: Layout, q: Generator, key: Array, count: int, low: Array, high: Array) -> tuple[Array, Array]:
+    """Designs within bounds, and their latents."""
+    kz, kx = jax.random.split(key)
+    latent = jax.random.normal(kz, (count, q.decoder.weights[0].shape[0]))
+    return jnp.clip(layout.draw(q.decoder(latent), kx), low, high), latent
+
+
+@jax.jit
+def _believed(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+    """Mean and deviation of the ensemble's mixture."""
+    mean, log_std = jax.vmap(lambda net: believed(net, x))(nets)
+    return mean.mean(0), jnp.sqrt(jnp.exp(2 * log_std).mean(0) + mean.var(0))
+
+
+@eqx.filter_jit
+def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weight, key, low, high) -> Rounds:
+    """One round: draw, count, fit q; then, autofocused, the ensemble."""
+    kd, kq, ke, kn = jax.random.split(key, 4)
+    drawn, latent = _draw(layout, state.q, kd, of.draws, low, high)
+    mean, std = _believed(state.nets, drawn)
+    threshold = jnp.maximum(state.threshold, jnp.percentile(mean, of.percentile))
+    ratio = layout.log_prob(prior.decoder(latent), drawn) - layout.log_prob(state.q.decoder(latent), drawn)
+    log_count = jnp.clip(ratio, -LOG_RATIO, LOG_RATIO) + jax.scipy.stats.norm.logsf((threshold - mean) / std)
+    count = jnp.exp(log_count - log_count.max())
+    count = count / count.mean()
+
+    def fit(i, carry):
+        q, opt = carry
+        k = jax.random.fold_in(kq, i)
+        rows = jax.random.randint(k, (of.batch_size,), 0, of.draws)
+        return learn(q, opt, layout, drawn[rows], count[rows], of.lr, jax.random.fold_in(k, 1))[:2]
+
+    q, opt = jax.lax.fori_loop(0, of.updates, fit, (state.q, state.opt))
+    nets, nets_opt = state.nets, state.nets_opt
+    if of.refit > 0:
+        code = prior.encode(x)[0]
+        far = layout.log_prob(q.decoder(code), x) - layout.log_prob(prior.decoder(code), x)
+        focus = jnp.exp(of.refit * jnp.clip(far, -LOG_RATIO, LOG_RATIO))
+        focus = focus / focus.mean()
+        loss = Gaussian(of.lr, of.members, of.hidden, 2, "relu", of.batch_size).loss
+
+        def refocus(i, carry):
+            nets, opt = carry
+            rows = jax.random.randint(jax.random.fold_in(kn, i), (of.batch_size,), 0, len(x))
+            each = lambda net, w: loss(net, x[rows], y[rows], w * focus[rows], ke)[0]  # noqa: E731
+            grads = jax.grad(lambda nets: jax.vmap(each)(nets, weight[rows].T).sum())(nets)
+            return descend(nets, grads, opt, of.lr)
+
+        nets, nets_opt = jax.lax.fori_loop(0, of.updates, refocus, (nets, nets_opt))
+    return Rounds(q, opt, nets, nets_opt, threshold)

@@ -1,0 +1,109 @@
+"""DDOM: denoising diffusion for offline optimisation (Krishnamoorthy, Mashkaria and Grover 2023).
+
+A diffusion model of designs given their score is trained on the data, high scores counting more, and asked for designs with the
+highest score that was seen, with classifier-free guidance:
+
+    x_t = sqrt(a_t) x + sqrt(1 - a_t) e,   e_hat = (1 + g) e(x_t, t, y) - g e(x_t, t)
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.surrogate import Surrogate, counts
+from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.nets.optim import begin
+from deadreckon.training.learner import static
+
+WAVES = 8  # pairs of a sine and a cosine that tell the time
+BETA = 0.1, 20.0  # of the variance-preserving diffusion (Song et al. 2021)
+
+
+def kept(t: Array) -> Array:
+    """a_t, the share of a design's variance that is left at time t of 0 .. 1."""
+    return jnp.exp(-t * BETA[0] - 0.5 * jnp.square(t) * (BETA[1] - BETA[0]))
+
+
+def inputs(x: Float[Array, "b z"], t: Float[Array, "b"], y: Float[Array, "b"], told: Float[Array, "b"]) -> Float[Array, "b i"]:
+    """What the network sees: the noisy design, the time as waves, and the score where it is told."""
+    angle = t[:, None] * 2.0 ** jnp.arange(WAVES) * jnp.pi / 2
+    return jnp.concatenate([x, jnp.sin(angle), jnp.cos(angle), (told * y)[:, None], told[:, None]], -1)
+
+
+class Denoiser(Surrogate):
+    """The noise in a noisy design."""
+
+    dropped: float = eqx.field(static=True, default=0.15)  # share of designs whose score is not told
+
+    def init(self, spec, key):
+        """A fresh network and its optimiser."""
+        size = spec.size + 2 * WAVES + 2
+        make = lambda k: MLP.create(size, self.hidden, spec.size, k, activation=self.activation)  # noqa: E731
+        nets = ensemble(make, 1, key)
+        return nets, begin(nets)
+
+    def loss(self, net: MLP, x, y, weight, key):
+        """Squared error of the noise, at times drawn evenly."""
+        kt, ke, kd = jax.random.split(key, 3)
+        t, noise = jax.random.uniform(kt, (len(x),), minval=1e-3), jax.random.normal(ke, x.shape)
+        told = (jax.random.uniform(kd, (len(x),)) >= self.dropped).astype(x.dtype)
+        left = kept(t)[:, None]
+        noisy = jnp.sqrt(left) * x + jnp.sqrt(1 - left) * noise
+        error = jnp.square(net(inputs(noisy, t, y, told)) - noise).mean(-1)
+        return (weight * error).mean(), {"error": error.mean()}
+
+
+@partial(jax.jit, static_argnames=("count", "steps"))
+def sample(
+    nets: MLP, y: Array, guidance: Array, low: Array, high: Array, key: Array, *, count: int, steps: int
+) -> Float[Array, "n z"]:
+    """Designs with a score of `y`, from noise in `steps` steps of the deterministic sampler (Song, Meng and Ermon 2021)."""
+    net = jax.tree.map(lambda leaf: leaf[0], nets)
+    scores, one = jnp.full((count,), y), jnp.ones(count)
+
+    def step(i, x):
+        t, after = 1.0 - i / steps, 1.0 - (i + 1) / steps
+        t, after = jnp.maximum(t, 1e-3), jnp.maximum(after, 0.0)
+        given, free = (net(inputs(x, t * one, scores, told)) for told in (one, 0 * one))
+        noise = (1 + guidance) * given - guidance * free
+        left, then = kept(t), kept(after)
+        clean = jnp.clip((x - jnp.sqrt(1 - left) * noise) / jnp.sqrt(left), low, high)
+        noise = (x - jnp.sqrt(left) * clean) / jnp.sqrt(1 - left)  # what is left of it within bounds
+        return jnp.sqrt(then) * clean + jnp.sqrt(1 - then) * noise
+
+    return jax.lax.fori_loop(0, steps, step, jax.random.normal(key, (count, len(low))))
+
+
+class DDOM(Designer):
+    """A guided diffusion model of designs given their score."""
+
+    hidden: tuple[int, ...] = static((1024, 1024))  # width of each hidden layer
+    steps: int = static(10_000)  # updates of the model
+    batch_size: int = static(128)  # designs an update
+    lr: float = 1e-3  # of the model
+    bins: int = static(64)  # of the scores, for their weights
+    smoothing: float = 0.01  # K, as a share of the rows
+    temperature: float = 0.1  # T, in ranges of the scores
+    guidance: float = 2.0  # g
+    sampling: int = static(200)  # steps from noise to a design
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """Designs drawn for the highest score of the data, which is what the method believes of them."""
+        data, view = setting.data, setting.data.coordinates
+        learner = Denoiser(self.lr, 1, self.hidden, 1, "swish", self.batch_size)
+        weight = counts(data.y, self.bins, self.smoothing, self.temperature)[:, None]
+        best = (data.y.max() - view.y_mean) / view.y_std
+        # Noise has no bounds, designs do: those of the data where the variables have none.
+        seen = view.encode(data.x)
+        low, high = (np.where(np.isfinite(b), b, e) for b, e in ((view.low, seen.min(0)), (view.high, seen.max(0))))
+        found = []
+        for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ddom", {"weight": weight})):
+            key = jax.random.fold_in(jax.random.key(seed), 1)
+            x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling)
+            found.append(self.decoded(setting, seed, x, np.full(setting.n, best)))
+        return found

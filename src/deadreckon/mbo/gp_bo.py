@@ -1,0 +1,128 @@
+"""Bayesian optimisation without asking: a Gaussian process on the data, and designs of greatest expected improvement (thesis
+6.5).
+
+scikit-learn fits the kernel by marginal likelihood; the improvement over the best score of the data,
+
+    EI(x) = s (u Phi(u) + phi(u)),   u = (m - y_best) / s,
+
+is climbed on its logarithm, which has a slope where the improvement itself is nought (Ament et al. 2023). Nothing is random but
+the designs of the data that are used, where these are too many.
+"""
+
+import warnings
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.errors import UserError
+from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.surrogate import climb
+from deadreckon.training.learner import static
+
+FAR = 5.0  # deviations below the best from where on log EI is that of its asymptote
+
+
+class Process(NamedTuple):
+    """A fitted Gaussian process.
+
+    Attributes:
+        x: (rows, size) coordinates of the data.
+        alpha: (rows,) of the mean k(x) alpha.
+        inverse: (rows, rows) of the kernel matrix with noise.
+        scale: signal variance.
+        length: of the RBF kernel; of the inner product its constant.
+        best: standardised score to improve on.
+        rbf: which of the two kernels it has (1 or 0).
+    """
+
+    x: Float[Array, "r z"]
+    alpha: Float[Array, "r"]
+    inverse: Float[Array, "r r"]
+    scale: Array
+    length: Array
+    best: Array
+    rbf: Array
+
+    def posterior(self, x: Float[Array, "b z"]) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+        """Mean and deviation, without noise."""
+        inner, own = x @ self.x.T, jnp.square(x).sum(-1)
+        distance = jnp.maximum(own[:, None] + jnp.square(self.x).sum(-1) - 2 * inner, 0.0)
+        near = jnp.where(self.rbf > 0, jnp.exp(-0.5 * distance / jnp.square(self.length)), jnp.square(self.length) + inner)
+        prior = jnp.where(self.rbf > 0, 1.0, jnp.square(self.length) + own)
+        k = self.scale * near
+        variance = self.scale * prior - ((k @ self.inverse) * k).sum(-1)
+        return k @ self.alpha, jnp.sqrt(jnp.maximum(variance, 1e-6 * self.scale))
+
+
+def log_improvement(u: Array) -> Array:
+    """log(u Phi(u) + phi(u))."""
+    near = jnp.maximum(u, -FAR)
+    inside = near * jax.scipy.stats.norm.cdf(near) + jax.scipy.stats.norm.pdf(near)
+    low = jnp.minimum(u, -FAR)
+    return jnp.where(u > -FAR, jnp.log(inside), jax.scipy.stats.norm.logpdf(low) - 2 * jnp.log(-low))
+
+
+def worth(process: Process, x: Array) -> Array:
+    """Log of the expected improvement."""
+    mean, std = process.posterior(x)
+    return log_improvement((mean - process.best) / std) + jnp.log(std)
+
+
+class GPBO(Designer):
+    """Expected improvement under a Gaussian process."""
+
+    kernel: Literal["auto", "rbf", "inner"] = static("auto")  # auto: inner product where most variables are categories
+    rows: int = static(1000)  # designs of the data at most: the better half the best ones, the rest drawn
+    ascent: int = static(200)  # steps of the designs
+    design_lr: float = 0.01  # of the designs, times sqrt(coordinates)
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "GP-BO"
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """From the best designs of the data, up the logarithm of the improvement; the same for every seed."""
+        view = setting.data.coordinates
+        process = self.fit(setting)
+        lr, start = self.design_lr * view.size**0.5, Search.start(setting.data, setting.n)
+        x = climb(worth, process, start, self.ascent, lr, *setting.bounds)
+        mean, std = (np.asarray(part) for part in jax.jit(Process.posterior)(process, x))
+        return [self.decoded(setting, seed, x, mean, std) for seed in setting.seeds]
+
+    def fit(self, setting: Setting) -> Process:
+        """The process.
+
+        Raises:
+            UserError: scikit-learn is not installed.
+        """
+        try:
+            from sklearn.exceptions import ConvergenceWarning
+            from sklearn.gaussian_process import GaussianProcessRegressor, kernels
+        except ImportError:
+            raise UserError("gp-bo fits with scikit-learn: pip install 'deadreckon[design]'") from None
+        data, view = setting.data, setting.data.coordinates
+        order = data.best(len(data))
+        if len(order) > self.rows:
+            best, rest = order[: self.rows // 2], order[self.rows // 2 :]
+            drawn = np.random.default_rng(0).choice(rest, self.rows - len(best), replace=False)
+            order = np.concatenate([best, drawn])
+        z = view.encode(data.x[order]).astype(np.float64)
+        y = (data.y[order] - view.y_mean) / view.y_std
+        discrete = sum(v.kind == "categorical" for v in data.variables) > len(data.variables) / 2
+        rbf = self.kernel == "rbf" or (self.kernel == "auto" and not discrete)
+        size = float(view.size)
+        shape = kernels.RBF(size**0.5, (1e-2 * size**0.5, 1e2 * size**0.5)) if rbf else kernels.DotProduct(1.0, (1e-3, 1e3))
+        signal = kernels.ConstantKernel(1.0 if rbf else 1.0 / size, (1e-6, 1e3))
+        kernel: Any = signal * shape + kernels.WhiteKernel(0.1, (1e-6, 1e1))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # data without noise sits on the noise's lower bound
+            found: Any = GaussianProcessRegressor(kernel, alpha=1e-8, random_state=0).fit(z, y).kernel_
+        product = found.k1
+        inverse = np.linalg.inv(found(z) + 1e-8 * np.eye(len(z)))
+        length = product.k2.length_scale if rbf else product.k2.sigma_0
+        parts = z, inverse @ y, inverse, product.k1.constant_value, length, y.max(), float(rbf)
+        return Process(*(jnp.asarray(part, jnp.float32) for part in parts))

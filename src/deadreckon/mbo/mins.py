@@ -1,0 +1,151 @@
+"""MINs: model inversion networks (Kumar and Levine 2020).
+
+The inverse of the score, a design from a score and noise, x = G(z, y), is learned as a conditional Wasserstein GAN with
+gradient penalty, high scores counting more. Designs are asked for with a score beyond the data's, as far as a forward model
+agrees: by ascent on
+
+    y - l (f(G(z, y)) - y)^2 + log p(z) / size(z)      over z and y
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.data.batch import Batch, Needs, redrawn
+from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.forward import Gaussian, mean_of
+from deadreckon.mbo.surrogate import counts
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.training.learner import static
+
+PENALTY = 10.0  # of the gradient's norm
+
+
+class Pair(NamedTuple):
+    """Generator and critic, with their optimisers."""
+
+    generator: MLP
+    critic: MLP
+    generator_opt: optax.OptState
+    critic_opt: optax.OptState
+
+
+def made(generator: MLP, z: Float[Array, "b l"], y: Float[Array, "b"]) -> Float[Array, "b z"]:
+    """G(z, y)."""
+    return generator(jnp.concatenate([z, y[:, None]], -1))
+
+
+class Inversion(eqx.Module):
+    """What `fit` trains: a conditional Wasserstein GAN with gradient penalty."""
+
+    lr: float
+    latent: int = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    turns: int = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+
+    def needs(self, spec):
+        """Designs, scores and how much each counts."""
+        return Needs(columns=(), batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks."""
+        kg, kc = jax.random.split(key)
+        generator = MLP.create(self.latent + 1, self.hidden, spec.size, kg)
+        critic = MLP.create(spec.size + 1, self.hidden, 1, kc)
+        return Pair(generator, critic, begin(generator), begin(critic))
+
+    def update(self, state: Pair, batch: Batch, *, step, key):
+        """One step of the critic, and every `turns` of them one of the generator."""
+        assert batch.extra is not None
+        x, y, weight = batch.extra["x"], batch.extra["y"], batch.extra["weight"]
+        kz, ke = jax.random.split(key)
+        z = jax.random.normal(kz, (len(x), self.latent))
+        fake = made(state.generator, z, y)
+
+        def judge(critic: MLP, x: Array) -> Array:
+            return critic(jnp.concatenate([x, y[:, None]], -1))[:, 0]
+
+        def critic_loss(critic: MLP) -> tuple[Array, Array]:
+            share = jax.random.uniform(ke, (len(x), 1))
+            between = share * x + (1 - share) * fake
+            slope = jax.grad(lambda x: judge(critic, x).sum())(between)
+            penalty = jnp.square(jnp.sqrt(jnp.square(slope).sum(-1) + 1e-12) - 1)
+            gap = judge(critic, fake) - judge(critic, x)
+            return (weight * (gap + PENALTY * penalty)).mean(), -(weight * gap).mean()
+
+        grads, distance = jax.grad(critic_loss, has_aux=True)(state.critic)
+        critic, critic_opt = descend(state.critic, grads, state.critic_opt, self.lr)
+
+        def turn(_: Any) -> tuple[MLP, optax.OptState]:
+            loss = lambda generator: -(weight * judge(critic, made(generator, z, y))).mean()  # noqa: E731
+            return descend(state.generator, jax.grad(loss)(state.generator), state.generator_opt, self.lr)
+
+        keep = lambda _: (state.generator, state.generator_opt)  # noqa: E731
+        generator, generator_opt = jax.lax.cond(step % self.turns == self.turns - 1, turn, keep, None)
+        return Pair(generator, critic, generator_opt, critic_opt), {"distance": distance}
+
+
+class MINs(Designer):
+    """Model inversion networks."""
+
+    hidden: tuple[int, ...] = static((1024, 1024))  # width of each hidden layer of generator and critic
+    latent: int = static(32)  # size of the noise
+    steps: int = static(20_000)  # updates of the critic
+    turns: int = static(5)  # of them for one of the generator
+    batch_size: int = static(128)  # designs an update
+    lr: float = 2e-4  # of generator and critic
+    bins: int = static(64)  # of the scores, for their weights
+    smoothing: float = 0.01  # see `counts`
+    temperature: float = 0.1  # likewise
+    forward_hidden: tuple[int, ...] = static((256, 256))  # of the forward model f
+    forward_steps: int = static(5000)  # its updates
+    forward_lr: float = 3e-4  # its learning rate
+    agreement: float = 1.0  # l: how much f has to agree
+    ascent: int = static(100)  # steps on noise and score
+    ascent_lr: float = 0.02  # of them, with Adam
+
+    def solve(self, setting: Setting) -> list[Proposals]:
+        """Designs for scores that the inverse and the forward model agree on."""
+        data, view = setting.data, setting.data.coordinates
+        weight = {"weight": counts(data.y, self.bins, self.smoothing, self.temperature)}
+        inverse = Inversion(self.lr, self.latent, self.hidden, self.turns, self.batch_size)
+        forward = Gaussian(self.forward_lr, 1, self.forward_hidden, 2, "relu", self.batch_size)
+        pairs = setting.train(inverse, self.steps, "mins", weight)
+        models = setting.train(forward, self.forward_steps, "forward", {"weight": redrawn(len(data), 1, 0)})
+        best = float((data.y.max() - view.y_mean) / view.y_std)
+        found = []
+        for seed, pair, (nets, _) in zip(setting.seeds, pairs, models):
+            z = jax.random.normal(jax.random.fold_in(jax.random.key(seed), 3), (setting.n, self.latent))
+            x, y = _ask(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent)
+            found.append(self.decoded(setting, seed, x, y, np.full(setting.n, np.nan)))
+        return found
+
+
+@partial(jax.jit, static_argnames="steps")
+def _ask(
+    generator: MLP, nets: MLP, z: Array, best: Array, agreement: Array, lr: Array, low: Array, high: Array, *, steps: int
+) -> tuple[Float[Array, "n z"], Float[Array, "n"]]:
+    """Designs, and the forward model's word on them."""
+
+    def loss(asked: tuple[Array, Array]) -> Array:
+        z, y = asked
+        x = jnp.clip(made(generator, z, y), low, high)
+        gap = jnp.square(mean_of(nets, x) - y)
+        return -(y - agreement * gap - 0.5 * jnp.square(z).mean(-1)).sum()
+
+    def step(_: Any, carry: Any) -> Any:
+        asked, opt = carry
+        return descend(asked, jax.grad(loss)(asked), opt, lr)
+
+    first = z, jnp.full(len(z), best)
+    (z, y), _ = jax.lax.fori_loop(0, steps, step, (first, begin(first)))
+    x = jnp.clip(made(generator, z, y), low, high)
+    return x, mean_of(nets, x)
