@@ -22,6 +22,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import climb
 from deadreckon.training.learner import static
 
+NOISE = 1e-3  # least variance of the noise, in variances of the score: with less, 32 bits do not hold the inverse
 FAR = 5.0  # deviations below the best from where on log EI is that of its asymptote
 
 
@@ -117,7 +118,7 @@ class GPBO(Designer):
         size = float(view.size)
         shape = kernels.RBF(size**0.5, (1e-2 * size**0.5, 1e2 * size**0.5)) if rbf else kernels.DotProduct(1.0, (1e-3, 1e3))
         signal = kernels.ConstantKernel(1.0 if rbf else 1.0 / size, (1e-6, 1e3))
-        kernel: Any = signal * shape + kernels.WhiteKernel(0.1, (1e-6, 1e1))
+        kernel: Any = signal * shape + kernels.WhiteKernel(0.1, (NOISE, 1e1))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # data without noise sits on the noise's lower bound
             found: Any = GaussianProcessRegressor(kernel, alpha=1e-8, random_state=0).fit(z, y).kernel_
