@@ -43,3 +43,11 @@ def real_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"no real data at {DATA} (set DEADRECKON_TEST_DATA)")
     return DATA
+
+
+LONGEST = ("tests/training/", "tests/agents/", "tests/runs/", "tests/ope/", "tests/mbo/")
+
+
+def pytest_collection_modifyitems(items):
+    """Folders that take longest go first, so that no worker is left alone with a long file at the end."""
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
