@@ -25,6 +25,7 @@ def _compilation_cache():
     """Compiled programs outlive the session, so that only the first run of the tests pays for them."""
     import jax
 
+    jax.config.update("jax_disable_most_optimizations", os.environ.get(QUICK) == "1")
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
@@ -45,7 +46,14 @@ def real_data() -> Path:
     return DATA
 
 
+QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
 LONGEST = ("tests/training/", "tests/agents/", "tests/runs/", "tests/ope/", "tests/mbo/")
+
+
+def pytest_configure(config):
+    """Programs of fast tests run for moments: to compile them fully costs more than it saves. Slow ones run as a user's do."""
+    if config.option.markexpr == "not slow":
+        os.environ.setdefault(QUICK, "1")  # commands that tests start inherit it
 
 
 def pytest_collection_modifyitems(items):
