@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import hashlib
 import json
 import os
 import shutil
@@ -89,6 +90,11 @@ def read_json(path: Path | str) -> Any:
         raise UserError(f"{path} is not valid JSON: {error}") from error
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def digest(value: Any, size: int) -> str:
+    """`size` bytes in hexadecimal that tell JSON values apart, the same in every process: for names of files."""
+    return hashlib.blake2b(json.dumps(value).encode(), digest_size=size).hexdigest()
 
 
 def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:

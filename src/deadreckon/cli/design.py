@@ -82,7 +82,8 @@ def _propose(name: str, method: Any, options: Design) -> None:
     from deadreckon.report.design import write_design
 
     sign = -1.0 if data.minimise else 1.0
-    more = {"predicted": sign * made.predicted, "doubt": made.doubt, "distance": reach(data, made.x)}
+    far = reach(data, made.x)
+    more = {"predicted": sign * made.predicted, "doubt": made.doubt, "distance": far}
     if scores is not None:
         more["judged"] = sign * scores.true
     written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
@@ -91,18 +92,14 @@ def _propose(name: str, method: Any, options: Design) -> None:
     if scores is not None:
         print(f"{scores}\nthe judge is {problem.about if problem else ''}")
     print(written)
-    print(write_design(data, made, out / "report.html", scores))
+    print(write_design(data, made, far, out / "report.html", scores))
 
 
 def _told(data: Any, made: Any, sign: float) -> list[str]:
     best = sign * float(data.y.max())
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}"]
-    if made.predicted[0] == made.predicted[0]:
-        promised = sign * float(made.predicted.max())
-        lines.append(f"{made.method}: {len(made):,} proposals, the best promises {promised:,.4g} ({made.seconds:,.0f} s)")
-    else:
-        lines.append(f"{made.method}: {len(made):,} proposals ({made.seconds:,.0f} s)")
-    return lines
+    promised = f", the best promises {sign * float(made.predicted.max()):,.4g}" if made.promises else ""
+    return [*lines, f"{made.method}: {len(made):,} proposals{promised} ({made.seconds:,.0f} s)"]
 
 
 def _free(name: str, data: Any) -> str:
@@ -175,14 +172,13 @@ def bench(args: Sequence[str]) -> None:
         raise UserError(f"--paths names {', '.join(sorted(strangers))}, which is not among --problems")
     seeds = range(options.seed, options.seed + options.seeds)
     results = []
+    designers = {name: [(method, designer(method, name)) for method in names] for name in wanted}  # names are checked first
     for name in wanted:
         problem = _problem(name, options.paths.get(name))
-        designers = [(method, designer(method, name)) for method in names]
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
+        asked = {"seeds": seeds, "together": options.together, "out": options.out}
         with Watch() as watch:
-            results += judge(
-                problem, designers, options.n, seeds=seeds, together=options.together, out=options.out, watch=watch, told=told
-            )
+            results += judge(problem, designers[name], options.n, **asked, watch=watch, told=told)
     for q, words in PERCENTILES.items():
         print(f"\n{words}, by the judge\n\n{markdown(results, q)}")
     print(f"\nPromised beyond the truth, in ranges of all data\n\n{exploited(results)}")

@@ -50,7 +50,7 @@ class Bench:
     kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # of logs
     estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # which
     public: bool = False  # importance weights as in the public code: learned behaviour, log-ratios within (-6, 2)
-    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: about an hour a log on one core
+    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: what one core does
     seed: int = 0  # of everything random
     log_steps: int | None = None  # rows of the logs; None: all
     out: str = "runs/dope"  # folder of results; what is there is not computed again

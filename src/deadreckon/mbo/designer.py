@@ -49,6 +49,11 @@ class Proposals:
     def __len__(self) -> int:
         return len(self.x)
 
+    @property
+    def promises(self) -> bool:
+        """Whether the method believes anything of its designs' scores."""
+        return bool(np.isfinite(self.predicted).all())
+
 
 class Setting(NamedTuple):
     """What a designer works on."""

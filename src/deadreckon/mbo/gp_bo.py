@@ -32,7 +32,8 @@ class Process(NamedTuple):
     Attributes:
         x: (rows, size) coordinates of the data.
         alpha: (rows,) of the mean k(x) alpha.
-        inverse: (rows, rows) of the kernel matrix with noise.
+        whiten: (rows, rows) inverse of the Cholesky factor of the kernel matrix with noise; of that matrix itself the inverse
+            would lose twice as many digits.
         scale: signal variance.
         length: of the RBF kernel; of the inner product its constant.
         best: standardised score to improve on.
@@ -41,7 +42,7 @@ class Process(NamedTuple):
 
     x: Float[Array, "r z"]
     alpha: Float[Array, "r"]
-    inverse: Float[Array, "r r"]
+    whiten: Float[Array, "r r"]
     scale: Array
     length: Array
     best: Array
@@ -54,7 +55,7 @@ class Process(NamedTuple):
         near = jnp.where(self.rbf > 0, jnp.exp(-0.5 * distance / jnp.square(self.length)), jnp.square(self.length) + inner)
         prior = jnp.where(self.rbf > 0, 1.0, jnp.square(self.length) + own)
         k = self.scale * near
-        variance = self.scale * prior - ((k @ self.inverse) * k).sum(-1)
+        variance = self.scale * prior - jnp.square(k @ self.whiten.T).sum(-1)
         return k @ self.alpha, jnp.sqrt(jnp.maximum(variance, 1e-6 * self.scale))
 
 
@@ -63,7 +64,9 @@ def log_improvement(u: Array) -> Array:
     near = jnp.maximum(u, -FAR)
     inside = near * jax.scipy.stats.norm.cdf(near) + jax.scipy.stats.norm.pdf(near)
     low = jnp.minimum(u, -FAR)
-    return jnp.where(u > -FAR, jnp.log(inside), jax.scipy.stats.norm.logpdf(low) - 2 * jnp.log(-low))
+    square = 1 / jnp.square(low)
+    tail = square * (-3 + square * (15 - 105 * square))  # phi(u) / u^2 (1 - 3/u^2 + 15/u^4 - ...)
+    return jnp.where(u > -FAR, jnp.log(inside), jax.scipy.stats.norm.logpdf(low) - 2 * jnp.log(-low) + jnp.log1p(tail))
 
 
 def worth(process: Process, x: Array) -> Array:
@@ -123,7 +126,7 @@ class GPBO(Designer):
             warnings.simplefilter("ignore", ConvergenceWarning)  # data without noise sits on the noise's lower bound
             found: Any = GaussianProcessRegressor(kernel, alpha=1e-8, random_state=0).fit(z, y).kernel_
         product = found.k1
-        inverse = np.linalg.inv(found(z) + 1e-8 * np.eye(len(z)))
+        whiten = np.linalg.inv(np.linalg.cholesky(found(z) + 1e-8 * np.eye(len(z))))
         length = product.k2.length_scale if rbf else product.k2.sigma_0
-        parts = z, inverse @ y, inverse, product.k1.constant_value, length, y.max(), float(rbf)
+        parts = z, whiten.T @ (whiten @ y), whiten, product.k1.constant_value, length, y.max(), float(rbf)
         return Process(*(jnp.asarray(part, jnp.float32) for part in parts))

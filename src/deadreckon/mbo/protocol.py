@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
+from deadreckon.files import digest, read_json, write_json
 from deadreckon.mbo.designer import Designer, Watcher
 from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.ope.intervals import student
@@ -108,13 +108,12 @@ def judge(
         watch: called while something is fitted.
         told: called with every result.
     """
+    data = hashlib.blake2b(problem.visible.x.tobytes() + problem.visible.y.tobytes(), digest_size=8).hexdigest()
     results = []
     for name, designer in designers:
-        data = hashlib.blake2b(problem.visible.x.tobytes() + problem.visible.y.tobytes(), digest_size=8).hexdigest()
         asked = {"name": name, "settings": str(designer), "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
-        digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=4).hexdigest()
         folder = None if out is None else Path(out) / problem.name
-        path = None if folder is None else folder / f"{name}-{digest}.json"
+        path = None if folder is None else folder / f"{name}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
             result = _from_json(read_json(path)["result"])
         else:

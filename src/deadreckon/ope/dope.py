@@ -5,7 +5,6 @@ stored beside them (`policies/library.py`). The logs are the package's own (`hop
 """
 
 import dataclasses
-import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +18,7 @@ import numpy as np
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
+from deadreckon.files import digest, read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
 from deadreckon.ope.registry import Function, as_estimator
@@ -112,10 +111,9 @@ def evaluate_log(
     for given in estimators:
         found = as_estimator(given)
         asked = {"settings": str(found), "seed": seed, "log": data.fingerprint, "truth": truth.tolist()}
-        digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=4).hexdigest()
         # What a function does is not in its name, so its results are not kept.
         folder = None if out is None or isinstance(found, Function) else Path(out) / data.name
-        path = None if folder is None else folder / f"{type(found).__name__}-{digest}.json"
+        path = None if folder is None else folder / f"{type(found).__name__}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
             result = _from_json(read_json(path)["result"])
         else:
@@ -159,18 +157,6 @@ def _from_json(fields: Mapping[str, Any]) -> Result:
     arrays: dict[str, Any] = {n: np.asarray(fields[n], float) for n in ("truth", "errors", "estimates", "low", "high")}
     tuples: dict[str, Any] = {name: tuple(fields[name]) for name in ("names", "warnings")}
     return Result(**{**fields, **arrays, **tuples})
-
-
-def read_results(out: Path | str) -> list[Result]:
-    """All results in a folder that `evaluate_log` filled, in order of logs and names.
-
-    Raises:
-        UserError: there are none.
-    """
-    found = [_from_json(read_json(path)["result"]) for path in sorted(Path(out).glob("*/*.json"))]
-    if not found:
-        raise UserError(f"no results in {out}")
-    return found
 
 
 class Cell(NamedTuple):

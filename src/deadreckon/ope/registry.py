@@ -37,8 +37,8 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
 }
 # Weights as in the code that the thesis used (8.5).
 PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE}
-# What one core does in about an hour for all of them, on a log of a million rows. FQE-D's critics are renewed as many times
-# as in 25,000 updates of the full setting: fewer would leave out the rewards of the far future.
+# What one core does on a log of a million rows; docs/results/dope.md says in what time. FQE-D's critics are renewed as many
+# times as in 25,000 updates of the full setting: fewer would leave out the rewards of the far future.
 _MARGINAL = {"steps": 20_000, "members": 1, "batch_size": 512, "lr": 3e-4}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     **{name: {"steps": 20_000} for name in ("fqe", "dr", "plain-dr", "magic", "mb-ff")},

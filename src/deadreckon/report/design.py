@@ -8,7 +8,6 @@ from deadreckon.data.designs import Designs
 from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.problems.problem import Scores
-from deadreckon.mbo.reach import reach
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
@@ -20,16 +19,16 @@ COLUMNS = 10  # variables in the table
 FAR = 3.0  # beyond so many usual distances a design is called far
 
 
-def write_design(data: Designs, made: Proposals, out: Path | str, scores: Scores | None = None) -> Path:
+def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | str, scores: Scores | None = None) -> Path:
     """Writes one self-contained HTML page about proposals.
 
     Args:
         data: the scored designs that they rest on.
         made: the proposals.
+        far: (n,) how far each lies from the data (`mbo.reach`).
         out: the page; an old one is replaced.
         scores: what they are truly worth, where there is a judge.
     """
-    far = reach(data, made.x)
     sign = -1.0 if data.minimise else 1.0
     sections: list[tuple[str, str, Markup | None]] = [
         ("promised", "Promised and kept" if scores else "Promised, and how far out", _chart(data, made, far, scores, sign)),
@@ -47,7 +46,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     """The most important thing in a sentence or two."""
     best = number(sign * float(data.y.max()))
     parts = [f"The best of the data has {data.target} {best}."]
-    if np.isfinite(made.predicted).all():
+    if made.promises:
         parts.append(f"The best proposal promises {number(sign * float(made.predicted.max()))}.")
     if scores is not None:
         kept, middle = (number(sign * scores.percentile(q)) for q in (100, 50))
@@ -59,7 +58,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
 
 
 def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None, sign: float) -> Markup:
-    if np.isnan(made.predicted).all():
+    if not made.promises:
         return note(f"{made.method} promises nothing.")
     across = far if scores is None else sign * scores.true
     doubt = np.where(np.isfinite(made.doubt), 1.96 * made.doubt, np.nan)
@@ -80,7 +79,7 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
 
 
 def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None, sign: float) -> Markup:
-    """The proposals that promise most, in the data's own words."""
+    """The proposals that promise most, or the first, in the data's own words."""
     order = np.argsort(-made.predicted, kind="stable")[:SHOWN]
     table = data.decode(made.x[order])
     names = list(table)[:COLUMNS]
@@ -95,5 +94,6 @@ def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in heads]))
     left = len(table) - len(names)
     more = f" {left:,} more variables are in the CSV." if left else ""
-    shown = f"The {len(order)} that promise most, of {len(made):,}." if len(made) > len(order) else "All of them."
+    which = f"{len(order)} that promise most" if made.promises else f"first {len(order)}"
+    shown = f"The {which}, of {len(made):,}." if len(made) > len(order) else "All of them."
     return join(scroll(tag("table", head, tag("tbody", rows))), note(f"{shown}{more}"))

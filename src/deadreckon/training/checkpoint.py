@@ -1,6 +1,5 @@
 """Pytrees of arrays on disk, without pickle, in files that are either whole or absent."""
 
-import hashlib
 import json
 import zipfile
 from pathlib import Path
@@ -10,15 +9,14 @@ import jax
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.files import replacing, write_json
+from deadreckon.files import digest, replacing, write_json
 
 _META = "meta.json"
 
 
 def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
     """Where the checkpoints of a fit lie: a folder of its own for everything that was asked for, with a note that says it."""
-    digest = hashlib.blake2b(json.dumps(asked).encode(), digest_size=6).hexdigest()
-    folder = out / f"{what}-{digest}"
+    folder = out / f"{what}-{digest(asked, 6)}"
     if not (folder / "asked.json").exists():
         write_json(folder / "asked.json", asked)
     return folder

@@ -1,16 +1,12 @@
 """Random forests as oracles: trained once with scikit-learn, kept as plain arrays, so that judging needs numpy alone."""
 
-import hashlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.files import home
+from deadreckon.mbo.problems.oracle import Kept, kept, split
 from deadreckon.ope.metrics import rank_correlation
-from deadreckon.training.checkpoint import load_arrays, save_arrays
-
-HELD_OUT = 0.1  # share of the data that measures the oracle
 
 
 @dataclass(frozen=True)
@@ -58,24 +54,18 @@ def forest(name: str, features: np.ndarray, y: np.ndarray, *, trees: int = 100, 
         UserError: it has to be trained and scikit-learn is not installed.
     """
     features = np.ascontiguousarray(features, np.float32)
-    digest = hashlib.blake2b(features.tobytes(), digest_size=8)
-    digest.update(np.ascontiguousarray(y, np.float64).tobytes() + repr((trees, max_features, HELD_OUT)).encode())
-    place = home() / "designs" / "oracles" / f"{name}-{digest.hexdigest()}.npz"
-    if not place.exists():
-        found = _train(name, features, y, trees, max_features)
-        arrays = {key: value for key, value in vars(found).items() if isinstance(value, np.ndarray)}
-        save_arrays(place, arrays, {"rank_correlation": found.rank_correlation, "held_out": found.held_out})
-    arrays, meta = load_arrays(place)
-    return Forest(**arrays, rank_correlation=meta["rank_correlation"], held_out=meta["held_out"])
+    y = np.ascontiguousarray(y, np.float64)
+    train = lambda: _train(name, features, y, trees, max_features)  # noqa: E731
+    arrays, known = kept(name, features, y, (trees, max_features), train)
+    return Forest(**arrays, **known)
 
 
-def _train(name: str, features: np.ndarray, y: np.ndarray, trees: int, max_features: float) -> Forest:
+def _train(name: str, features: np.ndarray, y: np.ndarray, trees: int, max_features: float) -> Kept:
     try:
         from sklearn.ensemble import RandomForestRegressor
     except ImportError:
         raise UserError(f"{name} trains its oracle with scikit-learn: pip install 'deadreckon[design]'") from None
-    order = np.random.default_rng(0).permutation(len(y))
-    out, rest = np.split(order, [round(HELD_OUT * len(y))])
+    out, rest = split(len(y))
     model = RandomForestRegressor(trees, max_features=max_features, random_state=0, n_jobs=-1).fit(features[rest], y[rest])
     grown = [tree.tree_ for tree in model.estimators_]
     roots = np.cumsum([0, *(tree.node_count for tree in grown[:-1])])
@@ -87,6 +77,6 @@ def _train(name: str, features: np.ndarray, y: np.ndarray, trees: int, max_featu
         right.append(np.where(leaf, -1, tree.children_right + root).astype(np.int32))
         feature.append(np.where(leaf, 0, tree.feature).astype(np.int32))
         threshold.append(np.where(leaf, tree.value[:, 0, 0], tree.threshold))
-    arrays = np.concatenate(right), np.concatenate(feature), np.concatenate(threshold), roots.astype(np.int32)
-    known = rank_correlation(model.predict(features[out]), y[out])
-    return Forest(*arrays, rank_correlation=known, held_out=len(out))
+    nodes = {"right": right, "feature": feature, "threshold": threshold}
+    arrays = {"roots": roots.astype(np.int32), **{key: np.concatenate(parts) for key, parts in nodes.items()}}
+    return arrays, {"rank_correlation": rank_correlation(model.predict(features[out]), y[out]), "held_out": len(out)}

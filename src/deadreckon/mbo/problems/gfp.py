@@ -4,7 +4,6 @@ The oracle is a model of global epistasis (Otwinowski et al. 2018): every substi
 amounts, and the brightness is a nonlinear function of the traits. Substitutions that nobody has measured move nothing.
 """
 
-import hashlib
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -20,13 +19,11 @@ from pyarrow import csv
 from deadreckon.data.designs import Designs, Variable
 from deadreckon.data.layout import reading
 from deadreckon.errors import UserError
-from deadreckon.files import home
-from deadreckon.mbo.problems.forest import HELD_OUT
+from deadreckon.mbo.problems.oracle import Kept, kept, split
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.metrics import rank_correlation
-from deadreckon.training.checkpoint import load_arrays, save_arrays
 
 FILE = "avgfp.tsv"
 SOURCE = "variants of the wild type and their log10 brightness, a TSV with columns variant and score, as in nn4dms"
@@ -130,21 +127,19 @@ class Epistasis(NamedTuple):
     @classmethod
     def of(cls, x: np.ndarray, y: np.ndarray) -> "Epistasis":
         """Trained where it is not known yet; a tenth of the rows, always the same, is held out."""
-        digest = hashlib.blake2b(x.tobytes() + y.tobytes(), digest_size=8)
-        digest.update(repr((TRAITS, HIDDEN, MEMBERS, STEPS, BATCH, LR, HELD_OUT)).encode())
-        place = home() / "designs" / "oracles" / f"gfp-{digest.hexdigest()}.npz"
         like = ensemble(Traits.create, MEMBERS, jax.random.key(0))
-        if not place.exists():
-            out, rest = np.split(np.random.default_rng(0).permutation(len(y)), [round(HELD_OUT * len(y))])
+
+        def train() -> Kept:
+            out, rest = split(len(y))
             mean, std = float(y[rest].mean()), float(y[rest].std())
             models = _fit(like, jnp.asarray(x[rest]), jnp.asarray((y[rest] - mean) / std, jnp.float32))
-            found = cls(models, mean, std, 0.0, len(out))
-            correlation = rank_correlation(found(x[out]), y[out])
+            correlation = rank_correlation(cls(models, mean, std, 0.0, len(out))(x[out]), y[out])
             arrays = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(models))}
-            save_arrays(place, arrays, {"mean": mean, "std": std, "rank_correlation": correlation, "held_out": len(out)})
-        arrays, meta = load_arrays(place)
+            return arrays, {"mean": mean, "std": std, "rank_correlation": correlation, "held_out": len(out)}
+
+        arrays, known = kept("gfp", x, y, (TRAITS, HIDDEN, MEMBERS, STEPS, BATCH, LR), train)
         leaves = [jnp.asarray(arrays[str(i)]) for i in range(len(arrays))]
-        return cls(jax.tree.unflatten(jax.tree.structure(like), leaves), **meta)
+        return cls(jax.tree.unflatten(jax.tree.structure(like), leaves), **known)
 
 
 @eqx.filter_jit

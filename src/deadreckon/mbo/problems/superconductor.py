@@ -32,18 +32,20 @@ _HYDROGEN = {"D": "H", "T": "H"}
 
 
 @cache
+def _table() -> tuple[list[str], dict[str, np.ndarray]]:
+    text = files("deadreckon.mbo.problems").joinpath("elements.csv").read_text("utf-8")
+    head, *rows = csv.reader(text.splitlines())
+    return head[1:], {symbol: np.array([float(v) if v else np.nan for v in values]) for symbol, *values in rows}
+
+
 def elements() -> dict[str, np.ndarray]:
     """Symbol -> (8,) properties of the elements H to Rn; NaN where a value is not known."""
-    text = files("deadreckon.mbo.problems").joinpath("elements.csv").read_text("utf-8")
-    _, *rows = csv.reader(text.splitlines())
-    return {symbol: np.array([float(v) if v else np.nan for v in values]) for symbol, *values in rows}
+    return _table()[1]
 
 
-@cache
-def properties() -> tuple[str, ...]:
+def properties() -> list[str]:
     """Names of the eight."""
-    text = files("deadreckon.mbo.problems").joinpath("elements.csv").read_text("utf-8")
-    return tuple(text.split("\n", 1)[0].split(",")[1:])
+    return _table()[0]
 
 
 def amounts(formula: str) -> dict[str, float]:

@@ -100,9 +100,7 @@ def synthetic(
     return hidden(name, full, oracle, about, most=shown, optimum=found.optimum)
 
 
-def nk(
-    *, length: int = 8, letters: int = 4, neighbours: int = 2, shown: float = 50.0, seed: int = 0
-) -> Problem:
+def nk(*, length: int = 8, letters: int = 4, neighbours: int = 2, shown: float = 50.0, seed: int = 0) -> Problem:
     """An NK landscape (Kauffman and Weinberger 1989): every design's score is known, the better part is hidden.
 
     A site's worth, drawn evenly from [0, 1], depends on its letter and those of the `neighbours` sites after it; a design's is
