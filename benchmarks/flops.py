@@ -19,9 +19,10 @@ of the machine's rate divides these counts by time.
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from statistics import fmean
 from typing import Any
 
-from protocol import POLICIES
+from protocol import NEMO, POLICIES
 
 
 def products(dims: Sequence[int]) -> int:
@@ -70,6 +71,8 @@ def needed(opts: dict[str, Any]) -> float:
         return train(b, net["actor"])
     if case == "fqe":  # what the policies do is looked up
         return POLICIES * (forward(b, net["critic"]) + train(b, net["critic"]))
+    if case == "nemo":
+        return nemo(b)
     critics = 2 * train(b, net["critic"])
     if case == "td3_bc":
         target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
@@ -91,10 +94,18 @@ def needed(opts: dict[str, Any]) -> float:
     return target + critics + actor + behaviour
 
 
+def nemo(b: int) -> float:
+    """Every model learns from a batch and a claimed design; designs go up the mean of the slow copies."""
+    dims = [NEMO["size"], NEMO["width"], NEMO["width"], 1]
+    return NEMO["bins"] * (train(b, dims) + train(1, dims) + through(NEMO["designs"], dims, NEMO["size"]))
+
+
 def peer(opts: dict[str, Any]) -> float:
-    """An update of d3rlpy 2.8.1, with the work it could have left out."""
+    """An update of d3rlpy 2.8.1, with the work it could have left out; of NEMO in PyTorch, the same as ours."""
     b, o, a, net = opts["batch"], opts["observation"], opts["action"], networks(opts)
     case = opts["peer"]
+    if case == "nemo":
+        return nemo(b)
     if case == "bc":
         return train(b, net["actor"])
     if case == "fqe":  # the policy is SAC's, of which the mean is taken and the deviation computed too
@@ -116,18 +127,18 @@ def peer(opts: dict[str, Any]) -> float:
     return target + critics + actor + vae + mmd
 
 
-def of_program(function: Callable[..., Any], *arguments: Any) -> float:
+def of_program(function: Callable[..., Any], *arguments: Any, branches: Callable[[list[float]], float] = fmean) -> float:
     """Matrix-product operations in a JAX function, from its jaxpr: what our program says it does.
 
-    Branches of a `cond` count with their mean (right for an actor that moves every other update), the body of a `while`
+    `branches` of a `cond` count with their mean (right for an actor that moves every other update), the body of a `while`
     once. Before XLA removes dead code, so an upper bound.
     """
     import jax
 
-    return _count(jax.make_jaxpr(function)(*arguments).jaxpr)
+    return _count(jax.make_jaxpr(function)(*arguments).jaxpr, branches)
 
 
-def _count(jaxpr: Any) -> float:
+def _count(jaxpr: Any, branches: Callable[[list[float]], float]) -> float:
     total = 0.0
     for equation in jaxpr.eqns:
         name, params = equation.primitive.name, equation.params
@@ -139,10 +150,10 @@ def _count(jaxpr: Any) -> float:
                 depth *= left[axis]
             total += 2 * depth * equation.outvars[0].aval.size
         elif name == "cond":
-            total += sum(_count(branch.jaxpr) for branch in params["branches"]) / len(params["branches"])
+            total += branches([_count(branch.jaxpr, branches) for branch in params["branches"]])
         else:
             values = [p for value in params.values() for p in (value if isinstance(value, tuple | list) else [value])]
             inner = [getattr(value, "jaxpr", value) for value in values]  # closed jaxprs wrap open ones
             repeats = params["length"] if name == "scan" else 1
-            total += repeats * sum(_count(value) for value in inner if hasattr(value, "eqns"))
+            total += repeats * sum(_count(value, branches) for value in inner if hasattr(value, "eqns"))
     return total

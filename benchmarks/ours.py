@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from statistics import fmean
 from typing import Any
 
 import flops
@@ -13,7 +14,11 @@ import protocol
 from deadreckon.agents import agent_class
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.designs import Designs, Variable
+from deadreckon.data.points import Points
 from deadreckon.data.view import View
+from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.nemo import NEMO
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.estimate import Case
 from deadreckon.ope.fqe import FQE
@@ -30,6 +35,8 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
     """
     if agent_name not in protocol.CASES:
         raise protocol.BenchError(f"unknown case {agent_name!r}: choose from {', '.join(protocol.CASES)}")
+    if options["peer"] == "nemo":
+        return _nemo(options)
     log = Dataset.from_arrays(**protocol.synthetic_log(options))
     if options["peer"] == "fqe":
         return _fqe(log, options)
@@ -58,7 +65,22 @@ def _fqe(log: Dataset, options: dict[str, Any]) -> Callable[[int], int]:
     return _walker(learner, rows, settings, options)
 
 
-def _walker(learner: Any, rows: Rows, settings: str, options: dict[str, Any]) -> Callable[[int], int]:
+def _nemo(options: dict[str, Any]) -> Callable[[int], int]:
+    """Models and designs by turns, from the first update on."""
+    x, y = protocol.synthetic_designs(options)
+    data = Designs.from_arrays(x, y, [Variable(f"x{i}") for i in range(x.shape[1])])
+    fields = {"bins": protocol.NEMO["bins"], "hidden": (options["width"],) * 2, "batch_size": options["batch"]}
+    designer = NEMO(**fields, pretrain=0, ratio=1, lr=0.005)
+    nothing = lambda what, step, steps: None  # noqa: E731
+    learner = designer.training(Setting(data, protocol.NEMO["designs"], [0], None, nothing))
+    settings = ", ".join(f"{k} {v}" for k, v in fields.items())
+    # Designs rise in every update, which a condition decides: the branch that does more is the one taken.
+    return _walker(learner, Points(data, learner.needs(data.coordinates)), settings, options, max)
+
+
+def _walker(
+    learner: Any, rows: Any, settings: str, options: dict[str, Any], branches: Callable[[list[float]], float] = fmean
+) -> Callable[[int], int]:
     walk = Fit([learner], rows, [options["seed"]], 10**9, chunk=CHUNK).chunks()
 
     def run(n_updates: int) -> int:
@@ -69,10 +91,11 @@ def _walker(learner: Any, rows: Rows, settings: str, options: dict[str, Any]) ->
         return done
 
     columns = rows.take(np.arange(options["batch"]))
-    extra = {name: jnp.asarray(columns.pop(name)) for name in rows.extra}
+    own = rows.extra if isinstance(rows, Rows) else list(columns)
+    extra = {name: jnp.asarray(columns.pop(name)) for name in own}
     batch = Batch(**{name: jnp.asarray(column) for name, column in columns.items()}, extra=extra or None)
     state = learner.init(rows.spec, jax.random.key(0))
     update = lambda s, b: learner.update(s, b, step=jnp.int32(0), key=jax.random.key(0))  # noqa: E731
-    run.flops = flops.of_program(update, state, batch)  # type: ignore[attr-defined]
+    run.flops = flops.of_program(update, state, batch, branches=branches)  # type: ignore[attr-defined]
     run.settings = settings  # type: ignore[attr-defined]
     return run

@@ -1,4 +1,4 @@
-"""Worker that times d3rlpy's updates. Started by speed.py with the peer's Python: it never sees our package.
+"""Worker that times the peers' updates. Started by speed.py with the peer's Python: it never sees our package.
 
 Timed is the body of d3rlpy's own offline loop: sample a batch from its replay buffer, `algo.update(batch)`. Its logger,
 its progress bar and its per-step stopwatch are left out, which flatters it a little.
@@ -12,6 +12,7 @@ from typing import Any
 
 warnings.filterwarnings("ignore")
 
+import peer_nemo  # noqa: E402
 import protocol  # noqa: E402
 import torch  # noqa: E402
 from d3rlpy.algos import BCConfig, BEARConfig, SACConfig, TD3PlusBCConfig  # noqa: E402
@@ -69,6 +70,8 @@ def config(opts: dict[str, Any]) -> Any:
 def build(opts: dict[str, Any]) -> tuple[Callable[[int], int], dict[str, Any]]:
     torch.set_num_threads(opts["threads"])
     torch.manual_seed(opts["seed"])
+    if opts["peer"] == "nemo":
+        return timed(peer_nemo.learner(opts))
     log = protocol.synthetic_log(opts)
     data = MDPDataset(
         log["observations"],
@@ -90,6 +93,11 @@ def build(opts: dict[str, Any]) -> tuple[Callable[[int], int], dict[str, Any]]:
             raise protocol.BenchError(f"d3rlpy's {bad[0]} is not finite")  # its speed would not be the real one
         return updates
 
+    return timed(run)
+
+
+def timed(run: Callable[[int], int]) -> tuple[Callable[[int], int], dict[str, Any]]:
+    """With the operations of an update, counted by torch."""
     run(2)  # optimisers make their state in the first step
     with FlopCounterMode(display=False) as counter:
         run(2)  # two, for the delayed actor

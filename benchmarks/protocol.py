@@ -25,8 +25,11 @@ CASES: dict[str, tuple[str, str | None, int | None]] = {
     "bear-vae": ("bear", "vae", None),
     "bear-vae-750": ("bear", "vae", 750),  # the width of the published code's VAE
     "fqe-11": ("fqe", None, None),  # fitted Q evaluation of 11 policies: an update is one of each policy's critic
+    "nemo-40": ("nemo", None, None),  # an update of 40 models and 128 designs; the peer is a loop over models in PyTorch
 }
 POLICIES = 11  # of the case fqe-11, a DOPE task's
+# Of the case nemo-40, as in the thesis for Superconductor; `bins` are also the models, `size` is that of a design.
+NEMO = {"bins": 40, "designs": 128, "size": 81, "batch": 128, "width": 256}
 
 
 class BenchError(Exception):
@@ -38,6 +41,8 @@ def options(case: str, *, batch: int, width: int, threads: int, rows: int = 100_
     if case not in CASES:
         raise BenchError(f"unknown case {case!r}: choose from {', '.join(CASES)}")
     peer, behaviour, behaviour_width = CASES[case]
+    if peer == "nemo":
+        batch, width = NEMO["batch"], NEMO["width"]
     return {
         "case": case,
         "peer": peer,
@@ -70,6 +75,14 @@ def synthetic_log(opts: dict[str, Any]) -> dict[str, Any]:
         "terminals": np.zeros(rows, bool),
         "timeouts": timeouts,
     }
+
+
+def synthetic_designs(opts: dict[str, Any]) -> tuple[Any, Any]:
+    """Designs (rows, size) and scores; noise, too."""
+    import numpy as np
+
+    rng = np.random.default_rng(opts["seed"])
+    return rng.standard_normal((opts["rows"], NEMO["size"]), dtype=np.float32), rng.uniform(size=opts["rows"])
 
 
 def product_rate(multiply: Callable[[], Any], flops: float, seconds: float) -> float:

@@ -7,14 +7,15 @@ import pytest
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
-def test_operations_by_hand_are_those_of_the_program(monkeypatch):
-    """Of fitted Q evaluation: the program may do a little more, never less than it is credited with."""
+@pytest.mark.parametrize("case", ["fqe-11", "nemo-40"])
+def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
+    """Of fitted Q evaluation and NEMO: the program may do a little more, never less than it is credited with."""
     monkeypatch.syspath_prepend(str(FOLDER))
     import flops
     import ours
     import protocol
 
-    options = protocol.options("fqe-11", batch=64, width=64, threads=1, rows=500)
-    program = ours.make_ours("fqe-11", options).flops
+    options = protocol.options(case, batch=64, width=64, threads=1, rows=500)
+    program = ours.make_ours(case, options).flops
     assert flops.needed(options) <= program * 1.001
     assert program == pytest.approx(flops.needed(options), rel=0.05)

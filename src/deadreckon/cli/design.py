@@ -1,6 +1,7 @@
-"""`deadreckon design`: designs that should score high, from scored ones alone; `design problems`, `methods`, `bench`."""
+"""`deadreckon design`: designs that should score high, from scored ones alone; `design problems`, `get`, `methods`, `bench`."""
 
 import dataclasses
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from deadreckon.cli.parse import chosen, parse
-from deadreckon.cli.progress import Watch
+from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
 
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
@@ -17,7 +18,7 @@ _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 @dataclass
 class Design:
-    """Propose designs that should score high; --method NAME chooses how. See also `design problems|methods|bench`."""
+    """Propose designs that should score high; --method NAME chooses how. See also `design problems|get|methods|bench`."""
 
     data: str | None = None  # CSV of scored designs, a row each
     target: str | None = None  # its column to make large
@@ -48,8 +49,8 @@ class Bench:
 
 def design(args: Sequence[str]) -> None:
     """Proposes, writes and prints."""
-    if args and args[0] in ("problems", "methods", "bench"):
-        return {"problems": problems, "methods": methods, "bench": bench}[args[0]](args[1:])
+    if args and args[0] in _MORE:
+        return _MORE[args[0]](args[1:])
     from deadreckon.mbo.registry import DESIGNERS, designer
 
     name, rest = chosen("method", args)
@@ -134,6 +135,7 @@ def problems(args: Sequence[str]) -> None:
     from deadreckon.cli.show import table
     from deadreckon.files import home
     from deadreckon.mbo import PROBLEMS
+    from deadreckon.mbo.problems.download import SOURCES
 
     parse(Nothing, args, "design problems")
     rows = [["problem", "file", "what"]]
@@ -141,7 +143,28 @@ def problems(args: Sequence[str]) -> None:
         there = "" if known.file is None or (home() / "designs" / known.file).is_file() else " (missing)"
         rows.append([name, f"{known.file or '-'}{there}", known.about])
     print(table(rows))
-    print(f"\nfiles lie in {home() / 'designs'}, or are given with --path")
+    print(f"\nfiles lie in {home() / 'designs'}, or are given with --path; `deadreckon design get NAME` downloads those of")
+    print(f"{', '.join(SOURCES)}")
+
+
+@dataclass
+class Get:
+    """Download the file of a problem; what is there goes on from where it stopped."""
+
+    name: Annotated[str, tyro.conf.Positional]  # of the problem
+    force: bool = False  # download it again
+
+
+def get(args: Sequence[str]) -> None:
+    """Downloads a problem's file."""
+    from deadreckon.mbo.problems.download import get as download
+
+    options = parse(Get, args, "design get")
+    with Bar(f"downloading the file of {options.name}", None, "bytes") as bar:
+        path, new = download(options.name, force=options.force, progress=bar)
+    if not new:
+        print(f"! {path.name} is there already; --force downloads it again", file=sys.stderr)
+    print(path)
 
 
 def methods(args: Sequence[str]) -> None:
@@ -182,3 +205,6 @@ def bench(args: Sequence[str]) -> None:
     for q, words in PERCENTILES.items():
         print(f"\n{words}, by the judge\n\n{markdown(results, q)}")
     print(f"\nPromised beyond the truth, in ranges of all data\n\n{exploited(results)}")
+
+
+_MORE = {"problems": problems, "get": get, "methods": methods, "bench": bench}

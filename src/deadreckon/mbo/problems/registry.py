@@ -11,6 +11,7 @@ from deadreckon.mbo.problems.gfp import gfp
 from deadreckon.mbo.problems.hopper_controller import hopper_controller
 from deadreckon.mbo.problems.molecule import FILE as MOLECULE_FILE
 from deadreckon.mbo.problems.molecule import molecule
+from deadreckon.mbo.problems.morphology import morphology
 from deadreckon.mbo.problems.problem import Problem
 from deadreckon.mbo.problems.superconductor import FILE as SUPERCONDUCTOR_FILE
 from deadreckon.mbo.problems.superconductor import superconductor
@@ -29,6 +30,8 @@ class Known(NamedTuple):
 
 PROBLEMS: dict[str, Known] = {
     "hopper-controller": Known(hopper_controller, "5,126 weights of a controller; MuJoCo judges (thesis 6.5)"),
+    "ant-morphology": Known(partial(morphology, "ant-morphology"), "60 numbers of an ant's legs; MuJoCo judges (thesis 6.5)"),
+    "dkitty-morphology": Known(partial(morphology, "dkitty-morphology"), "56 numbers of a kitty's legs; MuJoCo judges"),
     "superconductor": Known(
         superconductor, "81 statistics of a material; a random forest judges its critical temperature", SUPERCONDUCTOR_FILE
     ),
