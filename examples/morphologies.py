@@ -1,93 +1,102 @@
-"""The controllers and data of the two morphology problems: how they were made.
+"""The gaits and the data of the two morphology problems: how they were made.
 
-    python examples/morphologies.py --train          (a quarter of an hour a robot on one core; goes on where it was stopped)
-    python examples/morphologies.py --collect          (half an hour a robot on one core)
+    python examples/morphologies.py --gait          (a quarter of an hour a robot)
+    python examples/morphologies.py --collect          (half an hour a robot)
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import tyro
 
-import deadreckon as dr
-from deadreckon.agents.sac import SAC
-from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.collect.online import Online
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.mbo.problems.morphology import STEPS, designs_of, returns, stored
-from deadreckon.policies import save
+from deadreckon.mbo.problems.morphology import STEPS, Gait, designs_of, returns, stored
 from deadreckon.tasks.morphology import ANT, KITTY, Morphology
 
 ROBOTS = {"ant": ANT, "dkitty": KITTY}
-SETTINGS = Online(copies=16, explore=9600, updates_per_step=0.25)
-AGENT = SAC(hidden=(128, 128))
-RUNS, POPULATION, DEVIATION = 10, 24, 0.1  # of CMA-ES: runs, designs an iteration, first deviation in half ranges
-DESIGNS = 25_009  # as many as Design-Bench has
+SWING = {"ant": 0.3, "dkitty": 0.1}  # of the gait that the search begins with; a kitty falls over large ones
+GAITS, BODIES = 16, 6  # of CMA-ES for a gait, an iteration. The first iterations know the default body alone.
+# CMA-ES for data: runs, designs an iteration, first deviation in half ranges.
+RUNS, POPULATION, DEVIATION = 10, 24, 0.1
 
 
 @dataclass
 class Options:
-    """Controllers by online SAC, data by CMA-ES."""
+    """Gaits and data by CMA-ES."""
 
     only: tuple[str, ...] = tuple(ROBOTS)  # of these
-    train: bool = False  # train controllers and ship them
-    steps: int = 400_000  # environment steps of the training
-    collect: bool = False  # run CMA-ES and ship what it tried out
-    designs: int = DESIGNS  # how many that are
-    out: str = "runs"  # training runs are OUT/sac-ROBOT
+    gait: bool = False  # find gaits
+    iterations: tuple[int, int] = (80, 80)  # on the default body, and on bodies around it
+    collect: bool = False  # try out designs
+    designs: int = 25_009  # how many; as many as Design-Bench has
+    seed: int = 0  # of everything random
 
 
 def main(options: Options) -> None:
     """Does what is asked for."""
-    cache_compiled_programs()
-    for name in options.only:
-        task = ROBOTS[name]
-        if options.train:
-            train(task, options.steps, Path(options.out) / f"sac-{task.name}")
-        if options.collect:
-            collect(task, options.designs)
-
-
-def train(task: Morphology, steps: int, out: Path) -> None:
-    """Trains, and ships the last policy."""
-    with Bar(f"sac in {task.name}", SETTINGS.updates(steps), "updates") as bar:
-        run = dr.train_online(
-            AGENT, task, steps=steps, settings=SETTINGS, evaluate_every=20_000, episodes=32, out=out, resume=True,
-            watch=lambda progress, updates: bar(progress.step, updates),
-        )  # fmt: skip
-    save(stored(task, "controller"), run.policy, {"task": task.name, "environment_steps": steps}, half=True)
-    print(stored(task, "controller"))
-
-
-def collect(task: Morphology, count: int) -> None:
-    """CMA-ES from the default design on; ships every design that it tried out."""
     try:
         import cma
     except ImportError:
-        raise UserError("--collect needs CMA-ES: pip install cma") from None
+        raise UserError("examples/morphologies.py searches with CMA-ES: pip install cma") from None
+    for name in options.only:
+        if options.gait:
+            find_gait(ROBOTS[name], SWING[name], options, cma.CMAEvolutionStrategy)
+        if options.collect:
+            collect(ROBOTS[name], options, cma.CMAEvolutionStrategy)
+
+
+def keep(task: Morphology, **arrays: np.ndarray) -> None:
+    """Changes some of what the package has of a robot."""
+    there = stored(task)
+    old = dict(np.load(there)) if there.exists() else {}
+    with replacing(there) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **{**old, **arrays})
+    print(there)
+
+
+def find_gait(task: Morphology, swing: float, options: Options, evolution) -> None:
+    """The gait of the greatest mean return on bodies that are drawn anew in every iteration."""
+    low, high = task.bounds
+    rng = np.random.default_rng(options.seed)
+    # Middles, swings, phases, then the logarithms of frequency and stiffness.
+    best = np.concatenate([np.zeros(12), np.full(12, swing), np.random.default_rng(0).uniform(-1, 1, 12), np.log([1.5, 0.5])])
+    with Bar(f"gait of {task.name}", sum(options.iterations), "iterations") as bar:
+        done = 0
+        for iterations, bodies, deviation in zip(options.iterations, (1, BODIES), (swing, 0.1)):
+            search = evolution(best, deviation, {"popsize": GAITS, "seed": options.seed + 1, "verbose": -9})
+            for _ in range(iterations):
+                x = task.usual + task.spread * (high - low) * rng.standard_normal((bodies, len(low)))
+                x[0] = task.usual
+                asked = np.array(search.ask())
+                gaits = Gait.of(np.repeat(asked, bodies, 0))
+                found = returns(task, np.tile(np.clip(x, low, high), (GAITS, 1)), gaits).reshape(GAITS, bodies)
+                search.tell(list(asked), list(-found.mean(1)))
+                done += 1
+                bar(done, sum(options.iterations), f"mean {found.mean():.0f}, default body at best {found[:, 0].max():.0f}")
+            best = search.result.xfavorite
+    keep(task, gait=best.astype(np.float32))
+
+
+def collect(task: Morphology, options: Options, evolution) -> None:
+    """CMA-ES from the default design on; everything that it tries out is kept."""
+    gait = Gait.of(np.load(stored(task))["gait"])
     steps, scores = [], []
-    each = -(-count // RUNS)
-    with Bar(f"CMA-ES on {task.name}", count, "designs") as bar:
-        for seed in range(RUNS):
-            settings = {"popsize": POPULATION, "seed": seed + 1, "bounds": [-1, 1], "verbose": -9}
-            evolution = cma.CMAEvolutionStrategy(task.unit(task.usual), DEVIATION, settings)
-            done = 0
-            while done < each:
-                asked = evolution.ask()
+    with Bar(f"CMA-ES on {task.name}", options.designs, "designs") as bar:
+        for run in range(RUNS):
+            settings = {"popsize": POPULATION, "seed": options.seed + run + 1, "bounds": [-1, 1], "verbose": -9}
+            search = evolution(task.unit(task.usual), DEVIATION, settings)
+            while sum(map(len, scores)) < options.designs * (run + 1) / RUNS:
+                asked = search.ask()
                 whole = np.round((np.array(asked) + 1) / 2 * STEPS).astype(np.uint8)
-                found = returns(task, designs_of(task, whole))
-                evolution.tell(asked, list(-found))
+                found = returns(task, designs_of(task, whole), gait)
+                search.tell(asked, list(-found))
                 steps.append(whole)
                 scores.append(found)
-                done += len(whole)
-                bar(min(sum(map(len, scores)), count), count)
-    order = np.sort(np.random.default_rng(0).permutation(sum(map(len, scores)))[:count])
-    with replacing(stored(task, "data")) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, steps=np.concatenate(steps)[order], scores=np.concatenate(scores)[order].astype(np.float32))
-    print(stored(task, "data"))
+                bar(min(sum(map(len, scores)), options.designs), options.designs, f"run {run}: best {found.max():.0f}")
+            count = options.designs  # kept run by run, so that a kill loses no more than one
+            keep(task, steps=np.concatenate(steps)[:count], scores=np.concatenate(scores)[:count].astype(np.float32))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,3 +58,29 @@ def test_behavior_policies_are_trained_published_and_drawn(tmp_path, monkeypatch
     )  # fmt: skip
     assert len(list((library / "hopper").glob("*.npz"))) == 13
     assert "D4RL expert" in (tmp_path / "curves.svg").read_text()
+
+
+@pytest.mark.slow
+def test_morphologies_are_made(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import morphologies as example
+
+    monkeypatch.setattr(example, "stored", lambda task: tmp_path / f"{task.name}.npz")
+    monkeypatch.setattr(example, "RUNS", 2)
+    example.main(example.Options(only=("ant",), gait=True, iterations=(1, 1), collect=True, designs=40))
+    made = np.load(tmp_path / "ant-morphology.npz")
+    assert made["gait"].shape == (38,)
+    assert made["steps"].shape == (40, 60)
+    assert np.isfinite(made["scores"]).all()
+    assert made["scores"].shape == (40,)
+
+
+@pytest.mark.slow
+def test_nemo_sine_measures_and_draws(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import nemo_sine as example
+
+    small = {"queries": 6, "bins": 6, "hidden": (8,), "steps": 50, "seeds": 2}
+    example.main(example.Options(**small, picture=str(tmp_path / "sine.svg")))
+    assert "| NML |" in capsys.readouterr().out
+    assert (tmp_path / "sine.svg").read_text().startswith("<svg")

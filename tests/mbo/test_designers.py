@@ -7,6 +7,7 @@ from deadreckon.data.batch import redrawn
 from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, COMs, designer
+from deadreckon.mbo.registry import CPU_BUDGET
 
 SMALL = {
     "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},
@@ -42,6 +43,13 @@ def mixed():
 
 def worth(x):
     return x[:, 0] + 0.5 * x[:, 1] + x[:, 2]
+
+
+def test_the_small_budget_changes_fields_that_exist():
+    for name, fields in CPU_BUDGET.items():
+        made = vars(designer(name, "superconductor", **fields))
+        assert {field: made[field] for field in fields} == fields
+    assert made["bins"] == 40  # NEMO keeps the problem's published settings
 
 
 @pytest.mark.parametrize("name", DESIGNERS)

@@ -6,9 +6,9 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.ope import FQE, BehaviorModel, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope import FQE, LOGGED, BehaviorModel, Case, DoublyRobust, ImportanceSampling
 from deadreckon.ope.tables import NOISE
-from deadreckon.policies import BlackBoxPolicy
+from deadreckon.policies import BlackBoxPolicy, library
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
 
@@ -85,7 +85,7 @@ def test_importance_sampling_with_a_learned_behaviour_policy():
 
 def test_a_policy_that_draws_nothing_gets_noise():
     log = lqr(-0.5, 0.5, 2, 5)
-    case = Case(log, linear(-0.5, 0.5), greedy=True)
+    case = Case(log, BlackBoxPolicy(lambda seen, rng: -0.5 * seen), greedy=True)
     case.policies[0].fn = lambda seen, rng: -0.5 * seen
     z = (log.actions[:, 0] + 0.5 * log.observations[:, 0]) / 5.0 / NOISE
     expected = -0.5 * z**2 - np.log(NOISE * np.sqrt(2 * np.pi)) - np.log(5.0)
@@ -113,6 +113,40 @@ def test_probabilities_that_are_not_told_are_counted():
     np.testing.assert_allclose(found[:, 0], table[log.observations.argmax(1)], rtol=1e-6)
     assert 0 < np.abs(found[:, 1] - found[:, 0]).max() < 0.2
     np.testing.assert_allclose(found[:, 1].sum(-1), 1.0, rtol=1e-5)
+
+
+def test_best_guesses_of_functions_are_their_likeliest_actions():
+    true = garnet(states=4, actions=3)
+    table = tables(true, 1, 1.0)[0]
+    log = true.log(table, 20, 5, np.random.default_rng(0))
+    told = as_policy(table)
+    found = Case(log, [told, BlackBoxPolicy(told.fn)], greedy=True).current_actions(1)
+    likeliest = np.eye(3)[table.argmax(1)][log.observations.argmax(1)]
+    np.testing.assert_array_equal(found[:, 0], likeliest)
+    assert (found[:, 1] == likeliest).all(1).mean() > 0.9  # counted from draws, among which near ties are chance
+    noisy = BlackBoxPolicy(lambda seen, rng: seen + rng.standard_normal(seen.shape), log_prob=lambda seen, a: a[:, 0])
+    with pytest.raises(UserError, match="policy 0 draws its actions and does not tell its best guess"):
+        Case(lqr(-0.5, 0.5, 3, 5), noisy, greedy=True)
+
+
+def test_policies_that_do_not_fit_the_log_are_told_in_a_line():
+    log = lqr(-0.5, 0.5, 3, 5)
+    snapshot = library.library("hopper")[0].policy()
+    with pytest.raises(UserError, match="policy 0 is made for observations of 11 numbers, lqr has 1"):
+        Case(log, snapshot)
+    column = BlackBoxPolicy(lambda seen, rng: seen, log_prob=lambda seen, a: np.zeros((len(a), 1)))
+    with pytest.raises(UserError, match=r"log_prob must give one number a row, \(15,\), got \(15, 1\)"):
+        _ = Case(log, column).log_probs
+    flat = BlackBoxPolicy(lambda seen, rng: seen[:, 0])
+    with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(\) \(one number\), lqr has \(1,\)"):
+        TINY.estimate(log, flat)
+    true = garnet(states=4, actions=2)
+    discrete = true.log(tables(true, 1, 0.1)[0], 5, 5, np.random.default_rng(0))
+    for wrong, text in ((np.full((4, 2), 0.7), "sums from 1.4 to 1.4"), (np.full((4, 3), 1 / 3), r"got shape \(25, 3\)")):
+        with pytest.raises(UserError, match=text):
+            ImportanceSampling().estimate(discrete, as_policy(wrong))
+    with pytest.raises(UserError, match="names must differ, and from 'the log', got the log"):
+        Case(log, flat, names=[LOGGED])
 
 
 def test_estimators_share_what_they_fit(monkeypatch):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import Case, DoublyRobust, ImportanceSampling, intervals
 from deadreckon.ope.weights import Episodes
@@ -104,6 +106,10 @@ def test_bounds_that_hold_for_every_number_of_episodes(logs):
     assert wide["t"] < wide["hoeffding"]
     with pytest.raises(UserError, match="needs normalised=False, return_range"):
         ImportanceSampling(interval="hoeffding").on(case)
+    with pytest.raises(UserError, match=r"return_range must be \(least, greatest\) and max_weight above 0, got 20, -20 and 8"):
+        ImportanceSampling(interval="hoeffding", **{**bounded, "return_range": (20.0, -20.0)}).on(case)
+    with pytest.raises(UserError, match="an episode adds .*, outside the 0 .. 0.01 that return_range and max_weight allow"):
+        ImportanceSampling(interval="hoeffding", **{**bounded, "return_range": (0.0, 0.01), "max_weight": 1.0}).on(case)
 
 
 def test_sums_by_hand():
@@ -122,7 +128,7 @@ def test_sums_by_hand():
     assert weighted.value() == pytest.approx((30 + 40) / 5 + 0.5 * 40 / (3 + 1))
     public = episodes.sums(log_rho, x, normalised=True, alive_only=True)
     assert public.value() == pytest.approx((30 + 40) / 5 + 0.5 * 40 / 1)
-    assert weighted.effective == pytest.approx((25 / 13 + 0.5 * 16 / 10) / 1.5)
+    assert weighted.effective == pytest.approx(16 / 10)  # at the second step; 25 / 13 at the first
     whole = episodes.whole(log_rho, x, normalised=True)
     assert whole.value() == pytest.approx((3 * 10 + 1 * (20 + 20)) / 4)
     np.testing.assert_allclose(episodes.contributions(log_rho, x, whole=False), [30, 40 + 20])
@@ -147,3 +153,55 @@ def test_weights_do_not_overflow():
     assert np.isneginf(log_rho[3000:4000]).all()
     assert np.isfinite(log_rho[2000:3000]).all()
     assert np.isfinite(log_rho[4000:]).all()
+
+
+def one_state(count, lengths, terminal, chance, rng):
+    """Episodes of given lengths in one state with two actions, of which the first, drawn with `chance`, is rewarded with 1."""
+    rows = int(lengths.sum())
+    ends = np.cumsum(lengths) - 1
+    actions = (rng.random(rows) >= chance).astype(int)
+    terminals, timeouts = np.zeros(rows, bool), np.zeros(rows, bool)
+    terminals[ends], timeouts[ends] = terminal, ~terminal
+    return Dataset.from_arrays(
+        observations=np.ones((rows, 1), np.float32), actions=actions, rewards=(actions == 0).astype(np.float32),
+        terminals=terminals, timeouts=timeouts, action_space=Discrete(2),
+        behavior_log_probs=np.log(np.where(actions == 0, chance, 1 - chance)),
+    )  # fmt: skip
+
+
+def test_weights_that_collapse_late_are_told():
+    """Over 300 steps the weights come to rest on one episode; the first steps alone would hide it."""
+    rng = np.random.default_rng(0)
+    log = one_state(1000, np.full(1000, 300), np.zeros(1000, bool), 0.5, rng)
+    found = ImportanceSampling().estimate(log, as_policy(np.array([[0.75, 0.25]])), discount=0.995)
+    assert found.effective[0] < 5
+    assert any("the weights of policy 0 rest on" in line for line in found.warnings)
+
+
+@pytest.mark.parametrize("estimator", [ImportanceSampling(), ImportanceSampling(normalised=False)], ids=["wpdis", "pdis"])
+def test_cut_offs_do_not_favour_episodes_that_end_early(estimator):
+    """Half of the log may be cut off after 5 steps; on-policy, with episodes that end with a chance of 0.1 a step."""
+    rng = np.random.default_rng(1)
+    lives, cuts = rng.geometric(0.1, 4000), np.where(rng.random(4000) < 0.5, 5, 200)
+    log = one_state(4000, np.minimum(lives, cuts), lives <= cuts, 0.7, rng)
+    found = estimator.estimate(log, as_policy(np.array([[0.7, 0.3]])), discount=0.99)
+    exact = 0.7 / (1 - 0.9 * 0.99)
+    assert found.low[0] < exact < found.high[0]
+    assert found.high[0] - found.low[0] < 0.6
+    trajectory = ImportanceSampling(kind="trajectory").estimate(log, as_policy(np.array([[0.7, 0.3]])), discount=0.99)
+    assert any("cut off at different steps" in line for line in trajectory.warnings)
+    # Half of the log's cut-offs leave 0.99^5 of the time, not 0.99 to their mean length.
+    assert any("95 % of the discounted time" in line for line in found.warnings)
+
+
+def test_chances_of_being_cut_off_by_hand():
+    """Lengths 1 (ended), 2 (cut), 3 (ended), 3 (cut): after two steps one of three that still went on was cut off."""
+    log = one_state(4, np.array([1, 2, 3, 3]), np.array([True, False, True, False]), 0.5, np.random.default_rng(0))
+    np.testing.assert_allclose(Episodes(log, 0.9, 0).kept, [1.0, 1.0, 2 / 3])
+
+
+def test_one_episode_knows_no_interval():
+    log = one_state(1, np.array([20]), np.array([False]), 0.5, np.random.default_rng(0))
+    found = ImportanceSampling().estimate(log, as_policy(np.array([[0.5, 0.5]])), discount=0.9)
+    assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
+    assert any("rest on 1.0 of 1 episodes" in line for line in found.warnings)

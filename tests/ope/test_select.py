@@ -7,6 +7,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.ope import ESTIMATORS, FQE, LOGGED, Case, DoublyRobust, ImportanceSampling, ModelBased, dope, estimator, select
+from deadreckon.ope.estimate import Estimates
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
 from deadreckon.policies import library
@@ -52,7 +53,7 @@ def test_a_paired_difference_is_surer_than_two_values(case):
 
 def test_decisions_against_deploying(case):
     only_worse = Case(case.data, case.policies[:1], discount=0.9, names=["worse"], logged=True)
-    choice = select([ImportanceSampling().on(only_worse)])
+    choice = select([TABULAR.on(only_worse)])
     assert not choice.deploy
     assert "may be chance" in choice.reason
     sharp = as_policy(np.eye(3)[np.random.default_rng(1).integers(0, 3, 6)])
@@ -69,6 +70,45 @@ def test_others_are_evidence(case):
     choice = select([ImportanceSampling().on(case), TABULAR.on(case)])
     assert choice.evidence[0].startswith("FQE-L2: +")
     assert choice.evidence[0].endswith("agrees that it is best")
+
+
+def estimates(method, gains, redraws, effective=None):
+    """Of policies a, b, ... and the log's own, which has 0."""
+    value = np.array([*gains, 0.0])
+    names = (*"abcdef"[: len(gains)], LOGGED)
+    effective = None if effective is None else np.array([*effective, 1000.0])
+    redraws = np.concatenate([redraws, np.zeros((len(redraws), 1))], 1)
+    return Estimates(method, names, value, value, value, 0.9, redraws=redraws, effective=effective)
+
+
+def test_a_policy_without_overlap_comes_last():
+    """Where rewards are negative, one that never acts as the log did has a value of 0."""
+    rng = np.random.default_rng(0)
+    draws = np.stack([np.full(200, 18.0), 3 + 0.1 * rng.standard_normal(200)], 1)
+    choice = select([estimates("WPDIS", [18.0, 3.0], draws, effective=[0.0, 200.0])])
+    assert choice.name == "b"
+    assert choice.deploy
+    alone = select([estimates("WPDIS", [18.0], draws[:, :1], effective=[0.0])])
+    assert not alone.deploy
+    assert "its weights rest on 0.0 episodes" in alone.reason
+
+
+def test_few_members_choose_by_their_mean():
+    """The spread of three members is a matter of chance: the surest by it may be the worst."""
+    draws = np.array([[10.0, 1.01], [12.0, 1.0], [14.0, 0.99]])
+    assert select([estimates("FQE-L2", [12.0, 1.0], draws)]).name == "a"
+    many = np.repeat(draws, 100, 0) + np.random.default_rng(0).standard_normal((300, 1)) * [6.0, 0.0]
+    assert select([estimates("WPDIS", [12.0, 1.0], many, effective=[100.0, 100.0])]).name == "b"
+
+
+def test_estimates_that_speak_against_the_choice():
+    rng = np.random.default_rng(0)
+    good, bad = (g + 0.1 * rng.standard_normal((200, 1)) for g in (2.0, -2.0))
+    for effective, deploy in (([100.0], False), ([3.0], True)):
+        choice = select([estimates("FQE-L2", [2.0], good), estimates("WDR", [-2.0], bad, effective=effective)])
+        assert choice.deploy == deploy
+        assert ("but WDR finds it worse" in choice.reason) != deploy
+        assert any("the weights of a in WDR rest on 3.0 episodes" in line for line in choice.warnings) == deploy
 
 
 @pytest.mark.parametrize("kind", ["feedforward", "autoregressive"])
@@ -96,7 +136,8 @@ def test_model_based_where_episodes_end():
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_estimators_by_name(name):
     found = estimator(name, steps=7, members=2)
-    assert with_fields(found, PUBLIC) is not None
+    public = with_fields(found, PUBLIC)
+    assert getattr(public, "alive_only", True)
     fitted = [each for each in (found, getattr(found, "fqe", None), getattr(found, "model", None)) if hasattr(each, "steps")]
     assert fitted
     assert all(each.steps == 7 for each in fitted)

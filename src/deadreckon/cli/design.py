@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -40,6 +40,7 @@ class Bench:
     problems: Annotated[str, _NAMES] = "branin,hartmann6,ackley,nk"  # which (see `design problems`)
     methods: Annotated[str, _NAMES] = "best,random,forward,ensemble,coms,ram,nemo"  # which (see `design methods`)
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # designs a method proposes
+    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: what one core does
     seeds: int = 16  # how many: SEED .. SEED + SEEDS - 1
     seed: int = 0  # the first
     together: int | None = None  # seeds of one program; None: all. Fewer take less memory
@@ -185,7 +186,7 @@ def bench(args: Sequence[str]) -> None:
     """Runs the protocol and prints its tables."""
     options = parse(Bench, args, "design bench")
     from deadreckon.mbo.protocol import PERCENTILES, exploited, judge, markdown
-    from deadreckon.mbo.registry import designer
+    from deadreckon.mbo.registry import CPU_BUDGET, designer
 
     if options.seeds < 1:
         raise UserError(f"--seeds must be 1 or more, got {options.seeds}")
@@ -195,7 +196,9 @@ def bench(args: Sequence[str]) -> None:
         raise UserError(f"--paths names {', '.join(sorted(strangers))}, which is not among --problems")
     seeds = range(options.seed, options.seed + options.seeds)
     results = []
-    designers = {name: [(method, designer(method, name)) for method in names] for name in wanted}  # names are checked first
+    sizes = CPU_BUDGET if options.budget == "cpu" else {}
+    made = lambda method, name: (method, designer(method, name, **sizes.get(method, {})))  # noqa: E731
+    designers = {name: [made(method, name) for method in names] for name in wanted}  # names are checked before any work
     for name in wanted:
         problem = _problem(name, options.paths.get(name))
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731

@@ -51,7 +51,9 @@ class Bench:
     estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # which
     public: bool = False  # importance weights as in the public code: learned behaviour, log-ratios within (-6, 2)
     budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: what one core does
-    seed: int = 0  # of everything random
+    clip: bool = False  # cut normalised estimates at 2, as the public notebook does
+    seeds: int = 1  # how many fits of each; tables have their means
+    seed: int = 0  # of everything random; of several fits the first
     log_steps: int | None = None  # rows of the logs; None: all
     out: str = "runs/dope"  # folder of results; what is there is not computed again
     fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
@@ -92,15 +94,18 @@ def ope(args: Sequence[str]) -> None:
 
 
 def bench(args: Sequence[str]) -> None:
-    """Runs the protocol, prints its three tables and writes a page beside the results."""
+    """Runs the protocol, prints its tables and writes a page beside the results."""
     options = parse(Bench, args, "ope bench")
     from deadreckon.collect import collect, recipe
     from deadreckon.collect.recipes import default_path
     from deadreckon.data.io import read
     from deadreckon.ope import dope
+    from deadreckon.ope.metrics import PUBLIC_CLIP
     from deadreckon.ope.registry import CPU_BUDGET, PUBLIC, with_fields
     from deadreckon.report.dope import write_bench
 
+    if options.seeds < 1:
+        raise UserError(f"--seeds must be 1 or more, got {options.seeds}")
     found = _estimators(options.estimators, options.fits, CPU_BUDGET if options.budget == "cpu" else {})
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
@@ -115,9 +120,12 @@ def bench(args: Sequence[str]) -> None:
             data = read(path)
             told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
             with Watch() as watch:
-                results += dope.evaluate_log(data, task, found, seed=options.seed, out=options.out, watch=watch, told=told)
+                for seed in range(options.seed, options.seed + options.seeds):
+                    results += dope.evaluate_log(data, task, found, seed=seed, out=options.out, watch=watch, told=told)
+    clip = PUBLIC_CLIP if options.clip else None
     for metric, words in dope.METRICS.items():
-        print(f"\n{words}\n\n{dope.markdown(results, metric)}")
+        print(f"\n{words}\n\n{dope.markdown(results, metric, clip=clip)}")
+    print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
     print(f"\nDeploying by estimates: gain for risk, and errors against the log's own policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html')}")
 

@@ -43,6 +43,15 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     },
     "coms": {name: {"margin": 2.0} for name in ("molecule", "gfp", "tfbind8", "nk")},
 }  # fmt: skip
+# What one core does for three seeds of each problem; docs/results/mbo.md says in what time.
+_SMALL = {"hidden": (256, 256), "steps": 2000}
+CPU_BUDGET: dict[str, dict[str, Any]] = {
+    **{name: _SMALL for name in ("forward", "ensemble", "ensemble-min", "ram", "cbas", "autofocus")},
+    "coms": {"hidden": (128, 128), "steps": 1000, "ascent": 20},
+    "mins": {"hidden": (256, 256), "steps": 5000, "forward_steps": 2000},
+    "ddom": {"hidden": (256, 256), "steps": 3000},
+    "nemo": {"pretrain": 1000, "steps": 1000},
+}
 
 
 def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:

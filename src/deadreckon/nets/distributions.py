@@ -16,10 +16,10 @@ class Gaussian(NamedTuple):
     log_std: Float[Array, "*b a"]
 
 
-def gaussian_head(output: Float[Array, "*b 2a"]) -> Gaussian:
-    """Splits a network's output into mean and clipped log standard deviation."""
+def gaussian_head(output: Float[Array, "*b 2a"], low: float = LOG_STD_MIN, high: float = LOG_STD_MAX) -> Gaussian:
+    """Splits a network's output into mean and log standard deviation, clipped to `low` .. `high`."""
     mean, log_std = jnp.split(output, 2, axis=-1)
-    return Gaussian(mean, jnp.clip(log_std, LOG_STD_MIN, LOG_STD_MAX))
+    return Gaussian(mean, jnp.clip(log_std, low, high))
 
 
 def sample(d: Gaussian, key: PRNGKeyArray, count: tuple[int, ...] = ()) -> Float[Array, "*nb a"]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
-from deadreckon.errors import UserError
+from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import digest, read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
@@ -123,9 +123,7 @@ def evaluate_log(
                 case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
             try:
                 estimates = found.on(case)
-            except UserError as error:  # numbers that went bad, say: neither other methods nor other logs are held up
-                if isinstance(found, Function):
-                    raise
+            except DivergedError as error:  # neither other methods nor other logs are held up
                 estimates = _nothing(found, names, discount, str(error))
             result = _result(estimates, data.name, behavior, truth, errors, str(found))
             if path is not None:

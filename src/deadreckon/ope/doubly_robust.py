@@ -71,9 +71,10 @@ class DoublyRobust(Estimator):
             highs.append(high)
             effective.append(sums.effective)
         effective = np.asarray(effective)
+        warnings = [*episodes.warnings(case.names, effective, beyond=True), *self.fqe.unsettled(case)]
         return Estimates(
             self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.discount,
-            redraws=np.stack(redraws, 1), effective=effective, warnings=tuple(episodes.warnings(case.names, effective)),
+            redraws=np.stack(redraws, 1), effective=effective, warnings=tuple(warnings),
         )  # fmt: skip
 
     def _errors(self, case: Case) -> tuple[np.ndarray, np.ndarray]:
@@ -103,8 +104,9 @@ class DoublyRobust(Estimator):
         partial = np.concatenate([[0.0], sums.partial()[ends]])
         steps = np.cumsum(sums.redraw_steps(episodes.counts), 1)
         redrawn = np.concatenate([np.zeros((len(drawn), 1)), steps[:, ends]], 1)
-        low, high = np.percentile(redrawn[:, -1], [50 * (1 - self.confidence), 50 * (1 + self.confidence)])
-        bias = partial - np.clip(partial, low, high)
+        whole = drawn + redrawn[:, -1]
+        low, high = np.percentile(whole, [50 * (1 - self.confidence), 50 * (1 + self.confidence)])
+        bias = begin + partial - np.clip(begin + partial, low, high)
         # x that minimises x' (cov + bias bias') x on the simplex, as non-negative least squares with a heavy row of ones.
         values, vectors = np.linalg.eigh(np.cov((drawn[:, None] + redrawn).T) + np.outer(bias, bias))
         root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T

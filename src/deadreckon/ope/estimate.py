@@ -162,6 +162,8 @@ class Case:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
         self.data, self.discount, self.seed, self.greedy = data, discount, seed, greedy
         self.out, self.watch = None if out is None else Path(out), watch
+        if len(set(self.names)) < len(self.names) or LOGGED in self.names:
+            raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
         self.actor = Actor(self.policies, self.names, data.spec, greedy, seed)
         self.logged = logged
         if logged:

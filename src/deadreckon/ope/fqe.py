@@ -150,5 +150,9 @@ class FQE(Estimator):
         low, high = spread(found)
         return Estimates(
             self.label, case.names, found.mean(0), low, high, case.discount, redraws=found,
-            warnings=tuple(case.unsettled("fqe", "q")),
+            warnings=tuple(self.unsettled(case)),
         )  # fmt: skip
+
+    def unsettled(self, case: Case) -> list[str]:
+        """A warning where the fit still changes."""
+        return case.unsettled("fqe", "q")

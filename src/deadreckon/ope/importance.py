@@ -27,7 +27,7 @@ class ImportanceSampling(Estimator):
     alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
     interval: Literal["bootstrap", "t", "hoeffding", "bernstein"] = static("bootstrap")  # the last two hold for every n
     return_range: tuple[float, float] | None = static(None)  # least and greatest return of an episode; for the last two
-    max_weight: float | None = static(None)  # greatest weight of an episode; for the last two
+    max_weight: float | None = static(None)  # greatest weight of an episode, per decision of any of its steps; for the last two
 
     def solve(self, case: Case) -> Estimates:
         """Weighted sums of the logged rewards."""
@@ -55,7 +55,7 @@ class ImportanceSampling(Estimator):
             highs.append(high)
             effective.append(sums.effective)
         effective, values = np.asarray(effective), np.asarray(values)
-        warnings = episodes.warnings(case.names, effective)
+        warnings = episodes.warnings(case.names, effective, whole=self.kind == "trajectory")
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
         return Estimates(
@@ -83,11 +83,21 @@ class ImportanceSampling(Estimator):
                 "rewards of one sign: else the range of a return does not bound what an episode adds; use kind='trajectory'"
             )
         low, high = self.return_range
+        if not (low < high and self.max_weight > 0):
+            asked = f"got {low:g}, {high:g} and {self.max_weight:g}"
+            raise UserError(f"return_range must be (least, greatest) and max_weight above 0, {asked}")
         return min(0.0, low * self.max_weight), max(0.0, high * self.max_weight)
 
     def _interval(self, each: np.ndarray, bounds: tuple[float, float] | None) -> tuple[float, float]:
         if bounds is None:
             return intervals.student(each)
+        low, high = bounds
+        if each.min() < low or each.max() > high:
+            beyond = float(each.min() if each.min() < low else each.max())
+            raise UserError(
+                f"an episode adds {beyond:.4g}, outside the {low:.4g} .. {high:.4g} that return_range and max_weight allow; "
+                "they must hold for every episode"
+            )
         bound = intervals.hoeffding if self.interval == "hoeffding" else intervals.empirical_bernstein
         return bound(each, *bounds)
 

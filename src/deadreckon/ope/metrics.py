@@ -114,7 +114,7 @@ def compare(
     found = {}
     for name, of in (("absolute_error", absolute_error), ("rank_correlation", rank_correlation)):
         found[name] = _mean_and_spread([of(estimates[d], truth[d]) for d in draws])
-    regrets = [regret(estimates[d], truth[d], min(k, len(d))) for d in draws]
+    regrets = [regret(estimates[d], truth[d], k) for d in draws]
     return Metrics(**found, regret=_mean_and_spread(regrets), k=k, count=len(truth))
 
 

@@ -36,16 +36,22 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
     "mb-ar": (lambda: ModelBased(kind="autoregressive"), "episodes made up by an auto-regressive model (Zhang et al. 2021)"),
 }
 # Weights as in the code that the thesis used (8.5).
-PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE}
-# What one core does on a log of a million rows; docs/results/dope.md says in what time. FQE-D's critics are renewed as many
-# times as in 25,000 updates of the full setting: fewer would leave out the rewards of the far future.
-_MARGINAL = {"steps": 20_000, "members": 1, "batch_size": 512, "lr": 3e-4}
+PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE, "alive_only": True}
+# What one core does on a log of a million rows; docs/results/dope.md says in what time. FQE-D's targets are renewed more often
+# than in the full setting, so that rewards of the far future come through in fewer updates.
+_MARGINAL = {"steps": 10_000, "members": 1, "batch_size": 256, "lr": 3e-4}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
-    **{name: {"steps": 20_000} for name in ("fqe", "dr", "plain-dr", "magic", "mb-ff")},
-    "fqe-d": {"steps": 10_000, "members": 1, "batch_size": 256, "hidden": (256, 256), "renew": 40},
+    "fqe": {"steps": 20_000},
+    # The behaviour model keeps its own size: it is fitted once for all estimators of a log.
+    **{name: {"fqe": {"steps": 20_000}, "samples": 1} for name in ("dr", "plain-dr", "magic")},
+    "fqe-d": {"steps": 5_000, "members": 1, "batch_size": 256, "hidden": (256, 256), "renew": 20},
     **{name: _MARGINAL for name in ("dice", "dual-dice", "gen-dice", "vpm")},
+    "mb-ff": {"steps": 20_000, "members": 1},
     "mb-ar": {"steps": 10_000, "members": 1},
 }
+
+
+_INNER = ("fqe", "model")  # what estimators fit inside
 
 
 def estimator(name: str, **changes: Any) -> Estimator:
@@ -53,20 +59,28 @@ def estimator(name: str, **changes: Any) -> Estimator:
 
     Args:
         name: among `ESTIMATORS`.
-        changes: fields to set, also of the FQE and the behaviour model inside it; those that nobody has are passed over.
+        changes: fields to set, also of the FQE and the behaviour model inside it; those that this estimator
+            has not, but others have, are passed over.
 
     Raises:
-        UserError: an unknown name.
+        UserError: an unknown name, or a field that no estimator has.
     """
     if name not in ESTIMATORS:
         raise unknown("estimator", name, ESTIMATORS)
+    made = [make() for make, _ in ESTIMATORS.values()]
+    fields = {field.name for each in made for field in dataclasses.fields(each)}
+    for field in changes:
+        if field not in fields:
+            raise unknown("field of estimators", field, sorted(fields))
     return with_fields(ESTIMATORS[name][0](), changes)
 
 
 def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
-    """The estimator with those fields changed that it, or what it fits inside, has."""
+    """The estimator with those fields changed that it, or what it fits inside, has; a mapping changes an inner one alone."""
     own = {f.name for f in dataclasses.fields(found)}
-    inner = {name: with_fields(getattr(found, name), changes) for name in ("fqe", "model") if name in own}
+    nested = {name: value for name, value in changes.items() if isinstance(value, Mapping)}
+    changes = {name: value for name, value in changes.items() if name not in nested}
+    inner = {name: with_fields(getattr(found, name), {**nested.get(name, {}), **changes}) for name in _INNER if name in own}
     return dataclasses.replace(found, **{name: value for name, value in changes.items() if name in own}, **inner)
 
 

@@ -18,8 +18,8 @@ class Choice:
     """A decision card.
 
     Attributes:
-        name: the policy whose estimated gain over the log's own policy has the highest lower end.
-        deploy: whether that is above zero.
+        name: the policy that is chosen.
+        deploy: whether its gain over the log's own policy is above zero for sure, and no other estimate speaks against it.
         gain, low, high: estimated difference, paired, with an interval that holds for all policies at once (95 %).
         reason: why, in one line.
         evidence: what else was estimated, a line each.
@@ -41,18 +41,21 @@ class Choice:
         return "\n".join(f"  {line}" if i else line for i, line in enumerate(lines))
 
 
-def gain(found: Estimates, which: int) -> tuple[float, float, float]:
+def gain(found: Estimates, which: int, *, bonferroni: bool = True) -> tuple[float, float, float]:
     """How much better a policy is than the log's own: the difference, and an interval that holds for all policies at once.
 
     Both are estimated from the same redraws of the log by the same method, so what they share cancels; the level of each
-    interval is Bonferroni's, 1 - 0.05 / policies, because the best of several estimates is chosen for being high.
+    interval is Bonferroni's, 1 - 0.05 / policies, because the best of several estimates is chosen for being high. Without
+    `bonferroni` it is 95 % for this policy alone.
     """
     if LOGGED not in found.names or found.redraws is None:
         raise UserError(f"{found.method} was not asked about the log's own policy; use Case(..., logged=True)")
     logged = found.names.index(LOGGED)
     draws = found.redraws[:, which] - found.redraws[:, logged]
-    alpha = ALPHA / (len(found.names) - 1)
-    if len(draws) >= BOOTSTRAP:
+    alpha = ALPHA / (len(found.names) - 1) if bonferroni else ALPHA
+    if found.effective is not None and not found.effective[which] > 0:
+        low, high = -np.inf, np.inf
+    elif len(draws) >= BOOTSTRAP:
         low, high = percentiles(draws, np.inf if found.effective is None else found.effective[which], alpha)
     else:
         low, high = spread(draws, alpha)
@@ -62,8 +65,10 @@ def gain(found: Estimates, which: int) -> tuple[float, float, float]:
 def select(estimates: Sequence[Estimates]) -> Choice:
     """Chooses by the first of several estimates of the same policies; the others are evidence.
 
-    It takes the policy whose gain has the highest lower end: what is best for sure, not what may be best. An estimate that the
-    log says little about is uncertain, and then high only by chance.
+    Policies whose weights rest on few episodes come last. Among the others it takes the one whose gain has the highest lower
+    end (95 %, each for itself), because what the log says little about is high by chance; where the interval comes from a few
+    members, whose spread is itself a matter of chance, the highest gain. Whether to deploy it is decided by an interval that
+    holds for all policies at once.
 
     Raises:
         UserError: no estimates, of different policies, or without the log's own policy.
@@ -75,13 +80,15 @@ def select(estimates: Sequence[Estimates]) -> Choice:
         raise UserError("the estimates are of different policies")
     best = _safest(first)
     name, (difference, low, high) = first.names[best], gain(first, best)
-    few = first.effective is not None and first.effective[best] < FEW
+    against = [each for each in estimates[1:] if _overlaps(each, best) and gain(each, best)[2] < 0]
     unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] against the log's own policy by {first.method}"
-    if not np.isfinite(low):
-        deploy, reason = False, f"{unit}, without an interval: ask for two members or more"
-    elif few:
+    if not _overlaps(first, best):
         assert first.effective is not None
         deploy, reason = False, f"{unit}, but its weights rest on {first.effective[best]:.1f} episodes"
+    elif not np.isfinite(low):
+        deploy, reason = False, f"{unit}, without an interval: an estimator with redraws or members gives one"
+    elif against:
+        deploy, reason = False, f"{unit}, but {against[0].method} finds it worse"
     elif low > 0:
         deploy, reason = True, f"{unit}, and the lower end is above zero"
     else:
@@ -92,14 +99,28 @@ def select(estimates: Sequence[Estimates]) -> Choice:
         chosen = _safest(each)
         agrees = "agrees that it is best" if chosen == best else f"would choose {each.names[chosen]}"
         evidence.append(f"{each.method}: {own[0]:+.2f} [{own[1]:+.2f}, {own[2]:+.2f}], {agrees}")
-    return Choice(name, deploy, difference, low, high, reason, tuple(evidence), first.warnings)
+    warnings = [*first.warnings]
+    for each in estimates[1:]:
+        # What concerns the choice: the overlap of others' weights, where the first knows nothing of it.
+        if not _overlaps(each, best):
+            assert each.effective is not None
+            warnings.append(f"the weights of {name} in {each.method} rest on {each.effective[best]:.1f} episodes")
+        warnings += [f"{each.method}: {line}" for line in each.warnings if line not in warnings]
+    return Choice(name, deploy, difference, low, high, reason, tuple(evidence), tuple(warnings))
+
+
+def _overlaps(found: Estimates, which: int) -> bool:
+    """Whether nothing is weighted, or the weights rest on enough episodes."""
+    return found.effective is None or bool(found.effective[which] >= FEW)
 
 
 def _safest(found: Estimates) -> int:
-    """The policy whose gain has the highest lower end, or where there are no intervals, the highest estimate."""
+    """The policy to choose by these estimates alone; see `select`."""
+    bootstrap = found.redraws is not None and len(found.redraws) >= BOOTSTRAP
 
-    def standing(i: int) -> tuple[bool, float, float]:
-        difference, low, _ = gain(found, i)
-        return bool(np.isfinite(difference)), low if np.isfinite(low) else -np.inf, difference
+    def standing(i: int) -> tuple[bool, bool, float]:
+        difference, low, _ = gain(found, i, bonferroni=False)
+        sure = low if bootstrap and np.isfinite(low) else difference
+        return bool(np.isfinite(difference)), _overlaps(found, i), sure
 
     return max((i for i, name in enumerate(found.names) if name != LOGGED), key=standing)

@@ -47,6 +47,13 @@ class Actor:
         for policy, name in zip(self.policies, self.names):
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
+            if self.greedy and not self.spec.discrete and not isinstance(policy, Deployed) and policy.has_log_prob:
+                raise UserError(f"{name} draws its actions and does not tell its best guess; judge its draws (greedy=False)")
+            wanted = _observation_size(policy)
+            if wanted not in (None, self.spec.observation_size):
+                raise UserError(
+                    f"{name} is made for observations of {wanted} numbers, {self.spec.name} has {self.spec.observation_size}"
+                )
 
     def table(self, observations: Any, samples: int, purpose: int = 0, more: int = 0) -> np.ndarray:
         """What each policy does at each observation.
@@ -74,7 +81,8 @@ class Actor:
                     found = self._actions(policy, part, key, inner[0])
                 if found.shape[1:] != inner:
                     size = self.spec.action_size
-                    raise UserError(f"{name} gives actions of shape {found.shape[2:]}, {self.spec.name} has ({size},)")
+                    given = found.shape[2:] or "() (one number)"
+                    raise UserError(f"{name} gives actions of shape {given}, {self.spec.name} has ({size},)")
                 if not np.isfinite(found).all():
                     raise UserError(f"{name} gives actions that are not finite")
                 out[start : start + len(part), i] = found
@@ -118,6 +126,8 @@ class Actor:
                 elif policy.has_log_prob:
                     own = isinstance(policy, Deployed)
                     found = _padded(_log_prob, policy, seen, taken) if own else policy.log_prob(seen, taken)
+                    if np.shape(found) != (len(taken),):
+                        raise UserError(f"{name}: log_prob must give one number a row, ({len(taken)},), got {np.shape(found)}")
                 else:
                     raise UserError(
                         f"{name} draws its actions and does not tell how likely they are; use BlackBoxPolicy(fn, log_prob=...) "
@@ -146,19 +156,32 @@ class Actor:
     def _probabilities(self, policy: Any, observations: np.ndarray, key: list[int]) -> np.ndarray:
         """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased."""
         tells = getattr(policy, "action_probs", None)
-        if tells is not None and not self.greedy:
-            return np.asarray(tells(observations), np.float32)
+        shape = len(observations), self.spec.action_size
+        if tells is not None:
+            told = np.asarray(tells(observations), np.float64)
+            if told.shape != shape or not (told >= 0).all() or np.abs(told.sum(1) - 1).max(initial=0) > 1e-3:
+                sums = f" and sums from {told.sum(1).min():.4g} to {told.sum(1).max():.4g}" if told.shape == shape else ""
+                raise UserError(
+                    f"action_probs must give {shape} probabilities that sum to 1 in each row, got shape {told.shape}{sums}"
+                )
+            return np.eye(shape[1], dtype=np.float32)[told.argmax(1)] if self.greedy else told.astype(np.float32)
         rng = np.random.default_rng(key)
         rows = np.arange(len(observations))
-        counts = np.zeros((len(observations), self.spec.action_size), np.float32)
+        counts = np.zeros(shape, np.float32)
         step = Step(observations, np.zeros(len(rows)), np.ones(len(rows), bool))
-        draws = 1 if self.greedy else DRAWS
-        for _ in range(draws):
+        for _ in range(DRAWS):
             chosen = np.asarray(policy.act(step, (), rng, greedy=self.greedy)[0])
             if chosen.shape != rows.shape or chosen.min(initial=0) < 0 or chosen.max(initial=0) >= self.spec.action_size:
                 raise UserError(f"a policy of this log gives one of 0 .. {self.spec.action_size - 1} a row")
-            counts[rows, chosen.astype(int)] += 1.0 / draws
-        return counts
+            counts[rows, chosen.astype(int)] += 1.0 / DRAWS
+        return np.eye(shape[1], dtype=np.float32)[counts.argmax(1)] if self.greedy else counts
+
+
+def _observation_size(policy: Any) -> int | None:
+    """Of a policy of ours; None where it is not known."""
+    if not isinstance(policy, Deployed) or not hasattr(policy.inner, "net"):
+        return None
+    return int(policy.inner.net.weights[0].shape[0])  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _draws_nothing(policy: Any) -> bool:

@@ -3,7 +3,9 @@
 With rho_t the product of the ratios pi(a|s) / beta(a|s) of an episode's first t + 1 actions, an estimate is the sum over t of
 N_t / D_t, where N_t = sum_i discount^t rho_t^i x_t^i over the episodes i, and D_t is their number or, self-normalised, the sum
 of their rho_t. An episode that has ended keeps its last ratio: nothing follows it, and that counts. One that the log has cut
-off (a timeout) is no longer counted: what would have followed is not known.
+off (a timeout) is no longer counted, as what would have followed is not known; the others then count for it, each with the
+inverse of its chance not to have been cut off by then (Kaplan and Meier 1958): otherwise episodes that end early, which no
+cut can reach, would be too many. With one weight for a whole episode, cut-off episodes count as they are.
 """
 
 from dataclasses import dataclass
@@ -16,6 +18,7 @@ from deadreckon.ope.intervals import RESAMPLES, percentiles
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
 FEW = 10.0  # effective episodes below which one is warned
+QUARTER = 0.25  # of the discounted time, which may rest on fewer
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,8 @@ class Sums:
     Attributes:
         numerators: (groups, steps).
         denominators: (groups, steps).
-        effective: episodes that the weights amount to, (sum w)^2 / sum w^2, a mean over steps with weights discount^t.
+        effective: episodes that the weights amount to, (sum w)^2 / sum w^2, at the step where they are fewer for a quarter
+            of the discounted time: the first steps rest on many, and would hide what the later ones rest on.
     """
 
     numerators: np.ndarray
@@ -83,10 +87,20 @@ class Episodes:
         self.steps = int(self.lengths.max())
         # Whether nothing is cut off before the last step: then plain sums are means over episodes.
         self.even = bool((self.ended | (self.lengths == self.steps)).all())
+        self.kept = self._kept()
         rng = np.random.default_rng([seed, 2])
         self.groups = min(self.count, GROUPS)
         self.group = rng.permutation(np.arange(self.count) % self.groups)  # (episodes,)
         self.counts = rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
+
+    def _kept(self) -> np.ndarray:
+        """(steps,) chance that an episode that does not end is still not cut off at each step, by Kaplan and Meier."""
+        cut = np.bincount(self.lengths[~self.ended], minlength=self.steps + 1)
+        over = np.bincount(self.lengths, minlength=self.steps + 1)
+        # After s steps those can be cut off that go on beyond, and those that are.
+        beyond = self.count - np.cumsum(over)
+        at_risk = np.maximum(beyond + cut, 1)
+        return np.cumprod(1.0 - cut / at_risk)[: self.steps]
 
     def cumulate(self, log_ratios: np.ndarray) -> np.ndarray:
         """(rows,) log of rho_t: sums of the log-ratios over each episode so far."""
@@ -102,6 +116,8 @@ class Episodes:
 
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
         """Of one policy: `log_rho` and `x` (rows,). `alive_only` forgets ended episodes, as the public code does."""
+        if not alive_only:
+            log_rho = log_rho - np.log(self.kept)[self.time]
         last = log_rho[self.first + self.lengths - 1]
         stays = self.ended & (not alive_only)
         # Sums of the ended episodes' last ratios, in logarithms: (groups, steps) and (steps,).
@@ -117,20 +133,22 @@ class Episodes:
         size, shape = self.groups * self.steps, (self.groups, self.steps)
         relative = np.exp(log_rho - top[self.time])
         if normalised:
-            rho = weights = relative
-            rest = np.exp(kept - top)
+            rho = relative
+            denominators = np.bincount(cell, relative, size).reshape(shape) + np.exp(kept - top)
         else:
             with np.errstate(over="ignore"):
                 rho = np.exp(log_rho)
-            weights = np.ones(len(rho))
-            rest = np.exp(_accumulated((self.groups, self.steps), where, np.zeros(len(where[0]))))
+            members = np.bincount(self.group, minlength=self.groups)[:, None].astype(float)
+            alive = np.bincount(cell, minlength=size).reshape(shape).astype(float)
+            denominators = alive if alive_only else np.broadcast_to(members, shape)
         numerators = np.bincount(cell, rho * x * self.discount**self.time, size).reshape(shape)
-        denominators = np.bincount(cell, weights, size).reshape(shape) + rest
         plain = np.bincount(self.time, relative, self.steps) + np.exp(kept_plain - top)
         squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)
         effective = _ratios(np.square(plain), squares)
         fade = self.discount ** np.arange(self.steps)
-        return Sums(numerators, denominators, float((fade * effective).sum() / fade.sum()))
+        order = np.argsort(effective)
+        share = np.cumsum(fade[order]) / fade.sum()
+        return Sums(numerators, denominators, float(effective[order][np.searchsorted(share, QUARTER)]))
 
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool) -> np.ndarray:
         """(episodes,) what each adds without normalisation: where cut-offs are `even`, their mean is the estimate."""
@@ -153,20 +171,33 @@ class Episodes:
         return Sums(numerators, denominators, float(effective))
 
     def percentiles(self, draws: np.ndarray, effective: float) -> tuple[float, float]:
-        """The bootstrap's interval, with no more episodes than groups of them were redrawn."""
+        """The bootstrap's interval, with no more episodes than groups of them were redrawn; endless where nothing is known."""
+        if self.groups < 2 or not effective > 0:
+            return -np.inf, np.inf
         return percentiles(draws, min(effective, self.groups))
 
-    def warnings(self, names: tuple[str, ...], effective: np.ndarray) -> list[str]:
-        """Why weighted sums of this log may not be trusted."""
+    def warnings(
+        self, names: tuple[str, ...], effective: np.ndarray, *, whole: bool = False, beyond: bool = False
+    ) -> list[str]:
+        """Why weighted sums of this log may not be trusted.
+
+        Args:
+            names: of the policies.
+            effective: (policies,) episodes that the weights amount to.
+            whole: each episode has one weight.
+            beyond: what lies behind a cut is estimated otherwise.
+        """
         found = []
-        few = np.flatnonzero(effective < min(FEW, self.count))
+        few = np.flatnonzero(effective < FEW)
         if len(few):
             worst = int(few[np.argmin(effective[few])])
             others = f", and {len(few) - 1} more below {FEW:g}" if len(few) > 1 else ""
             found.append(f"the weights of {names[worst]} rest on {effective[worst]:.1f} of {self.count:,} episodes{others}")
         cut = ~self.ended
-        if cut.any():
-            left = float(self.discount ** self.lengths[cut].mean())
+        if whole and not self.even:
+            found.append("episodes are cut off at different steps, which one weight an episode cannot take into account")
+        if cut.any() and not beyond:
+            left = float((self.discount ** self.lengths[cut]).mean())
             if left > 0.02:
                 found.append(
                     f"{cut.sum():,} of {self.count:,} episodes are cut off, after {self.lengths[cut].mean():,.0f} steps on "

@@ -54,8 +54,8 @@ def load_dope(path: Path | str) -> Deployed:
     if squashed and np.isneginf(biases[-1][size:]).all():  # it never draws
         only = MLP((*net.weights[:-1], net.weights[-1][:, :size]), (*net.biases[:-1], net.biases[-1][:size]), net.activation)
         return Deployed(Deterministic(only), None, None, -jnp.ones(size), jnp.ones(size))
-    if squashed:
-        return Deployed(TanhGaussian(net), None, None, -jnp.ones(size), jnp.ones(size))
+    if squashed:  # with deviations as they were published, which are not clipped
+        return Deployed(TanhGaussian(net, (-20.0, 20.0)), None, None, -jnp.ones(size), jnp.ones(size))
     return Deployed(Gaussian(net), None, None, None, None)
 
 

@@ -75,21 +75,30 @@ class Deterministic(Inner):
 
 
 class TanhGaussian(Inner):
-    """a = tanh(mean + std * noise); greedy is tanh(mean)."""
+    """a = tanh(mean + std * noise); greedy is tanh(mean).
+
+    Attributes:
+        net: to mean and log-deviation.
+        log_std: the range that log-deviations are clipped to.
+    """
 
     net: MLP
+    log_std: tuple[float, float] = eqx.field(static=True, default=(dist.LOG_STD_MIN, dist.LOG_STD_MAX))
     has_log_prob = True
+
+    def _head(self, observation: Float[Array, "n o"]) -> dist.Gaussian:
+        return dist.gaussian_head(self.net(observation), *self.log_std)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `Inner`."""
-        d = dist.gaussian_head(self.net(observation))
+        d = self._head(observation)
         if greedy:
             return jnp.broadcast_to(d.mean, (*count, *d.mean.shape))
         return dist.sample(d, key, count)
 
     def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
         """Log-density over [-1, 1] of actions, clipped to the open interval."""
-        return dist.log_prob(dist.gaussian_head(self.net(observation)), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
+        return dist.log_prob(self._head(observation), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
 
 
 class Gaussian(Inner):

@@ -102,7 +102,8 @@ class NumpyPolicy:
             if greedy:
                 return np.broadcast_to(mean, (*count, *mean.shape))
             noise = rng.standard_normal((*count, *mean.shape), np.float32)
-            return mean + np.exp(np.clip(log_std, *_LOG_STD) if kind == "TanhGaussian" else log_std) * noise
+            within = node.get("log_std", _LOG_STD)
+            return mean + np.exp(np.clip(log_std, *within) if kind == "TanhGaussian" else log_std) * noise
         if kind == "VAEDecoder":
             decoder = node["vae"]["decoder"]
             shape = (*count, len(x), self._array(decoder["weights"][0]).shape[0] - x.shape[-1])

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from deadreckon.ope.estimate import LOGGED
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
@@ -54,7 +55,7 @@ def _table(told: dict[str, Any]) -> Markup:
     for each in results:
         heads += [each["method"], "gain"]
     rows = []
-    names = [each["name"] for each in told["policies"]] + ["the log"]
+    names = [each["name"] for each in told["policies"]] + [LOGGED]
     for i, name in enumerate(names):
         cells = [tag("th", name, tag("small", "chosen") if name == told["choice"]["name"] else None, scope="row")]
         if truth:

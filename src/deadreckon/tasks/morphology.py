@@ -1,8 +1,8 @@
 """Robots whose bodies are built from a vector: an ant of 60 numbers and a kitty of 56, each four legs (thesis 6.5).
 
-The bodies are our own, of MuJoCo's simple shapes; what a leg's numbers mean, their bounds, the default designs and the rewards
-follow Design-Bench's. Every episode builds a body anew. A policy sees the design beside the robot's state, so that one policy
-moves all bodies; how it was trained is in `examples/morphologies.py`.
+The bodies are our own, of MuJoCo's simple shapes; what a leg's numbers mean, their bounds, the default designs and the
+rewards follow Design-Bench's. Every episode builds a body anew. A policy sees the design beside the robot's state, so that
+one policy can move all bodies.
 """
 
 import importlib
@@ -35,6 +35,7 @@ class Morphology(Task):
         default: (legs, numbers) the usual body.
         spread: deviation of the designs of training episodes around the default, in ranges of each number.
         frame_skip: physics steps an environment step.
+        timestep: of an environment step, in s.
     """
 
     numbers: tuple[str, ...] = ()
@@ -43,6 +44,7 @@ class Morphology(Task):
     default: tuple[tuple[float, ...], ...] = ()
     spread: float = 0.1
     frame_skip: int = 1
+    timestep: float = 1.0
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -262,7 +264,7 @@ class AntMorphology(Morphology):
 
     def build(self, design):
         """See `Morphology.build`."""
-        body = _Body(0.01, 0.75)
+        body = _Body(self.timestep / self.frame_skip, 0.75)
         mujoco, default = body.kinds, body.spec.default
         body.spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
         default.geom.friction, default.geom.margin, default.geom.density = [1, 0.5, 0.5], 0.01, 5.0
@@ -293,7 +295,7 @@ class AntMorphology(Morphology):
     def judge(self, data, before, action):
         """Speed along x and 1, less what actions and contacts cost."""
         contact = 0.5e-3 * np.square(np.clip(data.cfrc_ext, -1, 1)).sum()
-        speed = (data.xpos[1, 0] - before[0]) / (0.01 * self.frame_skip)
+        speed = (data.xpos[1, 0] - before[0]) / self.timestep
         return float(speed + 1.0 - 0.5 * np.square(action).sum() - contact), False
 
 
@@ -308,7 +310,7 @@ class KittyMorphology(Morphology):
 
     def build(self, design):
         """See `Morphology.build`."""
-        body = _Body(0.002, 0.0)
+        body = _Body(self.timestep / self.frame_skip, 0.0)
         mujoco, default = body.kinds, body.spec.default
         body.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         default.joint.armature, default.joint.damping, default.joint.frictionloss = 1e-3, [0.15, 0, 0], 3e-3
@@ -363,7 +365,7 @@ _PLACE = ("x", "y", "z", "a", "b", "c")
 _JOINTS = tuple(f"{joint}_{what}" for joint in ("hip", "thigh", "ankle") for what in ("center", "range"))
 
 ANT = _make(
-    AntMorphology, "ant-morphology", 35, "run along x with a body of 60 numbers", spread=0.1, frame_skip=5,
+    AntMorphology, "ant-morphology", 35, "run along x with a body of 60 numbers", spread=0.03, frame_skip=5, timestep=0.05,
     numbers=(*_PLACE, *_JOINTS, "hip_size", "thigh_size", "ankle_size"),
     low=(-0.1,) * 3 + (-180.0,) * 3 + (-180.0, 5.0) * 3 + (0.1, 0.1, 0.2),
     high=(0.1,) * 3 + (180.0,) * 3 + (180.0, 45.0) * 3 + (0.4, 0.4, 0.8),
@@ -372,7 +374,8 @@ ANT = _make(
 
 _PI = math.pi
 KITTY = _make(
-    KittyMorphology, "dkitty-morphology", 53, "walk two metres along y with a body of 56 numbers", spread=0.04, frame_skip=40,
+    KittyMorphology, "dkitty-morphology", 53, "walk two metres along y with a body of 56 numbers", spread=0.03, frame_skip=40,
+    timestep=0.08,
     numbers=(*_PLACE, *_JOINTS, "thigh_size", "ankle_size"),
     low=(-0.09, -0.122, 0.0) + (-_PI,) * 3 + (-_PI, _PI / 35) * 3 + (0.0965, 0.0945),
     high=(0.09, 0.122, 0.0) + (_PI,) * 3 + (_PI, _PI / 4, _PI, _PI / 4, _PI, _PI / 2) + (0.1365, 0.1345),

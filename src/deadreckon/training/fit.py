@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.points import Points
 from deadreckon.data.spec import Spec
-from deadreckon.errors import UserError
+from deadreckon.errors import DivergedError, UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
 from deadreckon.training.replay import Experience
@@ -498,7 +498,7 @@ def complete(job: Fit, what: str, told: Callable[[Progress], None]) -> None:
         told: called after every chunk.
 
     Raises:
-        UserError: a lane's numbers went bad.
+        DivergedError: a lane's numbers went bad.
     """
     job.resume()
     for progress in job.chunks():
@@ -507,7 +507,7 @@ def complete(job: Fit, what: str, told: Callable[[Progress], None]) -> None:
         if failure is not None:
             whose = f" with seed {seed}" if len(job.seeds) > 1 else ""
             bad = f"{what}: {failure.metric} was not finite at update {failure.step}{whose}"
-            raise UserError(f"{bad}; a lower learning rate may help")
+            raise DivergedError(f"{bad}; a lower learning rate may help")
 
 
 def fit(
