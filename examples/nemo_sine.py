@@ -2,7 +2,7 @@
 
     python examples/nemo_sine.py --picture docs/results/nemo-sine.svg
 
-A few points of sin(x) with a gap, in 32 bins. NML at a query fits 32 networks, each to the data and the claim that the query
+Points of sin(x) with a gap, in 32 bins. NML at a query fits 32 networks, each to the data and the claim that the query
 falls into its bin; the ensemble is 32 networks of the same shape on redrawn data. All queries' networks are one program.
 """
 
@@ -30,12 +30,12 @@ SPAN = -8.0, 8.0  # of the queries
 class Options:
     """Figure 6.3: what quantised NML and a bootstrapped ensemble believe inside and outside of the data."""
 
-    points: int = 24  # of the data
+    points: int = 200  # of the data
     queries: int = 48  # where both are asked
     bins: int = 32  # of the score, networks a query, members of the ensemble
-    hidden: tuple[int, ...] = (32, 32)  # width of each hidden layer
-    steps: int = 1500  # updates of every network
-    lr: float = 3e-3  # learning rate
+    hidden: tuple[int, ...] = (16, 16)  # width of each hidden layer
+    steps: int = 300  # updates of every network
+    lr: float = 0.01  # learning rate
     seeds: int = 3  # of data and networks
     picture: str | None = None  # SVG file, of the first seed
 

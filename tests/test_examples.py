@@ -67,7 +67,8 @@ def test_morphologies_are_made(tmp_path, monkeypatch):
 
     monkeypatch.setattr(example, "stored", lambda task: tmp_path / f"{task.name}.npz")
     monkeypatch.setattr(example, "RUNS", 2)
-    example.main(example.Options(only=("ant",), gait=True, iterations=(1, 1), collect=True, designs=40))
+    monkeypatch.setattr(example, "ITERATIONS", {"ant": (1, 1)})
+    example.main(example.Options(only=("ant",), gait=True, collect=True, designs=40, runs=(0, 1), out=str(tmp_path)))
     made = np.load(tmp_path / "ant-morphology.npz")
     assert made["gait"].shape == (38,)
     assert made["steps"].shape == (40, 60)
@@ -80,7 +81,16 @@ def test_nemo_sine_measures_and_draws(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     import nemo_sine as example
 
-    small = {"queries": 6, "bins": 6, "hidden": (8,), "steps": 50, "seeds": 2}
-    example.main(example.Options(**small, picture=str(tmp_path / "sine.svg")))
+    options = example.Options(
+        queries=16, bins=8, points=80, hidden=(8,), steps=200, lr=0.02, seeds=1, picture=str(tmp_path / "sine.svg")
+    )
+    example.main(options)
     assert "| NML |" in capsys.readouterr().out
     assert (tmp_path / "sine.svg").read_text().startswith("<svg")
+    # The point of the figure: outside of the data NML is less sure than inside, and less surprised than the ensemble.
+    _, _, queries, nml, boot = example.beliefs(options, 0)
+    inside = np.any([(queries >= low) & (queries <= high) for low, high in example.SEEN], 0)
+    truth = np.minimum((np.sin(queries) + 1) / 2 * 8, 7).astype(int)
+    surprise = lambda probs: -np.log(probs[np.arange(16), truth])[~inside].mean()  # noqa: E731
+    assert example.entropy(nml)[~inside].mean() > example.entropy(nml)[inside].mean()
+    assert surprise(nml) < surprise(boot)

@@ -21,6 +21,9 @@ def table(tmp_path, monkeypatch):
         rows.append([f"{heat:.3f}", layers, colour, f"{(heat - 4) ** 2 + (layers - 3) ** 2 + (colour == 'red'):.3f}"])
     with open("alloys.csv", "w", newline="") as file:
         csv.writer(file).writerows([["heat", "layers", "colour", "cost"], *rows])
+    for name, scores in (("few", range(9)), ("same", [1] * 12), ("hole", [0, 1, 2, "", *range(8)])):
+        with open(f"{name}.csv", "w", newline="") as file:
+            csv.writer(file).writerows([["a", "y"], *([i / 2, y] for i, y in enumerate(scores))])
     return tmp_path
 
 
@@ -75,6 +78,13 @@ def test_with_a_judge(table, capsys):
          "alloys: column heat has "),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--kinds", "heat", "colourful"],
          "alloys: column heat: unknown kind 'colourful'"),
+        (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--bounds", "cost", "0", "1"],
+         "alloys: bounds is of inputs, and cost is the target"),
+        (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--levels", "colour", "red,green"],
+         "alloys: column colour has the unknown level 'blue' in row "),
+        (["--method", "best", "--data", "few.csv", "--target", "y"], "few: 9 rows are too few to learn from"),
+        (["--method", "best", "--data", "same.csv", "--target", "y"], "same: y is 1 in all rows, so nothing"),
+        (["--method", "best", "--data", "hole.csv", "--target", "y"], "hole: column y is empty in row 3"),
         (["bench", "--seeds", "0"], "--seeds must be 1 or more, got 0"),
         (["bench", "--problems", "nk", "--paths", "gfp", "x"], "--paths names gfp, which is not among --problems"),
     ],
@@ -99,6 +109,6 @@ def test_bench(tmp_path, capsys):
     asked = ["design", "bench", "--problems", "branin,nk", "--methods", "best,random", "--seeds", "3", "-n", "8"]
     assert main([*asked, "--out", str(tmp_path / "b")]) == 0
     out = capsys.readouterr().out
-    assert out.count("| branin |") == 3
+    assert out.count("| branin |") == 7  # best, median, both normalised, and three that tell whom to trust
     assert "random on nk" in out
     assert "Median design, by the judge" in out

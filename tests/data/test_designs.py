@@ -119,3 +119,33 @@ def test_best_and_worst():
     assert len(designs.best(50)) == 50
     with pytest.raises(ValueError, match="read-only"):
         designs.x[0] = 3.0
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "words"),
+    [
+        (["a,y", *(f"{i}.5,{i}" for i in range(11)), "oops,3"], {}, "column a holds 'oops' in row 11, where most rows"),
+        (["c,y", *(f"{'uv'[i % 2]},{i}" for i in range(11)), ",3"], {}, "column c is empty in row 11"),
+        (["a,y", *(f"{i},{i}" for i in range(12))], {"bounds": {"a": (0, 14.5)}}, "bounds must be whole too, got 0 and 14.5"),
+        (["a,y", *(f"{i}.5,{i}" for i in range(12))], {"bounds": {"a": (1, 0)}}, "bounds must be low and high, got 1 and 0"),
+        (["a,y", *(f"{i + 20_000_000},{i}" for i in range(12))], {}, "reaches beyond 16,777,216"),
+        (["a,y", *(f"{i}.5,{i}" for i in range(12))], {"bounds": {"y": (0, 1)}}, "bounds is of inputs, and y is the target"),
+        (["a,y", *(f"1.5,{i}" for i in range(12))], {}, "all designs are the same"),
+        (["a,y", *(f"{i}.5,7" for i in range(12))], {"minimise": True}, "y is 7 in all rows"),
+    ],
+)
+def test_csv_files_that_are_refused(tmp_path, lines, options, words):
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(UserError) as told:
+        Designs.from_csv(path, "y", **options)
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_scores_as_the_table_has_them():
+    frame = {"a": list(range(12)), "y": [float(i) for i in range(12)]}
+    lost = Designs.from_frame(frame, "y", minimise=True)
+    np.testing.assert_array_equal(lost.shown(lost.y), frame["y"])
+    won = Designs.from_frame(frame, "y")
+    np.testing.assert_array_equal(won.shown(won.y), won.y)

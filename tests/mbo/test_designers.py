@@ -7,6 +7,7 @@ from deadreckon.data.batch import redrawn
 from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, COMs, designer
+from deadreckon.mbo.designer import Setting
 from deadreckon.mbo.registry import CPU_BUDGET
 
 SMALL = {
@@ -98,3 +99,33 @@ def test_names():
             designer("nemo", **{field: 3})
     with pytest.raises(UserError, match="unknown field 'bin': did you mean bins"):
         designer("nemo", bin=3)
+
+
+@pytest.mark.parametrize("name", ["forward", "ensemble-min", "coms", "nemo", "gp-bo", "cbas", "mins"])
+def test_beliefs_are_about_the_designs_that_are_proposed(mixed, name):
+    """Not about the coordinates on the way there: two proposals that are the same design are believed the same."""
+    found = small(name).propose(mixed, 40, seed=0)
+    _, first, again = np.unique(found.x, axis=0, return_index=True, return_inverse=True)
+    np.testing.assert_allclose(found.predicted, found.predicted[first][again.reshape(-1)], rtol=1e-3, atol=1e-3)
+    setting = Setting(mixed, 40, [0], None, lambda what, step, steps: None)
+    twice = small(name).decoded(setting, 0, mixed.coordinates.encode(found.x), lambda z: (z[:, 0], None))
+    np.testing.assert_allclose(twice.predicted, mixed.coordinates.score(mixed.coordinates.encode(found.x)[:, 0]), rtol=1e-5)
+
+
+def test_few_rows_give_many_different_designs():
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0, 1, (12, 2))
+    data = Designs.from_arrays(x, x.sum(1), [Variable("a", low=0, high=1), Variable("b", low=0, high=1)])
+    found = designer("forward", hidden=(8,), steps=50, batch_size=8, ascent=1, design_lr=1e-4).propose(data, 60)
+    data.check(found.x)
+    assert len(np.unique(found.x.round(4), axis=0)) > 50
+    with pytest.raises(UserError, match="designs has 12 designs, fewer than the 60 asked for"):
+        designer("best").propose(data, 60)
+
+
+def test_margins_and_percentiles(mixed):
+    assert not mixed.coordinates.discrete
+    levels = [Variable(c, "categorical", levels=tuple("xyz")) for c in "ab"]
+    assert Designs.from_arrays(np.arange(20).reshape(10, 2) % 3, np.arange(10.0), levels).coordinates.discrete
+    with pytest.raises(UserError, match=r"CbAS.percentile must be 0 .. 100 without 100, got 150"):
+        designer("cbas", percentile=150.0).propose(mixed, 4)

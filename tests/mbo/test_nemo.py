@@ -113,6 +113,18 @@ def test_designs_improve_and_stay_within_bounds(bowl):
     assert found.method == "NEMO"
 
 
+def test_claims_make_what_is_searched_uncertain(bowl):
+    """Each model is pulled towards its own claim about the designs: without that, nothing is NML."""
+    small = NEMO(bins=8, hidden=(32,), steps=300, pretrain=300, lr=0.005, design_lr=0.02, loss="likelihood")
+    none, strong = (small.replace(weight=weight).propose(bowl, 16) for weight in (0.0, 1.0))
+    assert np.median(strong.doubt) > 1.5 * np.median(none.doubt)
+    # Models that stay after pretraining know no claims, whatever these weigh.
+    still = [small.replace(search_lr=0.0, weight=weight).propose(bowl, 16) for weight in (0.0, 1.0)]
+    np.testing.assert_array_equal(still[0].x, still[1].x)
+    np.testing.assert_array_equal(still[0].predicted, still[1].predicted)
+    assert not np.array_equal(still[0].x, none.x)
+
+
 @pytest.mark.parametrize(
     "fields",
     [

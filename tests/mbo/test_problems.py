@@ -275,3 +275,10 @@ def test_a_controller_by_hand():
         alive &= ~(terminals | timeouts)
     np.testing.assert_allclose(found, total, rtol=1e-6)
     assert hopper.SIZE == 5126
+
+
+def test_other_random_numbers_are_noticed(monkeypatch):
+    """The scores belong to designs that numpy's generator makes again; if it made others, they would be nobody's."""
+    monkeypatch.setattr(hopper, "RATE", 0.03)
+    with pytest.raises(UserError, match="draws other numbers than its designs were made of"):
+        dr.mbo.problem("hopper-controller")

@@ -5,7 +5,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import Random, designer, problem
-from deadreckon.mbo.protocol import exploited, judge, markdown, published
+from deadreckon.mbo.protocol import COLUMNS, judge, markdown, published, trust
 from deadreckon.ope.intervals import student
 
 
@@ -51,7 +51,10 @@ def test_percentiles_and_tables(branin):
     assert table[0] == "| problem | data | best | random |"
     assert table[2].startswith(f"| branin | {branin.visible.y.max():,.4g} | ")
     assert f"{best.mean():,.4g} [" in table[2]
-    assert exploited(results).splitlines()[2].endswith("|  |")
+    assert trust(results, "exploitation").splitlines()[2].endswith("|  |")
+    assert results[0].distance.mean == 0.0  # they are the data's own
+    assert random.distance.mean > 0.5
+    assert [trust(results, what).count("\n") for what in COLUMNS] == [2, 2, 2]
     with pytest.raises(UserError, match="branin has several results of one method"):
         markdown([*results, results[0]])
 

@@ -23,6 +23,7 @@ class Design:
     data: str | None = None  # CSV of scored designs, a row each
     target: str | None = None  # its column to make large
     kinds: dict[str, str] = dataclasses.field(default_factory=dict)  # COLUMN continuous, integer or categorical, ...
+    levels: dict[str, str] = dataclasses.field(default_factory=dict)  # COLUMN A,B,C: all its levels, where the data lacks some
     bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)  # COLUMN LOW HIGH, ...; else the data's
     ignore: tuple[str, ...] = ()  # columns that are no inputs
     minimise: bool = False  # make the target small instead
@@ -83,13 +84,12 @@ def _propose(name: str, method: Any, options: Design) -> None:
     from deadreckon.mbo.reach import reach
     from deadreckon.report.design import write_design
 
-    sign = -1.0 if data.minimise else 1.0
     far = reach(data, made.x)
-    more = {"predicted": sign * made.predicted, "doubt": made.doubt, "distance": far}
+    more = {"predicted": data.shown(made.predicted), "doubt": made.doubt, "distance": far}
     if scores is not None:
-        more["judged"] = sign * scores.true
+        more["judged"] = data.shown(scores.true)
     written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
-    for line in _told(data, made, sign):
+    for line in _told(data, made):
         print(line)
     if scores is not None:
         print(f"{scores}\nthe judge is {problem.about if problem else ''}")
@@ -97,10 +97,10 @@ def _propose(name: str, method: Any, options: Design) -> None:
     print(write_design(data, made, far, out / "report.html", scores))
 
 
-def _told(data: Any, made: Any, sign: float) -> list[str]:
-    best = sign * float(data.y.max())
+def _told(data: Any, made: Any) -> list[str]:
+    best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}"]
-    promised = f", the best promises {sign * float(made.predicted.max()):,.4g}" if made.promises else ""
+    promised = f", the best promises {most:,.4g}" if made.promises else ""
     return [*lines, f"{made.method}: {len(made):,} proposals{promised} ({made.seconds:,.0f} s)"]
 
 
@@ -121,6 +121,7 @@ def _designs(options: Design) -> Any:
         raise UserError("--path is the file of a --problem; the file of your own designs is --data")
     return Designs.from_csv(
         options.data or "", options.target, kinds=options.kinds, bounds=options.bounds, ignore=options.ignore,
+        levels={column: [level.strip() for level in text.split(",")] for column, text in options.levels.items()},
         minimise=options.minimise,
     )  # fmt: skip
 
@@ -185,7 +186,7 @@ class Nothing:
 def bench(args: Sequence[str]) -> None:
     """Runs the protocol and prints its tables."""
     options = parse(Bench, args, "design bench")
-    from deadreckon.mbo.protocol import PERCENTILES, exploited, judge, markdown
+    from deadreckon.mbo.protocol import COLUMNS, PERCENTILES, judge, markdown, trust
     from deadreckon.mbo.registry import CPU_BUDGET, designer
 
     if options.seeds < 1:
@@ -207,7 +208,9 @@ def bench(args: Sequence[str]) -> None:
             results += judge(problem, designers[name], options.n, **asked, watch=watch, told=told)
     for q, words in PERCENTILES.items():
         print(f"\n{words}, by the judge\n\n{markdown(results, q)}")
-    print(f"\nPromised beyond the truth, in ranges of all data\n\n{exploited(results)}")
+        print(f"\nNormalised: 0 and 1 are the least and the greatest of all data\n\n{markdown(results, q, normalised=True)}")
+    for what, words in COLUMNS.items():
+        print(f"\n{words}\n\n{trust(results, what)}")
 
 
 _MORE = {"problems": problems, "get": get, "methods": methods, "bench": bench}

@@ -79,7 +79,10 @@ class Designs:
         if len(self.y) < FEWEST:
             raise UserError(f"{self.name}: {len(self.y)} rows are too few to learn from, {FEWEST} or more are needed")
         if np.ptp(self.y) == 0:
-            raise UserError(f"{self.name}: {self.target} is {self.y[0]:g} in all rows, so nothing tells good from bad")
+            only = float(self.shown(self.y)[0])
+            raise UserError(f"{self.name}: {self.target} is {only:g} in all rows, so nothing tells good from bad")
+        if not np.ptp(self.x, axis=0).any():
+            raise UserError(f"{self.name}: all designs are the same, so nothing tells what to change")
         self.x.flags.writeable = self.y.flags.writeable = False
 
     def __len__(self) -> int:
@@ -99,7 +102,9 @@ class Designs:
     def from_csv(cls, path: Path | str, target: str, **options: Any) -> "Designs":
         """Designs of a CSV file with a line of names; options as for `from_frame`."""
         with reading(path, "CSV", pa.ArrowException):
-            table = csv.read_csv(path)
+            # An empty cell is none, also of texts; what else cannot be read as a number is told with its row.
+            empty = csv.ConvertOptions(strings_can_be_null=True, null_values=[""])
+            table = csv.read_csv(path, convert_options=empty)
         options.setdefault("name", Path(path).stem)
         return cls.from_frame(table, target, **options)
 
@@ -136,6 +141,9 @@ class Designs:
         table = to_arrow(frame, name)
         for column in (target, *(kinds or {}), *(bounds or {}), *(levels or {}), *ignore):
             check_column(table, column, name)
+        for what, given in (("kinds", kinds), ("bounds", bounds), ("levels", levels), ("ignore", ignore)):
+            if target in (given or ()):
+                raise UserError(f"{name}: {what} is of inputs, and {target} is the target")
         if table.num_rows == 0:
             raise UserError(f"{name}: the table has no rows")
         y = numbers(name, table, target)
@@ -150,6 +158,10 @@ class Designs:
             columns.append(values)
             variables.append(variable)
         return cls(np.stack(columns, 1).astype(np.float32), -y if minimise else y, tuple(variables), name, target, minimise)
+
+    def shown(self, scores: np.ndarray) -> np.ndarray:
+        """Scores as the table has them: turned around again where its target was to be made small."""
+        return -scores if self.minimise else scores
 
     @cached_property
     def coordinates(self) -> "Coordinates":
@@ -225,7 +237,7 @@ def _variable(
     name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any
 ) -> tuple[np.ndarray, Variable]:
     """A column's numbers, and what it may be."""
-    stored = table.column(column).type
+    stored, given = table.column(column).type, kind
     if kind is None:
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
@@ -233,18 +245,53 @@ def _variable(
     if kind == "categorical":
         if bounds is not None:
             raise UserError(f"{name}: column {column} is categorical and has levels, not bounds")
+        if given is None and not levels:
+            _not_numbers(name, table, column)
         known = tuple(levels) if levels else _levels(name, table, column)
+        if pa.types.is_integer(stored):  # levels that came as texts
+            known = tuple(int(level) if isinstance(level, str) and level.lstrip("-").isdigit() else level for level in known)
         return _codes(name, table, column, known), Variable(column, "categorical", levels=known)
     values = numbers(name, table, column)
+    low, high = bounds if bounds is not None else (values.min(), values.max())
+    if not low <= high:
+        raise UserError(f"{name}: column {column}: bounds must be low and high, got {low:g} and {high:g}")
+    if kind == "integer" and bounds is not None and (low != np.ceil(low) or high != np.floor(high)):
+        raise UserError(f"{name}: column {column} holds whole numbers, its bounds must be whole too, got {low:g} and {high:g}")
+    if kind == "integer" and max(abs(low), abs(high)) > 2**24:
+        raise UserError(
+            f"{name}: column {column} reaches beyond 16,777,216, where 32 bits do not hold every whole number; "
+            f"say kind continuous, or ignore it"
+        )
     if kind == "integer" and (values != np.round(values)).any():
         row = int(np.argmax(values != np.round(values)))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, whole numbers are needed")
-    low, high = bounds if bounds is not None else (values.min(), values.max())
     outside = (values < low) | (values > high)
     if outside.any():
         row = int(np.argmax(outside))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, outside the bounds [{low:g}, {high:g}]")
     return values, Variable(column, kind, float(low), float(high))  # type: ignore[arg-type]
+
+
+def _not_numbers(name: str, table: pa.Table, column: str) -> None:
+    """Refuses texts that are numbers in most rows: one bad cell would make a category of each."""
+    if not pa.types.is_string(table.column(column).type):
+        return
+    values = _texts(name, table, column)
+    bad = [row for row, value in enumerate(values) if not _is_number(value)]
+    if bad and len(bad) < len(values) / 2:
+        row = bad[0]
+        raise UserError(
+            f"{name}: column {column} holds {values[row]!r} in row {row}, where most rows hold numbers; "
+            "mend it, or say kind categorical"
+        )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _texts(name: str, table: pa.Table, column: str) -> list[Any]:
@@ -321,6 +368,11 @@ class Coordinates:
     def size(self) -> int:
         """Coordinates a design."""
         return len(self.low)
+
+    @property
+    def discrete(self) -> bool:
+        """Whether most variables are categories."""
+        return len(self.numeric) < len(self.designs.variables) / 2
 
     def encode(self, x: np.ndarray) -> np.ndarray:
         """(rows, variables) designs as (rows, size) float32 coordinates."""

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, Needs, redrawn
 from deadreckon.data.designs import Coordinates
+from deadreckon.errors import UserError
 from deadreckon.mbo.designer import Designer, Proposals, Setting
-from deadreckon.mbo.forward import Gaussian, believed
+from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.training.learner import static
@@ -174,7 +174,13 @@ class CbAS(Designer):
         return "Autofocus" if self.refit > 0 else "CbAS"
 
     def solve(self, setting: Setting) -> list[Proposals]:
-        """Designs drawn from the last q."""
+        """Designs drawn from the last q.
+
+        Raises:
+            UserError: a percentile that is none.
+        """
+        if not 0 <= self.percentile < 100:
+            raise UserError(f"{self.label}.percentile must be 0 .. 100 without 100, got {self.percentile:g}")
         view = setting.data.coordinates
         layout = Layout.of(view)
         ensemble = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
@@ -193,32 +199,24 @@ class CbAS(Designer):
             for i in range(self.rounds):
                 state = _round(self, layout, prior, state, *fixed, jax.random.fold_in(key, i), *setting.bounds)
                 setting.watch(f"{self.label.lower()} seed {seed}", i + 1, self.rounds)
-            drawn = _draw(layout, state.q, jax.random.fold_in(key, self.rounds), setting.n, *setting.bounds)[0]
-            mean, std = (np.asarray(part) for part in _believed(state.nets, drawn))
-            found.append(self.decoded(setting, seed, drawn, mean, std))
+            drawn = _draw(layout, state.q, jax.random.fold_in(key, self.rounds), setting.n)[0]
+            found.append(self.decoded(setting, seed, drawn, lambda x, nets=state.nets: mixture(nets, x)))
         return found
 
 
-def _draw(layout: Layout, q: Generator, key: Array, count: int, low: Array, high: Array) -> tuple[Array, Array]:
-    """Designs within bounds, and their latents."""
+def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, Array]:
+    """Designs, some of them out of bounds, and their latents."""
     kz, kx = jax.random.split(key)
     latent = jax.random.normal(kz, (count, q.decoder.weights[0].shape[0]))
-    return jnp.clip(layout.draw(q.decoder(latent), kx), low, high), latent
-
-
-@jax.jit
-def _believed(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
-    """Mean and deviation of the ensemble's mixture."""
-    mean, log_std = jax.vmap(lambda net: believed(net, x))(nets)
-    return mean.mean(0), jnp.sqrt(jnp.exp(2 * log_std).mean(0) + mean.var(0))
+    return layout.draw(q.decoder(latent), kx), latent
 
 
 @eqx.filter_jit
 def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weight, key, low, high) -> Rounds:
     """One round: draw, count, fit q; then, autofocused, the ensemble."""
     kd, kq, ke, kn = jax.random.split(key, 4)
-    drawn, latent = _draw(layout, state.q, kd, of.draws, low, high)
-    mean, std = _believed(state.nets, drawn)
+    drawn, latent = _draw(layout, state.q, kd, of.draws)
+    mean, std = mixture(state.nets, jnp.clip(drawn, low, high))  # what would be proposed; densities are of what was drawn
     threshold = jnp.maximum(state.threshold, jnp.percentile(mean, of.percentile))
     ratio = layout.log_prob(prior.decoder(latent), drawn) - layout.log_prob(state.q.decoder(latent), drawn)
     log_count = jnp.clip(ratio, -LOG_RATIO, LOG_RATIO) + jax.scipy.stats.norm.logsf((threshold - mean) / std)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Float
 
@@ -22,11 +21,12 @@ from deadreckon.training.learner import static
 
 
 class State(NamedTuple):
-    """The model, its optimiser, and the logarithm of the penalty's weight."""
+    """The model and the logarithm of the penalty's weight, each with its optimiser."""
 
     net: MLP
     opt: optax.OptState
     log_alpha: Float[Array, ""]
+    alpha_opt: optax.OptState
 
 
 class Conservative(eqx.Module):
@@ -47,7 +47,8 @@ class Conservative(eqx.Module):
     def init(self, spec, key):
         """A fresh model; the penalty counts as much as the error at first."""
         net = MLP.create(spec.size, self.hidden, 1, key, activation="relu")
-        return State(net, begin(net), jnp.float32(0.0))
+        log_alpha = jnp.float32(0.0)
+        return State(net, begin(net), log_alpha, begin(log_alpha))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of the model and one of the penalty's weight, which grows while the difference is above the margin."""
@@ -57,8 +58,9 @@ class Conservative(eqx.Module):
         alpha = jnp.exp(state.log_alpha)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.net, x, y, beyond, alpha)
         net, opt = descend(state.net, grads, state.opt, self.lr)
-        log_alpha = jnp.clip(state.log_alpha + self.alpha_lr * (metrics["overestimation"] - self.margin), -10.0, 10.0)
-        return State(net, opt, log_alpha), metrics | {"alpha": alpha}
+        slack = self.margin - metrics["overestimation"]
+        log_alpha, alpha_opt = descend(state.log_alpha, slack, state.alpha_opt, self.alpha_lr)
+        return State(net, opt, log_alpha, alpha_opt), metrics | {"alpha": alpha}
 
     def adversaries(self, net: MLP, x: Array) -> Array:
         """Where ascent leads from the data."""
@@ -86,7 +88,7 @@ class COMs(Designer):
     batch_size: int = static(128)  # designs an update
     lr: float = 3e-4  # of the model
     alpha_lr: float = 0.01  # of the penalty's weight, on its logarithm
-    margin: float = 0.5  # difference that is allowed, in deviations of the score (0.5; 2.0 for discrete designs)
+    margin: float | None = None  # difference allowed, in deviations of the score; None: 0.5, or 2.0 for discrete designs
     ascent: int = static(50)  # steps of the designs, in training and after it
     design_lr: float = 0.05  # of the designs, times sqrt(coordinates)
 
@@ -94,9 +96,10 @@ class COMs(Designer):
         """From the best designs of the data, up the gradient."""
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         rate = self.design_lr * view.size**0.5
-        learner = Conservative(self.lr, self.alpha_lr, self.margin, rate, self.ascent, self.hidden, self.batch_size)
+        margin = (2.0 if view.discrete else 0.5) if self.margin is None else self.margin
+        learner = Conservative(self.lr, self.alpha_lr, margin, rate, self.ascent, self.hidden, self.batch_size)
         found: list[Any] = []
         for seed, state in zip(setting.seeds, setting.train(learner, self.steps, "coms")):
             x = climb(promised, state.net, start, self.ascent, rate, *setting.bounds)
-            found.append(self.decoded(setting, seed, x, np.asarray(promised(state.net, x))))
+            found.append(self.decoded(setting, seed, x, lambda x, net=state.net: (promised(net, x), None)))
         return found

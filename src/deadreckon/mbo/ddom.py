@@ -105,5 +105,5 @@ class DDOM(Designer):
         for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ddom", {"weight": weight})):
             key = jax.random.fold_in(jax.random.key(seed), 1)
             x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling)
-            found.append(self.decoded(setting, seed, x, np.full(setting.n, best)))
+            found.append(self.decoded(setting, seed, x, lambda x: (np.full(len(x), best), None)))
         return found

@@ -24,6 +24,9 @@ from deadreckon.training.fit import Fit, complete
 from deadreckon.training.learner import check_fields
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
+# Standardised means and deviations of coordinates (n, size); either may be None.
+Belief = Callable[[Array], tuple[Any, Any]]
+AROUND = 0.3  # deviation of further starts around a design, in standardised coordinates
 
 
 @dataclass(frozen=True)
@@ -152,11 +155,24 @@ class Designer(eqx.Module):
         """The same designer with some fields changed."""
         return dataclasses.replace(self, **changes)
 
-    def decoded(self, setting: Setting, seed: int, z: Any, predicted: Any, doubt: Any = None) -> Proposals:
-        """Proposals of coordinates (n, size) and standardised beliefs (n,)."""
+    def decoded(self, setting: Setting, seed: int, z: Any, believed: Belief | None = None) -> Proposals:
+        """Proposals of coordinates (n, size).
+
+        Args:
+            setting: what was worked on.
+            seed: of the proposals.
+            z: the coordinates; what is proposed are the designs nearest to them, with whole numbers and single levels.
+            believed: standardised means and deviations (n,), or None for these, of coordinates: it is asked about those of
+                the designs that are proposed. None: the method believes nothing.
+        """
         view = setting.data.coordinates
-        doubts = np.full(setting.n, np.nan) if doubt is None else view.y_std * np.asarray(doubt, np.float64)
-        return Proposals(self.label, view.decode(np.asarray(z)), view.score(np.asarray(predicted)), doubts, seed)
+        x = view.decode(np.asarray(z))
+        mean = doubt = None
+        if believed is not None:
+            mean, doubt = believed(jnp.asarray(view.encode(x)))
+        nan = np.full(setting.n, np.nan)
+        predicted = nan if mean is None else view.score(np.asarray(mean, np.float64))
+        return Proposals(self.label, x, predicted, nan if doubt is None else view.y_std * np.asarray(doubt, np.float64), seed)
 
 
 class Search(NamedTuple):
@@ -167,8 +183,12 @@ class Search(NamedTuple):
 
     @classmethod
     def start(cls, data: Designs, n: int, worst: bool = False) -> "Search":
-        """From the best designs of the data, or the worst."""
-        x = jnp.asarray(data.coordinates.encode(data.x[data.best(n, worst)]))
+        """From the best designs of the data, or the worst; where these are too few, from places around them, too."""
+        view, rows = data.coordinates, data.best(min(n, len(data)), worst)
+        x = view.encode(data.x[np.resize(rows, n)])
+        away = np.random.default_rng(0).standard_normal(x[len(rows) :].shape)
+        x[len(rows) :] = np.clip(x[len(rows) :] + AROUND * away, view.low, view.high)
+        x = jnp.asarray(x)
         return cls(x, begin(x))
 
     def ascend(self, value: Callable[[Array], Array], lr: Any, low: Array, high: Array) -> "Search":

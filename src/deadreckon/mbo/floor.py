@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deadreckon.errors import UserError
 from deadreckon.mbo.designer import Designer, Proposals, Setting
 
 
@@ -9,7 +10,13 @@ class BestOfData(Designer):
     """The designs of the data with the highest scores, as they are."""
 
     def solve(self, setting: Setting) -> list[Proposals]:
-        """The same for every seed."""
+        """The same for every seed.
+
+        Raises:
+            UserError: the data has fewer designs than are asked for.
+        """
+        if setting.n > len(setting.data):
+            raise UserError(f"{setting.data.name} has {len(setting.data):,} designs, fewer than the {setting.n:,} asked for")
         rows = setting.data.best(setting.n)
         x, y = setting.data.x[rows], setting.data.y[rows]
         return [Proposals(self.label, x, y, np.zeros(setting.n), seed) for seed in setting.seeds]

@@ -8,7 +8,6 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import redrawn
@@ -46,6 +45,13 @@ def least_of(nets: MLP, x: Array) -> Array:
     return jax.vmap(lambda net: believed(net, x)[0])(nets).min(0)
 
 
+@jax.jit
+def mixture(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+    """Mean and deviation of the members' mixture: what each is unsure of, and how far they disagree."""
+    mean, log_std = jax.vmap(lambda net: believed(net, x))(nets)
+    return mean.mean(0), jnp.sqrt(jnp.exp(2 * log_std).mean(0) + mean.var(0))
+
+
 class Forward(Designer):
     """A model of the score and gradient ascent on its mean; with several members an ensemble on redrawn designs."""
 
@@ -74,8 +80,5 @@ class Forward(Designer):
         found = []
         for seed, (nets, _) in zip(setting.seeds, states):
             x = climb(value, nets, start, self.ascent, self.design_lr * view.size**0.5, *setting.bounds)
-            each, log_std = (np.asarray(part) for part in jax.vmap(lambda net, x=x: believed(net, x))(nets))
-            # Of a mixture: what each member is unsure of, and how far they disagree.
-            doubt = np.sqrt(np.exp(2 * log_std).mean(0) + each.var(0))
-            found.append(self.decoded(setting, seed, x, each.mean(0) if self.objective == "mean" else each.min(0), doubt))
+            found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1])))
         return found

@@ -94,8 +94,7 @@ class GPBO(Designer):
         process = self.fit(setting)
         lr, start = self.design_lr * view.size**0.5, Search.start(setting.data, setting.n)
         x = climb(worth, process, start, self.ascent, lr, *setting.bounds)
-        mean, std = (np.asarray(part) for part in jax.jit(Process.posterior)(process, x))
-        return [self.decoded(setting, seed, x, mean, std) for seed in setting.seeds]
+        return [self.decoded(setting, seed, x, process.posterior) for seed in setting.seeds]
 
     def fit(self, setting: Setting) -> Process:
         """The process.
@@ -116,8 +115,7 @@ class GPBO(Designer):
             order = np.concatenate([best, drawn])
         z = view.encode(data.x[order]).astype(np.float64)
         y = (data.y[order] - view.y_mean) / view.y_std
-        discrete = sum(v.kind == "categorical" for v in data.variables) > len(data.variables) / 2
-        rbf = self.kernel == "rbf" or (self.kernel == "auto" and not discrete)
+        rbf = self.kernel == "rbf" or (self.kernel == "auto" and not view.discrete)
         size = float(view.size)
         shape = kernels.RBF(size**0.5, (1e-2 * size**0.5, 1e2 * size**0.5)) if rbf else kernels.DotProduct(1.0, (1e-3, 1e3))
         signal = kernels.ConstantKernel(1.0 if rbf else 1.0 / size, (1e-6, 1e3))

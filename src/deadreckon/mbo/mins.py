@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Batch, Needs, redrawn
+from deadreckon.data.batch import Batch, Needs
 from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
@@ -119,21 +118,21 @@ class MINs(Designer):
         inverse = Inversion(self.lr, self.latent, self.hidden, self.turns, self.batch_size)
         forward = Gaussian(self.forward_lr, 1, self.forward_hidden, 2, "relu", self.batch_size)
         pairs = setting.train(inverse, self.steps, "mins", weight)
-        models = setting.train(forward, self.forward_steps, "forward", {"weight": redrawn(len(data), 1, 0)})
+        models = setting.train(forward, self.forward_steps, "forward")
         best = float((data.y.max() - view.y_mean) / view.y_std)
         found = []
         for seed, pair, (nets, _) in zip(setting.seeds, pairs, models):
             z = jax.random.normal(jax.random.fold_in(jax.random.key(seed), 3), (setting.n, self.latent))
-            x, y = _ask(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent)
-            found.append(self.decoded(setting, seed, x, y, np.full(setting.n, np.nan)))
+            x = _ask(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent)
+            found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (mean_of(nets, x), None)))
         return found
 
 
 @partial(jax.jit, static_argnames="steps")
 def _ask(
     generator: MLP, nets: MLP, z: Array, best: Array, agreement: Array, lr: Array, low: Array, high: Array, *, steps: int
-) -> tuple[Float[Array, "n z"], Float[Array, "n"]]:
-    """Designs, and the forward model's word on them."""
+) -> Float[Array, "n z"]:
+    """Designs."""
 
     def loss(asked: tuple[Array, Array]) -> Array:
         z, y = asked
@@ -147,5 +146,4 @@ def _ask(
 
     first = z, jnp.full(len(z), best)
     (z, y), _ = jax.lax.fori_loop(0, steps, step, (first, begin(first)))
-    x = jnp.clip(made(generator, z, y), low, high)
-    return x, mean_of(nets, x)
+    return jnp.clip(made(generator, z, y), low, high)

@@ -136,6 +136,7 @@ class Training(eqx.Module):
     """What `fit` trains: the models alone at first, then models and designs by turns (Algorithm 6)."""
 
     lr: float
+    search_lr: float
     design_lr: float
     target_rate: float
     weight: float
@@ -175,7 +176,8 @@ class Training(eqx.Module):
         which = jax.random.randint(key, (), 0, len(state.search.x))
         weight = jnp.where(step < self.pretrain, 0.0, self.weight)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
-        nets, opt = descend(state.nets, grads, state.opt, self.lr)
+        lr = jnp.where(step < self.pretrain, self.lr, self.search_lr)
+        nets, opt = descend(state.nets, grads, state.opt, lr)
         # Targets do not lag behind pretraining: they are copies where it ends.
         rate = jnp.where(step < self.pretrain, 1.0, self.target_rate)
         targets = track(state.targets, nets, rate)
@@ -240,6 +242,7 @@ class NEMO(Designer):
     ratio: int = static(1)  # updates of the models for each of the designs
     batch_size: int = static(128)  # designs of the data an update (missing in Algorithm 6)
     lr: float = 0.05  # of the models, alpha_theta
+    search_lr: float | None = None  # of the models while designs rise; None: the same; 0: they stay, and nothing is NML
     design_lr: float = 0.1  # of the designs, alpha_x, in standardised coordinates
     target_rate: float = 0.05  # tau
     weight: float | None = None  # of the claim beside the data's mean; None: 1 / rows (6.3)
@@ -259,7 +262,8 @@ class NEMO(Designer):
         if self.g is not None:
             g = Fixed(np.asarray(self.g(view.score(low + (high - low) * np.asarray(middles(self.bins))))))
         return Training(
-            self.lr, self.design_lr, self.target_rate, 1.0 / len(data) if self.weight is None else self.weight, self.confidence,
+            self.lr, self.lr if self.search_lr is None else self.search_lr, self.design_lr, self.target_rate,
+            1.0 / len(data) if self.weight is None else self.weight, self.confidence,
             Fixed(view.low), Fixed(view.high), setting.n, self.start == "worst", (low, high), g, self.bins, self.hidden,
             self.architecture == "logistic",
             self.loss == "bce" and self.architecture == "logistic", self.objective, self.pretrain, self.ratio, self.batch_size,
@@ -272,9 +276,12 @@ class NEMO(Designer):
         low, high = learner.scale
         found = []
         for seed, state in zip(setting.seeds, states):
-            probs = np.exp(np.asarray(jax.jit(p_nml)(state.targets, state.search.x), np.float64))
             middle = low + (high - low) * (np.arange(self.bins) + 0.5) / self.bins
-            mean = probs @ middle
-            doubt = np.sqrt(np.maximum(probs @ np.square(middle) - np.square(mean), 0.0))
-            found.append(self.decoded(setting, seed, state.search.x, mean, doubt))
+
+            def believed(x: Array, nets: Net = state.targets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
+                probs = np.exp(np.asarray(jax.jit(p_nml)(nets, x), np.float64))
+                mean = probs @ middle
+                return mean, np.sqrt(np.maximum(probs @ np.square(middle) - np.square(mean), 0.0))
+
+            found.append(self.decoded(setting, seed, state.search.x, believed))
         return found

@@ -20,6 +20,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, write_json
 from deadreckon.mbo.designer import Designer, Watcher
 from deadreckon.mbo.problems.problem import Problem, Scores
+from deadreckon.mbo.reach import reach
 from deadreckon.ope.intervals import student
 
 PERCENTILES = {100: "Best of the designs", 50: "Median design"}
@@ -33,6 +34,8 @@ class Result:
         problem, method: names.
         seeds: of the proposals.
         true, predicted: (seeds, n) scores by the oracle, and what the method believed (NaN where nothing).
+        doubt: (seeds, n) deviation of that belief (NaN where there is none).
+        reach: (seeds, n) distance to the nearest design that was shown (`mbo.reach`).
         low, high: least and greatest score of all data of the problem.
         data_best: the greatest score that was shown.
         about: what the oracle is.
@@ -45,6 +48,8 @@ class Result:
     seeds: tuple[int, ...]
     true: np.ndarray
     predicted: np.ndarray
+    doubt: np.ndarray
+    reach: np.ndarray
     low: float
     high: float
     data_best: float
@@ -64,6 +69,16 @@ class Result:
     def exploitation(self) -> "Cell":
         """How much more was promised than kept, in ranges of all data (`Scores.exploitation`)."""
         return _cell(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
+
+    @property
+    def distance(self) -> "Cell":
+        """Median distance of the designs to those that were shown: 1 is usual among these."""
+        return _cell(np.median(self.reach, 1))
+
+    @property
+    def unsure(self) -> "Cell":
+        """Median deviation of what was believed, in ranges of all data."""
+        return _cell(np.median(self.doubt, 1) / (self.high - self.low))
 
 
 class Cell(NamedTuple):
@@ -126,6 +141,7 @@ def judge(
             scores = [problem.score(each) for each in made]
             result = Result(
                 problem.name, name, tuple(seeds), np.stack([s.true for s in scores]), np.stack([s.predicted for s in scores]),
+                np.stack([each.doubt for each in made]), np.stack([reach(problem.visible, each.x) for each in made]),
                 problem.low, problem.high, float(problem.visible.y.max()), problem.about, str(designer),
                 sum(part[0].seconds for part in found),
             )  # fmt: skip
@@ -141,7 +157,7 @@ def _to_json(result: Result) -> dict[str, Any]:
 
 
 def _from_json(fields: dict[str, Any]) -> Result:
-    arrays = {name: np.asarray(fields[name], float) for name in ("true", "predicted")}
+    arrays = {name: np.asarray(fields[name], float) for name in ("true", "predicted", "doubt", "reach")}
     return Result(**{**fields, **arrays, "seeds": tuple(fields["seeds"])})
 
 
@@ -178,13 +194,26 @@ def markdown(results: Sequence[Result], q: int = 100, normalised: bool = False) 
     return "\n".join(lines)
 
 
-def exploited(results: Sequence[Result]) -> str:
-    """A table of what was promised beyond the truth, in ranges of all data: a row a problem, a column a method."""
+COLUMNS = {
+    "exploitation": "Promised beyond the truth, in ranges of all data (NEMO cannot promise more than the middle of its last "
+    "bin, DDOM no more than the best of the data)",
+    "unsure": "How unsure the method was, median deviation in ranges of all data",
+    "distance": "How far outside of the data: median distance to the nearest design shown, 1 being usual among these",
+}
+
+
+def trust(results: Sequence[Result], what: str) -> str:
+    """A table of how far proposals are to be trusted: a row a problem, a column a method.
+
+    Args:
+        results: of one or several problems.
+        what: among `COLUMNS`.
+    """
     methods = list(dict.fromkeys(r.method for r in results))
     lines = ["| problem | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
     for name in dict.fromkeys(r.problem for r in results):
         own = _by_method([r for r in results if r.problem == name])
-        lines.append(f"| {name} | " + " | ".join(str(own[m].exploitation) if m in own else "" for m in methods) + " |")
+        lines.append(f"| {name} | " + " | ".join(str(getattr(own[m], what)) if m in own else "" for m in methods) + " |")
     return "\n".join(lines)
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
@@ -53,5 +52,5 @@ class RaM(Designer):
             out = jax.lax.map(lambda x, nets=nets: ranked((nets, 0.0, 1.0), x[None])[0], seen, batch_size=1024)
             scaled = nets, out.mean(), jnp.maximum(out.std(), 1e-6)
             x = climb(ranked, scaled, start, self.ascent, self.design_lr * view.size**0.5, *setting.bounds)
-            found.append(self.decoded(setting, seed, x, np.full(setting.n, np.nan)))
+            found.append(self.decoded(setting, seed, x))
         return found

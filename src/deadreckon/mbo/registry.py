@@ -33,7 +33,7 @@ DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
 
 
 # Designer -> problem -> published settings. NEMO: thesis C.1; which of its learning rates belong to GFP is not certain
-# (the table lost a line). COMs: Trabucco et al. 2021 for discrete designs.
+# (the table lost a line).
 _WIDE = {"bins": 40, "hidden": (256, 256), "lr": 0.05, "design_lr": 0.1}
 _ROBOT = {"bins": 20, "hidden": (64, 64), "lr": 0.005, "design_lr": 0.001}
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
@@ -41,7 +41,6 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "superconductor": _WIDE, "molecule": _WIDE, "gfp": {**_WIDE, "bins": 20, "hidden": (64, 64)},
         "hopper-controller": _ROBOT, "ant-morphology": _ROBOT, "dkitty-morphology": _ROBOT,
     },
-    "coms": {name: {"margin": 2.0} for name in ("molecule", "gfp", "tfbind8", "nk")},
 }  # fmt: skip
 # What one core does for three seeds of each problem; docs/results/mbo.md says in what time.
 _SMALL = {"hidden": (256, 256), "steps": 2000}

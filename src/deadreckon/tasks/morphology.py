@@ -36,6 +36,7 @@ class Morphology(Task):
         spread: deviation of the designs of training episodes around the default, in ranges of each number.
         frame_skip: physics steps an environment step.
         timestep: of an environment step, in s.
+        broken: reward of a step in which the simulation breaks, which ends the episode.
     """
 
     numbers: tuple[str, ...] = ()
@@ -45,6 +46,7 @@ class Morphology(Task):
     spread: float = 0.1
     frame_skip: int = 1
     timestep: float = 1.0
+    broken: float = 0.0
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -147,7 +149,7 @@ class MorphologySimulator:
             self._mujoco.mj_forward(model, data)
             self._mujoco.mj_rnePostConstraint(model, data)  # contact forces
             self._last[i] = action
-            rewards[i], terminals[i] = (0.0, True) if bad else self.task.judge(data, before, action)
+            rewards[i], terminals[i] = (self.task.broken, True) if bad else self.task.judge(data, before, action)
 
         self._map(advance, running)
         self._age[running] += 1
@@ -375,7 +377,7 @@ ANT = _make(
 _PI = math.pi
 KITTY = _make(
     KittyMorphology, "dkitty-morphology", 53, "walk two metres along y with a body of 56 numbers", spread=0.03, frame_skip=40,
-    timestep=0.08,
+    timestep=0.08, broken=-500.0,  # no better than a fall
     numbers=(*_PLACE, *_JOINTS, "thigh_size", "ankle_size"),
     low=(-0.09, -0.122, 0.0) + (-_PI,) * 3 + (-_PI, _PI / 35) * 3 + (0.0965, 0.0945),
     high=(0.09, 0.122, 0.0) + (_PI,) * 3 + (_PI, _PI / 4, _PI, _PI / 4, _PI, _PI / 2) + (0.1365, 0.1345),

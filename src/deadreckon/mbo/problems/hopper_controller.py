@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.data.designs import Designs, Variable
+from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.mbo.problems.problem import Problem
 from deadreckon.tasks import registry
@@ -30,6 +31,7 @@ DESIGNS = 3200
 # Of evolution: runs, iterations, pairs of mirrored perturbations an iteration, their deviation, Adam's rate and decays.
 RUNS, ITERATIONS, PAIRS, DEVIATION, RATE, DECAYS = 8, 25, 64, 0.05, 0.02, (0.9, 0.99)
 _SCORES = "hopper_controller.npz"
+_PROBE = slice(None, None, 400), slice(None, None, 640)  # of the designs: what is stored to see that they are the same again
 
 
 def returns(x: np.ndarray, *, threads: int | None = None) -> np.ndarray:
@@ -94,10 +96,8 @@ class Evolution:
         self._mean = self._mean + RATE * first / (np.sqrt(second) + 1e-8)
 
 
-def hopper_controller() -> Problem:
-    """3,200 controllers with their returns, all shown; MuJoCo judges."""
-    with np.load(BytesIO(files("deadreckon.mbo.problems").joinpath(_SCORES).read_bytes())) as stored:
-        scores = stored["scores"].astype(np.float64)  # (runs, iterations, 2 pairs)
+def _designs(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What evolution tried out and we show, and which of all scores these have."""
     kept = np.zeros(scores.size, bool)
     kept[np.random.default_rng(0).choice(scores.size, DESIGNS, replace=False)] = True
     x = []
@@ -106,9 +106,23 @@ def hopper_controller() -> Problem:
         for told, which in zip(run, wanted):
             x.append(evolution.ask()[which])
             evolution.tell(told)
+    return np.concatenate(x), kept
+
+
+def hopper_controller() -> Problem:
+    """3,200 controllers with their returns, all shown; MuJoCo judges.
+
+    Raises:
+        UserError: numpy's generator draws other numbers than it did.
+    """
+    with np.load(BytesIO(files("deadreckon.mbo.problems").joinpath(_SCORES).read_bytes())) as stored:
+        scores, probe = stored["scores"].astype(np.float64), stored["probe"]  # (runs, iterations, 2 pairs), and some of x
+    x, kept = _designs(scores)
+    if not np.allclose(x[_PROBE], probe, rtol=1e-4, atol=1e-6):
+        raise UserError(f"hopper-controller: numpy {np.__version__} draws other numbers than its designs were made of")
     y = scores.reshape(-1)[kept]
     variables = tuple(Variable(f"w{i}") for i in range(SIZE))
-    full = Designs(np.concatenate(x), y, variables, "hopper-controller", "return")
+    full = Designs(x, y, variables, "hopper-controller", "return")
     about = "exact: MuJoCo, one episode from a fixed start"
     return Problem("hopper-controller", full, float(y.min()), float(y.max()), returns, about)
 
@@ -123,7 +137,7 @@ def measure(out: Path | str) -> None:
             evolution.tell(scores[seed, i].astype(np.float64))
         print(f"run {seed}: {scores[seed, -1].mean():.0f} on average, {scores[seed].max():.0f} at best", flush=True)
     with replacing(out) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, scores=scores)
+        np.savez_compressed(file, scores=scores, probe=_designs(scores.astype(np.float64))[0][_PROBE])
 
 
 if __name__ == "__main__":

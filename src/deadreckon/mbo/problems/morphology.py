@@ -116,6 +116,6 @@ def morphology(name: str, *, shown: float = 40.0) -> Problem:
     low, high = (bound.astype(np.float32) for bound in task.bounds)
     names = [f"leg{leg}_{number}" for leg in range(LEGS) for number in task.numbers]
     variables = tuple(Variable(n, "continuous", float(a), float(b)) for n, a, b in zip(names, low, high))
-    about = f"exact: MuJoCo, one episode of {task.horizon} steps with a gait that knows the design"
+    about = f"exact: MuJoCo, one episode of {task.horizon} steps, one gait for all designs in shares of their joints' ranges"
     full = Designs(x, y, variables, name, "return")
     return hidden(name, full, lambda designs: returns(task, designs, gait_of(task)), about, most=shown)
