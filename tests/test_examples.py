@@ -94,3 +94,22 @@ def test_nemo_sine_measures_and_draws(tmp_path, monkeypatch, capsys):
     surprise = lambda probs: -np.log(probs[np.arange(16), truth])[~inside].mean()  # noqa: E731
     assert example.entropy(nml)[~inside].mean() > example.entropy(nml)[inside].mean()
     assert surprise(nml) < surprise(boot)
+
+
+@pytest.mark.slow
+def test_design_tables_run_and_resume(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import design_tables as example
+
+    from deadreckon.mbo.registry import PRESETS
+
+    monkeypatch.setitem(PRESETS["nemo"], "branin", {"bins": 4, "hidden": (8,), "pretrain": 10, "lr": 0.005})
+    groups, out = ("table", "nml", "ratio"), str(tmp_path)
+    options = example.Options(groups, ("branin",), only=("best", "random"), seeds=2, n=8, rises=(5,), out=out)
+    example.main(options)
+    first = capsys.readouterr().out
+    assert "| problem | data | best | random |" in first
+    assert "| problem | data | NML, 5 steps | none, 5 steps |" in first
+    assert "20:1, 0.05, 5 steps" in first
+    example.main(options)
+    assert capsys.readouterr().out == first

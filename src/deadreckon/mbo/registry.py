@@ -42,7 +42,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "hopper-controller": _ROBOT, "ant-morphology": _ROBOT, "dkitty-morphology": _ROBOT,
     },
 }  # fmt: skip
-# What one core does for three seeds of each problem; docs/results/mbo.md says in what time.
+# What one core does for a few seeds of each problem.
 _SMALL = {"hidden": (256, 256), "steps": 2000}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     **{name: _SMALL for name in ("forward", "ensemble", "ensemble-min", "ram", "cbas", "autofocus")},

@@ -37,8 +37,8 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
 }
 # Weights as in the code that the thesis used (8.5).
 PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE, "alive_only": True}
-# What one core does on a log of a million rows; docs/results/dope.md says in what time. FQE-D's targets are renewed more often
-# than in the full setting, so that rewards of the far future come through in fewer updates.
+# What one core does on a log of a million rows in an hour or two. FQE-D's targets are renewed more often than in the full
+# setting, so that rewards of the far future come through in fewer updates.
 _MARGINAL = {"steps": 10_000, "members": 1, "batch_size": 256, "lr": 3e-4}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     "fqe": {"steps": 20_000},
