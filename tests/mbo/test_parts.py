@@ -1,0 +1,97 @@
+"""Losses, weights and densities of designers against numbers by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from deadreckon.data.designs import Designs, Variable
+from deadreckon.mbo.cbas import Layout
+from deadreckon.mbo.coms import Conservative
+from deadreckon.mbo.ddom import kept, sample
+from deadreckon.mbo.ram import Ranking
+from deadreckon.mbo.surrogate import counts
+from deadreckon.nets.mlp import MLP
+
+
+def linear(weights, bias):
+    """A network without hidden layers."""
+    weights = np.asarray(weights, np.float32)
+    net = MLP.create(weights.shape[0], (), weights.shape[1], jax.random.key(0))
+    return MLP((jnp.asarray(weights),), (jnp.asarray(bias, jnp.float32),), net.activation)
+
+
+def test_listnet_equals_numpy():
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal((7, 3)).astype(np.float32), rng.standard_normal(7).astype(np.float32)
+    weights = rng.standard_normal((3, 1))
+    loss, _ = Ranking(1e-3, 1, (), 1, "relu", 7).loss(linear(weights, [0.3]), x, y, None, None)
+    assert float(loss) == pytest.approx(-(special.softmax(y) * special.log_softmax((x @ weights)[:, 0])).sum(), rel=1e-5)
+
+
+def test_weights_of_scores_by_hand():
+    """Two bins with 3 and 1 of four designs: N / (N + K) exp(-(best - middle) / T) / N, brought to a mean of 1."""
+    weight = counts(np.array([0.0, 0.1, 0.2, 1.0]), 2, 0.25, 0.5)
+    low, high = 3 / 4 * np.exp(-0.75 / 0.5) / 3, 1 / 2 * np.exp(-0.25 / 0.5)
+    expected = np.array([low, low, low, high])
+    np.testing.assert_allclose(weight, expected / expected.mean(), rtol=1e-5)
+
+
+def test_density_of_mixed_designs_equals_scipy():
+    variables = [Variable("a", low=-9, high=9), Variable("c", "categorical", levels=tuple("xyz"))]
+    data = Designs.from_arrays(np.array([[i / 5, i % 3] for i in range(12)]), np.arange(12.0), variables)
+    view = data.coordinates
+    layout = Layout.of(view)
+    assert layout.outputs == 2 + 3
+    out = np.array([[0.4, -0.5, 0.1, 0.7, -0.3]] * 12, np.float32)
+    expected = stats.norm.logpdf(view.encode(data.x)[:, 0], 0.4, np.exp(-0.5))
+    expected += special.log_softmax(out[0, 2:])[data.x[:, 1].astype(int)]
+    np.testing.assert_allclose(layout.log_prob(jnp.asarray(out), jnp.asarray(view.encode(data.x))), expected, rtol=1e-4)
+    drawn = layout.draw(jnp.tile(out[:1], (4000, 1)), jax.random.key(0))
+    assert float(drawn[:, 0].mean()) == pytest.approx(0.4, abs=0.05)
+    levels = view.decode(np.asarray(drawn))[:, 1].astype(int)
+    np.testing.assert_allclose(np.bincount(levels) / 4000, special.softmax(out[0, 2:]), atol=0.03)
+
+
+def test_a_penalty_grows_where_too_much_is_promised():
+    """One step of Adam on the logarithm of its weight, up where the difference is above the margin, down where below."""
+    data = Designs.from_arrays(np.linspace(-1, 1, 20)[:, None], np.linspace(-3, 3, 20))
+    for margin, sign in ((0.0, 1), (1e3, -1)):
+        learner = Conservative(1e-3, 0.01, margin, 0.5, 5, (8,), 20)
+        state = learner.init(data.coordinates, jax.random.key(0))
+        state = state._replace(net=linear([[2.0]], [0.0]))  # its slope leads beyond the data
+        x = jnp.asarray(data.coordinates.encode(data.x))
+        beyond = learner.adversaries(state.net, x)
+        np.testing.assert_allclose(beyond, x + 5 * 0.5 * 2.0, rtol=1e-5)
+        _, metrics = learner.loss(state.net, x, jnp.zeros(20), beyond, 1.0)
+        assert float(metrics["overestimation"]) == pytest.approx(2.0 * 5.0, rel=1e-4)
+        fresh = learner.init(data.coordinates, jax.random.key(0))
+        batch = type("Batch", (), {"extra": {"x": x, "y": jnp.zeros(20)}})
+        moved = learner.update(fresh, batch, step=0, key=None)[0]
+        more = float(learner.loss(fresh.net, x, jnp.zeros(20), learner.adversaries(fresh.net, x), 1.0)[1]["overestimation"])
+        assert np.sign(more - margin) == sign
+        assert float(moved.log_alpha) == pytest.approx(sign * 0.01, rel=1e-3)
+
+
+def test_the_sampler_with_an_exact_model_gives_the_datas_distribution():
+    """For data from N(0, s^2) the best noise prediction is sqrt(1 - a) x / (a s^2 + 1 - a)."""
+    s = 0.5
+
+    class Exact:
+        def __call__(self, seen):
+            x, angle = seen[:, :1], seen[:, 1]
+            t = jnp.arcsin(jnp.clip(angle, -1, 1)) / (jnp.pi / 2)  # the slowest wave is a quarter of a turn
+            left = kept(t)[:, None]
+            return jnp.sqrt(1 - left) * x / (left * s**2 + 1 - left)
+
+    drawn = _sample(Exact(), 4000)
+    assert drawn.std() == pytest.approx(s, rel=0.1)
+    assert abs(drawn.mean()) < 0.05
+
+
+def _sample(net, count):
+    tree = jax.tree_util.Partial(net)
+    wide = jnp.array([-100.0]), jnp.array([100.0])
+    with jax.disable_jit():
+        return np.asarray(sample.__wrapped__(tree, jnp.float32(1.0), 0.0, *wide, jax.random.key(0), count=count, steps=100))[:, 0]
