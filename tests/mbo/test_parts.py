@@ -94,4 +94,5 @@ def _sample(net, count):
     tree = jax.tree_util.Partial(net)
     wide = jnp.array([-100.0]), jnp.array([100.0])
     with jax.disable_jit():
-        return np.asarray(sample.__wrapped__(tree, jnp.float32(1.0), 0.0, *wide, jax.random.key(0), count=count, steps=100))[:, 0]
+        drawn = sample.__wrapped__(tree, jnp.float32(1.0), 0.0, *wide, jax.random.key(0), count=count, steps=100)
+    return np.asarray(drawn)[:, 0]
