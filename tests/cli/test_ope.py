@@ -64,7 +64,7 @@ def test_bench_on_a_short_log(tmp_path, capsys):
     assert main(["ope", "bench", "--tasks", "hopper", "--estimators", "fqe,is", *options]) == 0
     out = capsys.readouterr().out
     assert "| hopper-random-v2@dr1-600-steps |" in out
-    assert out.count("| median |") == 3
+    assert out.count("| median |") == 4  # three metrics, and absolute error in returns
     numbers = [float(x) for x in out.split("| median |")[1].splitlines()[0].split("|")[:2]]
     assert np.isfinite(numbers).all()
     page = (tmp_path / "dope" / "report.html").read_text()
