@@ -10,7 +10,6 @@ terminal; the public code that the thesis used forgets that.
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import nnls
 
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
@@ -100,6 +99,8 @@ class DoublyRobust(Estimator):
         Returns:
             The estimate, its redraws, and the weight of no correction at all.
         """
+        from scipy.optimize import nnls  # half a second, for this kind alone
+
         ends = np.unique(np.geomspace(1, episodes.steps, self.lengths).round().astype(int)) - 1
         partial = np.concatenate([[0.0], sums.partial()[ends]])
         steps = np.cumsum(sums.redraw_steps(episodes.counts), 1)
