@@ -15,8 +15,8 @@ import tyro
 import deadreckon as dr
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Watch
-from deadreckon.mbo.protocol import COLUMNS, PERCENTILES, judge, markdown, trust
-from deadreckon.mbo.registry import CPU_BUDGET, DESIGNERS, designer
+from deadreckon.mbo.protocol import judge, tables
+from deadreckon.mbo.registry import DESIGNERS, sized
 
 PROBLEMS = ("hopper-controller", "superconductor", "tfbind8", "gfp", "molecule", "ant-morphology", "dkitty-morphology")
 RISES = (100, 300, 1000)  # steps of the designs, of which ablations show the progress
@@ -41,10 +41,9 @@ class Options:
 
 def variants(group: str, problem: str, options: Options) -> list[tuple[str, Any]]:
     """Labels and designers."""
-    sizes = CPU_BUDGET if options.budget == "cpu" else {}
     if group == "table":
-        return [(name, designer(name, problem, **sizes.get(name, {}))) for name in options.only]
-    nemo = designer("nemo", problem, **sizes.get("nemo", {}))
+        return [(name, sized(name, problem, options.budget)) for name in options.only]
+    nemo = sized("nemo", problem, options.budget)
     changes: dict[str, dict[str, Any]] = {
         "nml": {"NML": {"start": "worst"}, "none": {"start": "worst", "search_lr": 0.0}},
         "architecture": {"logistic": {}, "categorical": {"architecture": "categorical"}},
@@ -74,12 +73,7 @@ def main(options: Options) -> None:
                     problems[name], asked[group, name], options.n, seeds=range(options.seeds), together=options.together,
                     out=options.out, watch=watch, told=told,
                 )  # fmt: skip
-        print(f"\n## {group}")
-        for q, words in PERCENTILES.items():
-            print(f"\n{words}\n\n{markdown(results, q)}")
-            print(f"\n{words}, normalised\n\n{markdown(results, q, normalised=True)}")
-        for what, words in COLUMNS.items():
-            print(f"\n{words}\n\n{trust(results, what)}")
+        print(f"\n## {group}\n\n{tables(results)}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 """The gaits and the data of the two morphology problems: how they were made.
 
-    python examples/morphologies.py --gait          (a quarter of an hour a robot)
-    python examples/morphologies.py --collect          (half an hour a robot)
+    python examples/morphologies.py --gait
+    python examples/morphologies.py --collect          (three quarters of an hour for the kitty on one core)
+
+The ant's data were made when some of its runs stopped one iteration earlier than here.
 """
 
 from dataclasses import dataclass

@@ -186,8 +186,8 @@ class Nothing:
 def bench(args: Sequence[str]) -> None:
     """Runs the protocol and prints its tables."""
     options = parse(Bench, args, "design bench")
-    from deadreckon.mbo.protocol import COLUMNS, PERCENTILES, judge, markdown, trust
-    from deadreckon.mbo.registry import CPU_BUDGET, designer
+    from deadreckon.mbo.protocol import judge, tables
+    from deadreckon.mbo.registry import sized
 
     if options.seeds < 1:
         raise UserError(f"--seeds must be 1 or more, got {options.seeds}")
@@ -197,20 +197,14 @@ def bench(args: Sequence[str]) -> None:
         raise UserError(f"--paths names {', '.join(sorted(strangers))}, which is not among --problems")
     seeds = range(options.seed, options.seed + options.seeds)
     results = []
-    sizes = CPU_BUDGET if options.budget == "cpu" else {}
-    made = lambda method, name: (method, designer(method, name, **sizes.get(method, {})))  # noqa: E731
-    designers = {name: [made(method, name) for method in names] for name in wanted}  # names are checked before any work
+    designers = {p: [(name, sized(name, p, options.budget)) for name in names] for p in wanted}  # names are checked first
     for name in wanted:
         problem = _problem(name, options.paths.get(name))
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
         asked = {"seeds": seeds, "together": options.together, "out": options.out}
         with Watch() as watch:
             results += judge(problem, designers[name], options.n, **asked, watch=watch, told=told)
-    for q, words in PERCENTILES.items():
-        print(f"\n{words}, by the judge\n\n{markdown(results, q)}")
-        print(f"\nNormalised: 0 and 1 are the least and the greatest of all data\n\n{markdown(results, q, normalised=True)}")
-    for what, words in COLUMNS.items():
-        print(f"\n{words}\n\n{trust(results, what)}")
+    print(f"\n{tables(results)}")
 
 
 _MORE = {"problems": problems, "get": get, "methods": methods, "bench": bench}

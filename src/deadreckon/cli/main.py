@@ -21,7 +21,7 @@ COMMANDS = {
     "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),
     "train": ("train", "train", "learn a policy from a log, or online in a simulator; several seeds as one program"),
     "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench judges the estimators"),
-    "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|bench"),
+    "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
     "report": ("report", "report", "one self-contained HTML page from run folders"),
 }

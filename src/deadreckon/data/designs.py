@@ -159,7 +159,7 @@ class Designs:
             variables.append(variable)
         return cls(np.stack(columns, 1).astype(np.float32), -y if minimise else y, tuple(variables), name, target, minimise)
 
-    def shown(self, scores: np.ndarray) -> np.ndarray:
+    def shown(self, scores: Any) -> Any:
         """Scores as the table has them: turned around again where its target was to be made small."""
         return -scores if self.minimise else scores
 

@@ -217,6 +217,18 @@ def trust(results: Sequence[Result], what: str) -> str:
     return "\n".join(lines)
 
 
+def tables(results: Sequence[Result]) -> str:
+    """All tables: both percentiles, as they are and normalised, and how far the proposals are to be trusted."""
+    parts = []
+    for q, words in PERCENTILES.items():
+        parts += [f"{words}, by the judge", markdown(results, q)]
+        normalised = markdown(results, q, normalised=True)
+        parts += [f"{words}, normalised: 0 and 1 are the least and the greatest of all data", normalised]
+    for what, words in COLUMNS.items():
+        parts += [words, trust(results, what)]
+    return "\n\n".join(parts)
+
+
 def _by_method(results: Sequence[Result]) -> dict[str, Result]:
     own = {r.method: r for r in results}
     if len(own) < len(results):

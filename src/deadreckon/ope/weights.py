@@ -88,6 +88,7 @@ class Episodes:
         # Whether nothing is cut off before the last step: then plain sums are means over episodes.
         self.even = bool((self.ended | (self.lengths == self.steps)).all())
         self.kept = self._kept()
+        self.log_kept = np.log(self.kept)[self.time]  # (rows,)
         rng = np.random.default_rng([seed, 2])
         self.groups = min(self.count, GROUPS)
         self.group = rng.permutation(np.arange(self.count) % self.groups)  # (episodes,)
@@ -117,7 +118,7 @@ class Episodes:
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
         """Of one policy: `log_rho` and `x` (rows,). `alive_only` forgets ended episodes, as the public code does."""
         if not alive_only:
-            log_rho = log_rho - np.log(self.kept)[self.time]
+            log_rho = log_rho - self.log_kept
         last = log_rho[self.first + self.lengths - 1]
         stays = self.ended & (not alive_only)
         # Sums of the ended episodes' last ratios, in logarithms: (groups, steps) and (steps,).
@@ -138,9 +139,10 @@ class Episodes:
         else:
             with np.errstate(over="ignore"):
                 rho = np.exp(log_rho)
-            members = np.bincount(self.group, minlength=self.groups)[:, None].astype(float)
-            alive = np.bincount(cell, minlength=size).reshape(shape).astype(float)
-            denominators = alive if alive_only else np.broadcast_to(members, shape)
+            if alive_only:
+                denominators = np.bincount(cell, minlength=size).reshape(shape).astype(float)
+            else:
+                denominators = np.broadcast_to(np.bincount(self.group, minlength=self.groups)[:, None].astype(float), shape)
         numerators = np.bincount(cell, rho * x * self.discount**self.time, size).reshape(shape)
         plain = np.bincount(self.time, relative, self.steps) + np.exp(kept_plain - top)
         squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)

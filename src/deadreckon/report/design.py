@@ -29,27 +29,26 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
         out: the page; an old one is replaced.
         scores: what they are truly worth, where there is a judge.
     """
-    sign = -1.0 if data.minimise else 1.0
     sections: list[tuple[str, str, Markup | None]] = [
-        ("promised", "Promised and kept" if scores else "Promised, and how far out", _chart(data, made, far, scores, sign)),
-        ("designs", "Designs", _table(data, made, far, scores, sign)),
+        ("promised", "Promised and kept" if scores else "Promised, and how far out", _chart(data, made, far, scores)),
+        ("designs", "Designs", _table(data, made, far, scores)),
     ]
     counts = f"{len(data):,} designs, {len(data.variables):,} variables"
     facts = [("method", made.method), ("data", data.name), ("learned from", counts), ("seed", str(made.seed))]
-    text = document(f"{len(made):,} designs for {data.target}", _lead(data, made, far, scores, sign), facts, sections)
+    text = document(f"{len(made):,} designs for {data.target}", _lead(data, made, far, scores), facts, sections)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(out)
 
 
-def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None, sign: float) -> str:
+def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> str:
     """The most important thing in a sentence or two."""
-    best = number(sign * float(data.y.max()))
+    best = number(float(data.shown(data.y.max())))
     parts = [f"The best of the data has {data.target} {best}."]
     if made.promises:
-        parts.append(f"The best proposal promises {number(sign * float(made.predicted.max()))}.")
+        parts.append(f"The best proposal promises {number(float(data.shown(made.predicted.max())))}.")
     if scores is not None:
-        kept, middle = (number(sign * scores.percentile(q)) for q in (100, 50))
+        kept, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
         parts.append(f"Judged, the best of them has {kept} and the median {middle}.")
     share = float((far > FAR).mean())
     if share > 0:
@@ -57,12 +56,12 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     return " ".join(parts)
 
 
-def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None, sign: float) -> Markup:
+def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:
     if not made.promises:
         return note(f"{made.method} promises nothing.")
-    across = far if scores is None else sign * scores.true
+    across = far if scores is None else data.shown(scores.true)
     doubt = np.where(np.isfinite(made.doubt), 1.96 * made.doubt, np.nan)
-    value = sign * made.predicted
+    value = data.shown(made.predicted)
     points = [
         (f"design {i}", 0, float(across[i]), 0.0, float(value[i]), float(value[i] - doubt[i]), float(value[i] + doubt[i]))
         for i in range(len(made))
@@ -78,7 +77,7 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     return join(figure(drawn), note(text))
 
 
-def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None, sign: float) -> Markup:
+def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:
     """The proposals that promise most, or the first, in the data's own words."""
     order = np.argsort(-made.predicted, kind="stable")[:SHOWN]
     table = data.decode(made.x[order])
@@ -86,8 +85,8 @@ def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     heads = ["design", "promised", "doubt", *(["judged"] if scores else []), "distance", *names]
     rows = []
     for k, i in enumerate(order):
-        values = [made.doubt[i], *([sign * scores.true[i]] if scores else []), far[i]]
-        cells = [tag("th", str(i), scope="row"), tag("td", tag("b", number(sign * float(made.predicted[i]))))]
+        values = [made.doubt[i], *([data.shown(scores.true)[i]] if scores else []), far[i]]
+        cells = [tag("th", str(i), scope="row"), tag("td", tag("b", number(float(data.shown(made.predicted)[i]))))]
         cells += [tag("td", number(float(value))) for value in values]
         cells += [tag("td", number(v) if isinstance(v, float) else str(v)) for v in (table[name][k] for name in names)]
         rows.append(tag("tr", cells))
