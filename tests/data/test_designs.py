@@ -55,6 +55,7 @@ def test_a_csv_goes_round(tmp_path):
     ("columns", "options", "words"),
     [
         (table(), {"target": "z"}, "unknown column 'z'"),
+        (table(y=[*map(str, range(11)), "n.a."]), {}, "column y holds string, numbers are needed; row 11 has 'n.a.'"),
         (table(y=[1.0] * 12), {}, "y is 1 in all rows, so nothing tells good from bad"),
         (table(y=[1.0, float("nan"), *range(10)]), {}, "column y is empty in row 1"),
         (table(temperature=[1.0, None, *range(10)]), {}, "column temperature is empty in row 1"),

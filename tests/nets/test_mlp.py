@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.nets.mlp import MLP, ensemble, q_values
+from deadreckon.nets.mlp import MLP, ensemble, joined, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, copy, descend, track
 from deadreckon.nets.vae import VAE
 
@@ -14,6 +14,24 @@ def numpy_mlp(net, x):
         x = x @ np.asarray(w) + np.asarray(b)
         x = np.maximum(x, 0) if i < len(net.weights) - 1 else x
     return x
+
+
+def test_softplus_and_its_slope():
+    x = np.array([-200.0, -20.0, -3.0, -0.5, 0.0, 0.5, 3.0, 20.0, 200.0])
+    np.testing.assert_allclose(softplus(jnp.asarray(x)), np.logaddexp(x, 0.0), rtol=1e-6, atol=1e-7)
+    slope = jax.vmap(jax.grad(softplus))(jnp.asarray(x, jnp.float32))
+    np.testing.assert_allclose(slope, np.exp(x - np.logaddexp(x, 0.0)), rtol=1e-5, atol=1e-30)
+    curvature = jax.vmap(jax.grad(jax.grad(softplus)))(jnp.asarray([0.5, -3.0]))
+    np.testing.assert_allclose(curvature, 1.0 / (2.0 + 2.0 * np.cosh([0.5, -3.0])), rtol=1e-5)
+
+
+def test_a_stack_split_and_joined():
+    nets = ensemble(lambda k: MLP.create(3, (4,), 1, k), 5, jax.random.key(0))
+    parts = split(nets, 3)
+    assert [len(part.weights[0]) for part in parts] == [1, 2, 2]
+    for back, leaf in zip(jax.tree.leaves(joined(parts)), jax.tree.leaves(nets)):
+        np.testing.assert_array_equal(back, leaf)
+    assert [len(part) for part in split(jnp.arange(2), 4)] == [1, 1]
 
 
 def test_q_values_of_one_and_of_many_actions_agree_with_numpy():

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from deadreckon.data.encode import category_codes, is_category, numbers
+from deadreckon.data.encode import category_codes, is_category, is_number, numbers
 from deadreckon.data.frame import check_column, to_arrow
 from deadreckon.data.layout import reading
 from deadreckon.errors import UserError, unknown
@@ -277,21 +277,13 @@ def _not_numbers(name: str, table: pa.Table, column: str) -> None:
     if not pa.types.is_string(table.column(column).type):
         return
     values = _texts(name, table, column)
-    bad = [row for row, value in enumerate(values) if not _is_number(value)]
+    bad = [row for row, value in enumerate(values) if not is_number(value)]
     if bad and len(bad) < len(values) / 2:
         row = bad[0]
         raise UserError(
             f"{name}: column {column} holds {values[row]!r} in row {row}, where most rows hold numbers; "
             "mend it, or say kind categorical"
         )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _texts(name: str, table: pa.Table, column: str) -> list[Any]:

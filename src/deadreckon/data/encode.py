@@ -168,6 +168,23 @@ def _flat(table: pa.Table, column: str) -> Any:
     return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
 
 
+def _first_text(values: Any) -> str:
+    """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
+    for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
+        if isinstance(value, str) and not is_number(value):
+            return f"; row {row} has {value!r}"
+    return ""
+
+
+def is_number(text: str) -> bool:
+    """Whether a text says a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def _numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.ndarray]:
     """(rows,) float64 and (rows,) bool where a value is missing."""
     kind = values.type
@@ -178,7 +195,7 @@ def _numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.ndarra
     elif pa.types.is_null(kind):
         return np.full(len(values), np.nan), np.ones(len(values), bool)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else ""
+        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else _first_text(values)
         raise UserError(f"{name}: column {column} holds {kind}, numbers are needed{hint}")
     out = values.to_numpy(zero_copy_only=False).astype(np.float64)
     return out, np.isnan(out)

@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int
 
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
-from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.nets.mlp import MLP, ensemble, joined, split
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.training.learner import static
 
@@ -104,7 +104,8 @@ def nll(net: Net, x: Array, label: Array) -> Float[Array, "b"]:
 def cross_entropy(net: Net, x: Array, label: Array) -> Float[Array, "b"]:
     """Binary cross-entropy of each o_k with whether the bin is k or higher: what 6.3 prints as the loss."""
     a = _arguments(net.mlp(x)[..., 0], net.log_scale, net.bins)
-    return optax.sigmoid_binary_cross_entropy(a, (jnp.arange(1, net.bins) <= label[..., None]).astype(a.dtype)).sum(-1)
+    # -log(1 - o) is softplus(a), and -log o is a less.
+    return (jax.nn.softplus(a) - jnp.where(jnp.arange(1, net.bins) <= label[..., None], a, 0.0)).sum(-1)
 
 
 def p_nml(nets: Net, x: Float[Array, "b z"]) -> Float[Array, "b k"]:
@@ -123,11 +124,14 @@ def reached(probs: Float[Array, "b k"], confidence: float) -> Float[Array, "b"]:
     return (k[..., 0] + (upper - confidence) / jnp.maximum(upper - lower, 1e-12)) / bins
 
 
-class State(NamedTuple):
-    """K models, their slow copies, their optimiser, and the designs under search."""
+STACKS = 4  # of models, see `split`
 
-    nets: Net
-    targets: Net
+
+class State(NamedTuple):
+    """K models in `STACKS`, their slow copies, their optimiser, and the designs under search."""
+
+    nets: tuple[Net, ...]
+    targets: tuple[Net, ...]
     opt: optax.OptState
     search: Search
 
@@ -163,7 +167,7 @@ class Training(eqx.Module):
     def init(self, spec, key):
         """Fresh models; targets are copies."""
         make = lambda k: Net.create(spec.size, self.hidden, self.bins, self.logistic, k)  # noqa: E731
-        nets = ensemble(make, self.bins, key)
+        nets = split(ensemble(make, self.bins, key), STACKS)
         return State(nets, copy(nets), begin(nets), Search.start(spec.designs, self.designs, self.worst))
 
     def update(self, state: State, batch: Batch, *, step, key):
@@ -191,21 +195,23 @@ class Training(eqx.Module):
         """Of the coordinates."""
         return jnp.asarray(self.low.value), jnp.asarray(self.high.value)
 
-    def loss(self, nets: Net, x: Array, label: Array, design: Array, weight: Array):
+    def loss(self, stacks: tuple[Net, ...], x: Array, label: Array, design: Array, weight: Array):
         """Of all models, summed: each sees the batch, and the design with its own bin at weight w."""
         of = cross_entropy if self.bce else nll
 
         def one(net: Net, claim: Array) -> tuple[Array, Array]:
-            return of(net, x, label).mean(), of(net, design, claim[None])[0]
+            each = of(net, jnp.concatenate([x, design]), jnp.append(label, claim))
+            return each[:-1].mean(), each[-1]
 
-        data, claims = jax.vmap(one)(nets, jnp.arange(self.bins))
+        found = [jax.vmap(one)(*part) for part in zip(stacks, split(jnp.arange(self.bins), len(stacks)))]
+        data, claims = joined(found)
         return (data + weight * claims).sum(), {"loss": data.mean(), "claim": claims.mean()}
 
-    def worth(self, nets: Net, z: Float[Array, "m z"]) -> Float[Array, "m"]:
+    def worth(self, stacks: tuple[Net, ...], z: Float[Array, "m z"]) -> Float[Array, "m"]:
         """What designs ascend."""
         if self.objective == "internal":
-            return jax.vmap(lambda net: net.internal(z))(nets).mean(0)
-        probs = jnp.exp(p_nml(nets, z))
+            return jnp.concatenate([jax.vmap(lambda net: net.internal(z))(nets) for nets in stacks]).mean(0)
+        probs = jnp.exp(p_nml(joined(stacks), z))
         if self.objective == "confidence":
             return reached(probs, self.confidence)
         return probs @ (middles(self.bins) if self.g is None else jnp.asarray(self.g.value))
@@ -278,7 +284,9 @@ class NEMO(Designer):
         for seed, state in zip(setting.seeds, states):
             middle = low + (high - low) * (np.arange(self.bins) + 0.5) / self.bins
 
-            def believed(x: Array, nets: Net = state.targets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
+            nets = joined(state.targets)
+
+            def believed(x: Array, nets: Net = nets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
                 probs = np.exp(np.asarray(jax.jit(p_nml)(nets, x), np.float64))
                 mean = probs @ middle
                 return mean, np.sqrt(np.maximum(probs @ np.square(middle) - np.square(mean), 0.0))
