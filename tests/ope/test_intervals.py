@@ -9,7 +9,7 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import Case, DoublyRobust, ImportanceSampling, intervals
+from deadreckon.ope import FQE, Case, DoublyRobust, ImportanceSampling, intervals
 from deadreckon.ope.weights import Episodes
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
@@ -90,6 +90,21 @@ def logs():
 def test_coverage(logs, name):
     makers, exact = logs
     inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]
+    assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_coverage_of_an_ensemble():
+    """Members on redrawn episodes: 300 logs of equal shape, so that one compiled program does all (minutes)."""
+    true = garnet(states=4, actions=2, noise=0.3)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
+    fqe = FQE(hidden=(), steps=1500, lr=1e-2, weight_decay=0.0, target_rate=0.05, batch_size=256)
+    rng = np.random.default_rng(0)
+    exact, policy, inside = true.value(target, 0.9), as_policy(target), []
+    for seed in range(300):
+        found = fqe.estimate(true.log(behavior, 60, 8, rng), policy, discount=0.9, seed=seed)
+        inside.append(found.low[0] <= exact <= found.high[0])
     assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
 
 

@@ -27,6 +27,7 @@ from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.intervals import spread
+from deadreckon.ope.weights import few
 from deadreckon.training.learner import static
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -153,15 +154,30 @@ class DICE(Estimator):
 
     def solve(self, case: Case) -> Estimates:
         """Logged rewards weighted by the ratios."""
-        found = weighted(case, self.ratios(case), case.data.rewards) / (1.0 - case.discount)
-        low, high = spread(found)
-        return Estimates(self.label, case.names, found.mean(0), low, high, case.discount, redraws=found)
+        ratios = self.ratios(case)
+        found = weighted(case, ratios, case.data.rewards) / (1.0 - case.discount)
+        return estimates(case, self.label, ratios, found)
 
     @property
     def label(self) -> str:
         """What tables call it."""
         fields = {name: getattr(self, name) for name in PRESETS["best"]}
         return next((f"{name.capitalize()}DICE" for name, preset in PRESETS.items() if preset == fields), "DICE")
+
+
+def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray) -> Estimates:
+    """Of (members, policies, rows) ratios and the (members, policies) values by them.
+
+    An episode's weight is the sum of its rows' ratios, averaged over members.
+    """
+    low, high = spread(found)
+    rows = ratios.mean(0) * case.data.usable
+    weight = np.stack([np.bincount(case.data.episode_of, own, case.data.episodes) for own in rows])
+    effective = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
+    return Estimates(
+        label, case.names, found.mean(0), low, high, case.discount, redraws=found, effective=effective,
+        warnings=tuple(few(case.names, effective, case.data.episodes)),
+    )  # fmt: skip
 
 
 def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial_samples: int) -> Rows:

@@ -24,9 +24,8 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.critics import Fitted, create, expected, taken
-from deadreckon.ope.dice import mass, occupancy_rows, weighted
+from deadreckon.ope.dice import estimates, mass, occupancy_rows, weighted
 from deadreckon.ope.estimate import Case, Estimates, Estimator
-from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
 
 EXCESS_RATE = 0.01  # of the running mean of the mass beyond one
@@ -130,5 +129,4 @@ class VPM(Estimator):
         data, ratios = case.data, self.ratios(case)
         masses = weighted(case, ratios, mass(np.asarray(data.terminals, np.float64), case.discount))
         found = weighted(case, ratios, data.rewards) / (1.0 - case.discount) / masses
-        low, high = spread(found)
-        return Estimates(self.label, case.names, found.mean(0), low, high, case.discount, redraws=found)
+        return estimates(case, self.label, ratios, found)

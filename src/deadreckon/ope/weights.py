@@ -60,6 +60,16 @@ class Sums:
         return len(pulls) * pulls.sum(1)
 
 
+def few(names: tuple[str, ...], effective: np.ndarray, episodes: int) -> list[str]:
+    """A warning where the weights of a policy amount to less than `FEW` of so many episodes, else nothing."""
+    below = np.flatnonzero(effective < FEW)
+    if not len(below):
+        return []
+    worst = int(below[np.argmin(effective[below])])
+    others = f", and {len(below) - 1} more below {FEW:g}" if len(below) > 1 else ""
+    return [f"the weights of {names[worst]} rest on {effective[worst]:.1f} of {episodes:,} episodes{others}"]
+
+
 def _ratios(numerators: np.ndarray, denominators: np.ndarray) -> np.ndarray:
     """Where nothing has weight, nothing is added."""
     return np.divide(numerators, denominators, out=np.zeros(np.broadcast_shapes(numerators.shape, denominators.shape)),
@@ -189,12 +199,7 @@ class Episodes:
             whole: each episode has one weight.
             beyond: what lies behind a cut is estimated otherwise.
         """
-        found = []
-        few = np.flatnonzero(effective < FEW)
-        if len(few):
-            worst = int(few[np.argmin(effective[few])])
-            others = f", and {len(few) - 1} more below {FEW:g}" if len(few) > 1 else ""
-            found.append(f"the weights of {names[worst]} rest on {effective[worst]:.1f} of {self.count:,} episodes{others}")
+        found = few(names, effective, self.count)
         cut = ~self.ended
         if whole and not self.even:
             found.append("episodes are cut off at different steps, which one weight an episode cannot take into account")
