@@ -32,8 +32,8 @@ class Limits(NamedTuple):
 
     low: Array
     high: Array
-    reward_low: float
-    reward_high: float
+    reward_low: Array
+    reward_high: Array
 
     @classmethod
     def of(cls, spec: Spec) -> "Limits":
@@ -41,7 +41,8 @@ class Limits(NamedTuple):
         o, r = spec.observation, spec.reward
         std, unit = o.std + STD_FLOOR, reward_unit(spec)
         low, high = (jnp.asarray((edge - o.mean) / std, jnp.float32).reshape(-1) for edge in (o.min, o.max))
-        return cls(low, high, float(r.min) / unit, float(r.max) / unit)
+        # Arrays, because numbers of Python would be part of a compiled program, which another log then could not use.
+        return cls(low, high, jnp.float32(r.min / unit), jnp.float32(r.max / unit))
 
     def hold(self, change: Change) -> Change:
         """The change, cut to the range."""
