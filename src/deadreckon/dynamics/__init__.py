@@ -1,7 +1,9 @@
 """Learned models of what an environment does next."""
 
 from deadreckon.dynamics.autoregressive import AutoRegressive
+from deadreckon.dynamics.ensemble import Ensemble, Report, Trainer
 from deadreckon.dynamics.gaussian import Gaussian
 from deadreckon.dynamics.model import Change, Model
+from deadreckon.dynamics.rollout import Branch, branches
 
-__all__ = ["AutoRegressive", "Change", "Gaussian", "Model"]
+__all__ = ["AutoRegressive", "Branch", "Change", "Ensemble", "Gaussian", "Model", "Report", "Trainer", "branches"]

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
-from deadreckon.dynamics.model import LOG_VARIANCE, Change, Model, bernoulli_nll, choices, gaussian_nll, join, soft_bounds
+from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.training.learner import static
 
@@ -43,33 +43,29 @@ class AutoRegressive(Model):
     def losses(self, params, inputs, target, terminal, key):
         """See `Model`; of the numbers that were drawn, as if for all."""
         numbers = target.shape[-1]
-        which = jax.random.randint(key, (len(target), self.asked), 0, numbers)
+        which = jax.random.randint(key, (*terminal.shape, self.asked), 0, numbers)
         wide = lambda x: jnp.broadcast_to(x[:, None], (len(x), self.asked, x.shape[-1]))  # noqa: E731
 
-        def one(net, end, bounds):
+        def one(net, end, bounds, inputs, target, terminal, which):
             mean, log_variance = self._number(net, bounds, wide(inputs), wide(target), which)
             nll = gaussian_nll(mean, log_variance, jnp.take_along_axis(target, which, 1))
             logit = end(jnp.concatenate([inputs, target], -1))[..., 0]
             return numbers * nll.mean(1) + bernoulli_nll(logit, terminal) + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
 
-        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"])
+        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"], inputs, target, terminal, which)
 
-    def draw(self, params, observation, action, key):
-        """See `Model`; number by number."""
+    def sample(self, params, inputs, key):
+        """See `Model`; number by number. Without a key each number is the mean that follows from the means before it."""
+        numbers = params["bounds"].shape[-1]
+        shape = numbers, *inputs.shape[:-1]
+        noise = jnp.zeros(shape) if key is None else jax.random.normal(key, shape)
 
-        def one(net, end, bounds, observation, action, key):
-            inputs = join(observation, action, self._choices(params))
-            numbers = observation.shape[-1] + 1
-            noise = jax.random.normal(key, (numbers, *observation.shape[:-1]))
-
+        def one(net, end, bounds, inputs, noise):
             def step(i, known):
-                which = jnp.full(observation.shape[:-1], i)
-                mean, log_variance = self._number(net, bounds, inputs, known, which)
+                mean, log_variance = self._number(net, bounds, inputs, known, jnp.full(inputs.shape[:-1], i))
                 return known.at[..., i].set(mean + jnp.exp(0.5 * log_variance) * noise[i])
 
-            known = jax.lax.fori_loop(0, numbers, step, jnp.zeros((*observation.shape[:-1], numbers)))
-            logit = end(jnp.concatenate([inputs, known], -1))[..., 0]
-            return Change(observation + known[..., :-1], known[..., -1], jax.nn.sigmoid(logit))
+            known = jax.lax.fori_loop(0, numbers, step, jnp.zeros((*inputs.shape[:-1], numbers)))
+            return known, end(jnp.concatenate([inputs, known], -1))[..., 0]
 
-        keys = jax.random.split(key, self.members)
-        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"], observation, action, keys)
+        return jax.vmap(one, (0, 0, 0, 0, 1))(params["nets"], params["ends"], params["bounds"], inputs, noise)

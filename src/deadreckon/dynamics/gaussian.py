@@ -6,14 +6,17 @@ The probabilistic ensemble of Chua et al. 2018 that MBPO uses (thesis B.4), and 
 import jax
 import jax.numpy as jnp
 
-from deadreckon.dynamics.model import LOG_VARIANCE, Change, Model, bernoulli_nll, choices, gaussian_nll, join, soft_bounds
+from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.training.learner import static
 
 BOUND_WEIGHT = 0.01  # of the learned bounds in the loss, which keeps them close
 
 
 class Gaussian(Model):
-    """An ensemble of probabilistic networks."""
+    """An ensemble of probabilistic networks, or of deterministic ones."""
+
+    deterministic: bool = static(False)  # squared errors instead of likelihoods, means instead of draws
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance, logit of an end), and bounds of the log-variances."""
@@ -31,21 +34,18 @@ class Gaussian(Model):
     def losses(self, params, inputs, target, terminal, key):
         """See `Model`."""
 
-        def one(net, bounds):
+        def one(net, bounds, inputs, target, terminal):
             mean, log_variance, logit = self._heads(net, bounds, inputs)
-            nll = gaussian_nll(mean, log_variance, target).sum(-1) + bernoulli_nll(logit, terminal)
-            return nll + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
+            end = bernoulli_nll(logit, terminal)
+            if self.deterministic:
+                return jnp.square(mean - target).sum(-1) + end
+            return gaussian_nll(mean, log_variance, target).sum(-1) + end + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
 
-        return jax.vmap(one)(params["nets"], params["bounds"])
+        return jax.vmap(one)(params["nets"], params["bounds"], inputs, target, terminal)
 
-    def draw(self, params, observation, action, key):
+    def sample(self, params, inputs, key):
         """See `Model`."""
-
-        def one(net, bounds, observation, action, key):
-            inputs = join(observation, action, self._choices(params))
-            mean, log_variance, logit = self._heads(net, bounds, inputs)
-            drawn = mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
-            return Change(observation + drawn[..., :-1], drawn[..., -1], jax.nn.sigmoid(logit))
-
-        keys = jax.random.split(key, self.members)
-        return jax.vmap(one)(params["nets"], params["bounds"], observation, action, keys)
+        mean, log_variance, logit = jax.vmap(self._heads)(params["nets"], params["bounds"], inputs)
+        if key is None or self.deterministic:
+            return mean, logit
+        return mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape), logit

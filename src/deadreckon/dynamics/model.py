@@ -66,6 +66,7 @@ class Model(eqx.Module):
     lr: float = 1e-3  # learning rate
     weight_decay: float = 1e-5  # decoupled from the gradient (AdamW)
     batch_size: int = static(256)  # rows a batch
+    layer_decay: tuple[float, ...] = static(())  # of half the squared weights of each layer, in the loss; none if empty
 
     def needs(self, spec: Spec) -> Needs:
         """Transitions, standardised."""
@@ -80,16 +81,24 @@ class Model(eqx.Module):
 
         Args:
             params: of all members.
-            inputs: (b, observation + action).
-            target: (b, observation + 1) change of the observation, and the reward last.
-            terminal: (b,).
+            inputs: (members, b, observation + action), every member's own rows.
+            target: (members, b, observation + 1) change of the observation, and the reward last.
+            terminal: (members, b).
             key: of what is random in it.
+        """
+        raise NotImplementedError
+
+    def sample(self, params: Any, inputs: Float[Array, "m b i"], key: PRNGKeyArray | None) -> tuple[Array, Array]:
+        """Changes of the observation with the reward last (members, b, observation + 1), and logits of an end (members, b).
+
+        They are drawn, every member's from its own inputs; without a key they are the means.
         """
         raise NotImplementedError
 
     def draw(self, params: Any, observation: Float[Array, "m b o"], action: Array, key: PRNGKeyArray) -> Change:
         """A draw of what follows, every member from its own observations (members, b, ...) and actions."""
-        raise NotImplementedError
+        drawn, logit = self.sample(params, join(observation, action, self._choices(params)), key)
+        return Change(observation + drawn[..., :-1], drawn[..., -1], jax.nn.sigmoid(logit))
 
     def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
         """Parameters and optimiser, and the reward's unit."""
@@ -102,15 +111,22 @@ class Model(eqx.Module):
         inputs = join(batch.observation, batch.action, self._choices(params))
         target = jnp.concatenate([batch.next_observation - batch.observation, batch.reward[:, None] / unit], -1)
         weight = 1.0 if batch.extra is None or "weight" not in batch.extra else batch.extra["weight"].T
+        inputs, target, terminal = (jnp.broadcast_to(x, (self.members, *x.shape)) for x in (inputs, target, batch.terminal))
+        params, opt, metrics = self.step(params, opt, inputs, target, terminal, weight, key)
+        return (params, opt, unit), metrics
+
+    def step(self, params: Any, opt: Any, inputs: Array, target: Array, terminal: Array, weight: Any, key: PRNGKeyArray) -> Any:
+        """One step of maximum likelihood on every member's own rows, see `losses`, with weights (members, b) or 1."""
 
         def loss(params):
-            each = self.losses(params, inputs, target, batch.terminal, key)
-            return (weight * each).mean(-1).sum(), {"model_nll": each.mean()}
+            each = self.losses(params, inputs, target, terminal, key)
+            decay = sum(d * jnp.square(w).sum() / 2.0 for d, w in zip(self.layer_decay, params["nets"].weights))
+            return (weight * each).mean(-1).sum() + decay, {"model_nll": each.mean()}
 
         grads, metrics = jax.grad(loss, has_aux=True)(params)
         new, opt = descend(params, grads, opt, self.lr)
         new = jax.tree.map(lambda n, p: n - self.lr * self.weight_decay * p, new, params)
-        return (new, opt, unit), metrics
+        return new, opt, metrics
 
     def _choices(self, params: Any) -> int:
         """How many discrete actions there are, 0 for continuous ones."""

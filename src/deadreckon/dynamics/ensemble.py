@@ -1,0 +1,178 @@
+"""Fits of an ensemble as MBPO makes them: bootstrapped members, a hold-out that stops each, the best of them as elites.
+
+Thesis 5.3 and B.3, settings of the public code: inputs are standardised anew at every fit and targets are not; every member has
+its own redrawn rows, shuffled anew in each epoch; of each member the weights of its best epoch are kept, and the fit ends when
+for more than `patience` epochs in a row no member has got better by a hundredth. A later fit goes on from the weights of the
+one before. An epoch is one compiled program, whatever the number of rows.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from deadreckon.data.spec import Spec
+from deadreckon.data.view import STD_FLOOR
+from deadreckon.dynamics.model import Model
+from deadreckon.errors import DivergedError, UserError
+from deadreckon.nets.optim import begin
+from deadreckon.training.learner import static
+
+FEWEST = 10  # rows, of which some must be held out
+
+
+class Ensemble(NamedTuple):
+    """A fitted ensemble.
+
+    Attributes:
+        params, opt: of all members, and their optimiser.
+        mean, std: (inputs,) of the rows that it was fitted to.
+        elites: (elites,) members with the least error on rows held out, best first.
+    """
+
+    params: Any
+    opt: Any
+    mean: Float[Array, "i"]
+    std: Float[Array, "i"]
+    elites: Int[Array, "e"]
+
+    def standardise(self, inputs: Array) -> Array:
+        """Inputs as the networks see them."""
+        return (inputs - self.mean) / self.std
+
+    def best(self) -> Any:
+        """Parameters of the elites alone."""
+        return jax.tree.map(lambda leaf: leaf[self.elites], self.params)
+
+
+class Report(NamedTuple):
+    """How a fit went.
+
+    Attributes:
+        epochs: how many.
+        error: (members,) mean squared error on the rows held out, of the weights kept.
+        rows: to learn from.
+    """
+
+    epochs: int
+    error: np.ndarray
+    rows: int
+
+
+class Trainer(eqx.Module):
+    """How an ensemble is fitted."""
+
+    elites: int = static(5)  # members that are believed
+    holdout: float = static(0.2)  # share of the rows that are held out
+    most_holdout: int = static(5000)  # of them
+    patience: int = static(5)  # epochs without a better member before a fit ends
+    better: float = static(0.01)  # share by which an error must fall to count
+    most_epochs: int = static(1000)  # of a fit
+
+    def fit(
+        self, model: Model, spec: Spec, columns: dict[str, np.ndarray], seed: int, start: Ensemble | None = None
+    ) -> tuple[Ensemble, Report]:
+        """Fits an ensemble to transitions.
+
+        Args:
+            model: what it consists of.
+            spec: of the observations and actions.
+            columns: `observation`, `action`, `reward`, `next_observation` and `terminal` of some rows.
+            seed: of everything random.
+            start: an earlier ensemble, whose weights are gone on from.
+
+        Raises:
+            UserError: too few rows.
+            DivergedError: errors that are not finite.
+        """
+        inputs, target, terminal = rows_of(columns)
+        n = len(inputs)
+        if n < FEWEST:
+            raise UserError(f"{n} rows are too few to fit a model to, {FEWEST} or more are needed")
+        rng = np.random.default_rng([seed, 5])
+        order = rng.permutation(n)
+        held = max(1, min(int(self.holdout * n), self.most_holdout))
+        held, train = order[:held], order[held:]
+        mean, std = inputs[train].mean(0), inputs[train].std(0)
+        std = np.where(std < STD_FLOOR, 1.0, std).astype(np.float32)
+        inputs = (inputs - mean) / std
+        key = jax.random.key(seed)
+        if start is None:
+            params = model.create(spec, key)
+            opt = begin(params)
+        else:
+            params, opt = start.params, start.opt
+        data = tuple(_padded(part, _room(n)) for part in (inputs, target, terminal))
+        judged = tuple(_padded(part[held], _room(len(held))) for part in (inputs, target))
+        own = rng.integers(0, len(train), (model.members, len(train)))  # one redraw a member
+        batches = -(-len(train) // model.batch_size)
+        room = _room(len(train)) + model.batch_size
+        kept = params
+        best = np.full(model.members, np.inf)
+        idle, epochs = 0, 0
+        while idle <= self.patience and epochs < self.most_epochs:
+            shuffled = np.take_along_axis(own, np.argsort(rng.random(own.shape), 1), 1)
+            # The last batch is filled up from the beginning.
+            rows = np.resize(train[shuffled].T, (batches * model.batch_size, model.members)).T
+            rows = np.pad(rows, ((0, 0), (0, room - rows.shape[1]))).astype(np.int32)
+            part = jax.random.fold_in(key, epochs)
+            params, opt = _epoch(model, params, opt, data, jnp.asarray(rows), jnp.int32(batches), part)
+            error = np.asarray(_errors(model, params, judged, jnp.int32(len(held))), float)
+            if not np.isfinite(error).all():
+                raise DivergedError(f"model: its error was not finite after epoch {epochs + 1}; a lower learning rate may help")
+            improved = error < (1.0 - self.better) * best
+            best = np.where(improved, error, best)
+            kept = _choose(jnp.asarray(improved), params, kept)
+            idle = 0 if improved.any() else idle + 1
+            epochs += 1
+        elites = np.argsort(best, kind="stable")[: self.elites].astype(np.int32)
+        found = Ensemble(kept, opt, jnp.asarray(mean, jnp.float32), jnp.asarray(std), jnp.asarray(elites))
+        return found, Report(epochs, best, len(train))
+
+
+def rows_of(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inputs (n, observation + action), targets (n, observation + 1) and terminals (n,) of continuous transitions."""
+    observation = np.asarray(columns["observation"], np.float32)
+    inputs = np.concatenate([observation, np.asarray(columns["action"], np.float32)], 1)
+    reward = np.asarray(columns["reward"], np.float32).reshape(-1, 1)
+    target = np.concatenate([np.asarray(columns["next_observation"], np.float32) - observation, reward], 1)
+    return inputs, target, np.asarray(columns["terminal"], np.float32).reshape(-1)
+
+
+@eqx.filter_jit
+def _epoch(
+    model: Model, params: Any, opt: Any, data: tuple[Array, ...], rows: Int[Array, "m n"], batches: Array, key: PRNGKeyArray
+) -> tuple[Any, Any]:
+    def body(i: Array, carry: tuple[Any, Any]) -> tuple[Any, Any]:
+        index = jax.lax.dynamic_slice_in_dim(rows, i * model.batch_size, model.batch_size, 1)
+        inputs, target, terminal = (part[index] for part in data)
+        params, opt, _ = model.step(*carry, inputs, target, terminal, 1.0, jax.random.fold_in(key, i))
+        return params, opt
+
+    return jax.lax.fori_loop(0, batches, body, (params, opt))
+
+
+@eqx.filter_jit
+def _errors(model: Model, params: Any, data: tuple[Array, Array], count: Array) -> Float[Array, "m"]:
+    """Mean squared error of every member's means over the first `count` rows."""
+    inputs, target = data
+    mean, _ = model.sample(params, jnp.broadcast_to(inputs, (model.members, *inputs.shape)), None)
+    known = jnp.arange(len(inputs)) < count
+    return (jnp.square(mean - target).mean(-1) * known).sum(-1) / count
+
+
+@jax.jit
+def _choose(take: Array, new: Any, old: Any) -> Any:
+    return jax.tree.map(lambda n, o: jnp.where(take.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
+
+
+def _room(n: int) -> int:
+    """The power of two that holds so many rows, so that few programs serve data that grows."""
+    return 1 << max(n - 1, 1023).bit_length()
+
+
+def _padded(part: np.ndarray, room: int) -> Array:
+    return jnp.asarray(np.pad(part, ((0, room - len(part)), *[(0, 0)] * (part.ndim - 1))))

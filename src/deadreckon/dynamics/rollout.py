@@ -1,0 +1,74 @@
+"""Branched rollouts: a few steps of a policy in a learned model, from states that were really seen (thesis 5.3)."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from deadreckon.dynamics.ensemble import Ensemble
+from deadreckon.dynamics.model import Model
+from deadreckon.policies.policy import Step
+
+# Whether (b,) next observations end the episode: of (observation, action, next observation).
+Ends = Callable[[Array, Array, Array], Array]
+
+
+class Branch(NamedTuple):
+    """One step of every rollout.
+
+    Attributes:
+        observation, action, reward, next_observation, terminal: (n, ...) transitions.
+        running: (n,) whether the rollout had not ended before, and the model gave numbers; else the row means nothing.
+    """
+
+    observation: Float[Array, "n o"]
+    action: Float[Array, "n a"]
+    reward: Float[Array, "n"]
+    next_observation: Float[Array, "n o"]
+    terminal: Bool[Array, "n"]
+    running: Bool[Array, "n"]
+
+
+def branches(
+    model: Model, ensemble: Ensemble, policy: Any, starts: Float[Array, "n o"], length: int, key: PRNGKeyArray,
+    ends: Ends | None = None,
+) -> list[Branch]:  # fmt: skip
+    """Rollouts of `length` steps from `starts`, every step of every rollout by an elite of its own.
+
+    Args:
+        model, ensemble: what happens next.
+        policy: what is done, in the coordinates of the model.
+        starts: observations; their number must be a multiple of that of the elites, which share it evenly.
+        length: steps.
+        key: of everything random.
+        ends: which transitions end an episode; None asks the model.
+    """
+    found, observation, running = [], starts, jnp.ones(len(starts), bool)
+    for t in range(length):
+        branch = _step(model, ensemble, policy, ends, observation, running, jax.random.fold_in(key, t))
+        found.append(branch)
+        observation, running = branch.next_observation, branch.running & ~branch.terminal
+    return found
+
+
+@eqx.filter_jit
+def _step(
+    model: Model, ensemble: Ensemble, policy: Any, ends: Ends | None, observation: Array, running: Array, key: PRNGKeyArray
+) -> Branch:
+    k_act, k_order, k_draw, k_end = jax.random.split(key, 4)
+    n, elites = len(observation), len(ensemble.elites)
+    nothing = Step(observation, jnp.zeros(n), jnp.zeros(n, bool))
+    action = policy.act(nothing, policy.start(n), k_act, greedy=False)[0]
+    # Rows are dealt to the elites in equal shares: a draw for each row would have every elite do all rows.
+    order = jax.random.permutation(k_order, n)
+    inputs = ensemble.standardise(jnp.concatenate([observation, action], -1))
+    drawn, logit = model.sample(ensemble.best(), inputs[order].reshape(elites, n // elites, -1), k_draw)
+    back = jnp.argsort(order)
+    drawn, logit = drawn.reshape(n, -1)[back], logit.reshape(n)[back]
+    following = observation + drawn[:, :-1]
+    over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if ends is None else ends(observation, action, following)
+    lost = ~jnp.isfinite(drawn).all(-1)
+    return Branch(observation, action, drawn[:, -1], following, over | lost, running & ~lost)

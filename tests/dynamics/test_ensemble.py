@@ -1,0 +1,160 @@
+"""Likelihoods against numpy; a linear world whose matrices and noise are found; what a fit keeps and when it ends."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from deadreckon.data.spec import Box, Spec
+from deadreckon.dynamics import AutoRegressive, Gaussian, Trainer
+from deadreckon.dynamics.gaussian import BOUND_WEIGHT
+from deadreckon.dynamics.model import bernoulli_nll, gaussian_nll, soft_bounds
+from deadreckon.errors import DivergedError, UserError
+from deadreckon.nets.optim import begin
+
+SPEC = Spec.empty((2,), Box((-1.0,), (1.0,)), "linear")
+A = np.array([[-0.1, 0.2], [0.0, -0.3]])  # of the change
+B = np.array([[0.0], [0.5]])
+NOISE = np.array([0.02, 0.05])
+
+
+def linear(n, seed=0):
+    """Transitions of a linear world with Gaussian noise and a linear reward."""
+    rng = np.random.default_rng(seed)
+    s, a = rng.standard_normal((n, 2)), rng.uniform(-1, 1, (n, 1))
+    following = s + s @ A.T + a @ B.T + NOISE * rng.standard_normal((n, 2))
+    columns = {"observation": s, "action": a, "reward": s[:, 0] - a[:, 0], "next_observation": following}
+    return {name: column.astype(np.float32) for name, column in columns.items()} | {"terminal": np.zeros(n, np.float32)}
+
+
+def test_likelihoods_equal_numpy():
+    rng = np.random.default_rng(0)
+    mean, target, log_variance = rng.standard_normal((3, 5)).astype(np.float32)
+    wanted = -stats.norm.logpdf(target, mean, np.exp(log_variance / 2))
+    np.testing.assert_allclose(gaussian_nll(*map(jnp.asarray, (mean, log_variance, target))), wanted, rtol=1e-5)
+    logit, happened = np.array([-30.0, -1.0, 0.0, 2.0], np.float32), np.array([0.0, 1.0, 1.0, 0.0], np.float32)
+    chance = 1 / (1 + np.exp(-logit.astype(float)))
+    wanted = -np.log(np.where(happened, chance, 1 - chance))
+    np.testing.assert_allclose(bernoulli_nll(jnp.asarray(logit), jnp.asarray(happened)), wanted, rtol=1e-5, atol=1e-12)
+
+
+def test_soft_bounds_hold_and_have_slopes():
+    bounds = jnp.array([[-10.0], [0.5]])
+    x = jnp.linspace(-100.0, 100.0, 41)[:, None]
+    held = soft_bounds(x, bounds)
+    assert ((held >= -10.0) & (held <= 0.501)).all()
+    np.testing.assert_allclose(soft_bounds(jnp.array([[-5.0]]), bounds), -5.0, atol=0.02)
+    upper = 0.5 - np.logaddexp(0.5 - 2.0, 0.0)
+    np.testing.assert_allclose(soft_bounds(jnp.array([[2.0]]), bounds)[0, 0], -10 + np.logaddexp(upper + 10.0, 0.0), rtol=1e-6)
+    slope = jax.grad(lambda b: soft_bounds(jnp.array([[50.0]]), b).sum())(bounds)
+    assert slope[1, 0] == pytest.approx(1.0, abs=1e-3)  # what is above is held by the upper bound, which learns
+
+
+def test_losses_equal_numpy_for_each_member_on_its_own_rows():
+    rng = np.random.default_rng(0)
+    model = Gaussian(members=3, hidden=(8,))
+    params = model.create(SPEC, jax.random.key(0))
+    inputs, target = (rng.standard_normal((3, 4, k)).astype(np.float32) for k in (3, 3))
+    terminal = rng.integers(0, 2, (3, 4)).astype(np.float32)
+    found = model.losses(params, *map(jnp.asarray, (inputs, target, terminal)), jax.random.key(1))
+    mean, log_variance, logit = (np.asarray(x) for x in jax.vmap(model._heads)(params["nets"], params["bounds"], inputs))
+    likelihood = stats.norm.logpdf(target, mean, np.exp(log_variance / 2)).sum(-1)
+    chance = 1 / (1 + np.exp(-logit))
+    ends = np.log(np.where(terminal > 0, chance, 1 - chance))
+    np.testing.assert_allclose(found, -likelihood - ends + BOUND_WEIGHT * 3 * 10.5, rtol=1e-4)
+    np.testing.assert_allclose(model.sample(params, jnp.asarray(inputs), None)[0], mean, rtol=1e-6)
+    plain = Gaussian(members=3, hidden=(8,), deterministic=True)
+    squares = np.square(mean - target).sum(-1) - ends
+    np.testing.assert_allclose(plain.losses(params, inputs, target, terminal, jax.random.key(1)), squares, rtol=1e-4)
+    np.testing.assert_array_equal(plain.sample(params, jnp.asarray(inputs), jax.random.key(2))[0], mean)
+
+
+def test_decay_of_layers_by_hand():
+    """On rows that are predicted already only the decay has a gradient, whose sign is all of Adam's first step."""
+    model = Gaussian(members=2, hidden=(4,), deterministic=True, layer_decay=(0.5, 0.25), weight_decay=0.0, lr=1e-3)
+    params = model.create(SPEC, jax.random.key(0))
+    rows = jnp.ones((2, 3, 3))
+    target, logit = model.sample(params, rows, None)
+    chance = jax.nn.sigmoid(logit)  # a terminal of this much has no gradient either
+    new, _, _ = model.step(params, begin(params), rows, target, chance, 1.0, jax.random.key(0))
+    for before, after in zip(params["nets"].weights, new["nets"].weights):
+        np.testing.assert_allclose(after - before, -1e-3 * np.sign(before), rtol=1e-2)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    model = Gaussian(members=5, hidden=(32, 32), lr=3e-3, weight_decay=0.0)
+    return model, *Trainer(elites=3, most_epochs=60).fit(model, SPEC, linear(4000), 0)
+
+
+def test_a_linear_world_is_found(fitted):
+    model, ensemble, report = fitted
+    assert report.rows == 3200
+    inputs = np.concatenate([np.eye(3), np.zeros((1, 3))]).astype(np.float32)
+    seen = jnp.broadcast_to(ensemble.standardise(inputs), (3, 4, 3))
+    mean, _ = model.sample(ensemble.best(), seen, None)
+    slopes = np.asarray(mean[:, :3] - mean[:, 3:]).mean(0).T  # (outputs, inputs)
+    np.testing.assert_allclose(slopes[:2, :2], A, atol=0.04)
+    np.testing.assert_allclose(slopes[:2, 2:], B, atol=0.04)
+    np.testing.assert_allclose(slopes[2], [1.0, 0.0, -1.0], atol=0.05)
+    deviation = jnp.exp(0.5 * jax.vmap(model._heads)(ensemble.best()["nets"], ensemble.best()["bounds"], seen)[1])
+    np.testing.assert_allclose(np.asarray(deviation).mean((0, 1))[:2], NOISE, rtol=0.25)
+
+
+def test_intervals_are_calibrated_on_rows_held_out(fitted):
+    model, ensemble, _ = fitted
+    fresh = linear(2000, seed=1)
+    inputs = ensemble.standardise(np.concatenate([fresh["observation"], fresh["action"]], 1))
+    drawn = [
+        np.asarray(model.sample(ensemble.best(), jnp.broadcast_to(inputs, (3, 2000, 3)), jax.random.key(i))[0])
+        for i in range(100)
+    ]
+    low, high = np.percentile(np.concatenate(drawn), [5.0, 95.0], 0)
+    change = fresh["next_observation"] - fresh["observation"]
+    inside = ((low[:, :2] <= change) & (change <= high[:, :2])).mean(0)
+    assert (inside > 0.85).all(), inside
+    assert (inside < 0.95).all(), inside
+
+
+def test_the_best_are_elites_and_their_errors_are_of_the_weights_kept(fitted):
+    model, ensemble, report = fitted
+    assert list(ensemble.elites) == list(np.argsort(report.error)[:3])
+    assert (np.sort(report.error)[:3] < 1.5 * np.square(NOISE).sum() / 3).all()
+
+
+def test_a_later_fit_goes_on_and_is_deterministic(fitted):
+    model, ensemble, report = fitted
+    trainer = Trainer(elites=3, most_epochs=2, patience=0)
+    again, after = trainer.fit(model, SPEC, linear(4500), 1, start=ensemble)
+    twice, _ = trainer.fit(model, SPEC, linear(4500), 1, start=ensemble)
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(twice)):
+        np.testing.assert_array_equal(one, other)
+    fresh, start = trainer.fit(model, SPEC, linear(4500), 1)
+    assert after.error.max() < 0.5 * start.error.min()
+    np.testing.assert_allclose(fresh.mean, again.mean)
+
+
+def test_a_fit_ends_when_nothing_gets_better():
+    """Noise alone: after its mean is known there is nothing to learn."""
+    rng = np.random.default_rng(0)
+    noise = linear(300) | {"next_observation": rng.standard_normal((300, 2)).astype(np.float32)}
+    _, report = Trainer(patience=2, most_epochs=500).fit(Gaussian(members=2, hidden=(8,), lr=1e-2), SPEC, noise, 0)
+    assert 3 < report.epochs < 200
+
+
+def test_the_autoregressive_model_fits_the_same_way():
+    model = AutoRegressive(members=2, hidden=(32, 32), lr=3e-3)
+    ensemble, report = Trainer(elites=1, most_epochs=30).fit(model, SPEC, linear(2000), 0)
+    assert report.error.min() < 0.02
+    drawn, logit = model.sample(ensemble.params, jnp.zeros((2, 5, 3)), jax.random.key(0))
+    assert drawn.shape == (2, 5, 3)
+    assert logit.shape == (2, 5)
+    assert (np.asarray(drawn).std(1) > 0).all()
+
+
+def test_refusals():
+    with pytest.raises(UserError, match="9 rows are too few to fit a model to, 10 or more are needed"):
+        Trainer().fit(Gaussian(members=2, hidden=(4,)), SPEC, linear(9), 0)
+    with pytest.raises(DivergedError, match="model: its error was not finite after epoch 1; a lower learning rate may help"):
+        Trainer().fit(Gaussian(members=2, hidden=(4,), lr=1e30), SPEC, linear(100), 0)
