@@ -106,7 +106,7 @@ class Trainer(eqx.Module):
         else:
             params, opt = start.params, start.opt
         data = tuple(_padded(part, _room(n)) for part in (inputs, target, terminal))
-        judged = tuple(_padded(part[held], _room(len(held))) for part in (inputs, target))
+        judged = _padded(inputs[held], _room(len(held))), _padded(target[held], _room(len(held)))
         own = rng.integers(0, len(train), (model.members, len(train)))  # one redraw a member
         batches = -(-len(train) // model.batch_size)
         room = _room(len(train)) + model.batch_size
