@@ -36,7 +36,7 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-@pytest.fixture(scope="session", params=AGENTS)
+@pytest.fixture(scope="session", params=[name for name in AGENTS if agent_class(name).offline])
 def trained(request):
     """(agent, rows, fit of two lanes, metrics by chunk)."""
     agent = small(request.param)

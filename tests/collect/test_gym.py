@@ -171,7 +171,7 @@ def test_behavior_returns():
 
 def test_observations_have_the_logged_layout():
     assert {t.name: t.observation_shape[0] for t in gym_mujoco.TASKS} == {
-        "hopper": 11, "halfcheetah": 17, "walker2d": 17, "ant": 111, "humanoid": 376,
+        "inverted-pendulum": 4, "hopper": 11, "halfcheetah": 17, "walker2d": 17, "ant": 111, "humanoid": 376,
     }  # fmt: skip
     ant = dr.collect.generate("ant-uniform-v2", steps=50)
     assert not ant.observations[:, 27:].any()

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.bc import BC
     from deadreckon.agents.bear import BEAR
     from deadreckon.agents.bear_is import ISBEAR
+    from deadreckon.agents.mbpo import MBPO
     from deadreckon.agents.sac import SAC
     from deadreckon.agents.td3 import TD3
     from deadreckon.agents.td3_bc import TD3BC
@@ -20,10 +21,11 @@ AGENTS = {
     "td3": ("td3", "TD3", "twin delayed DDPG on a fixed log, the naive baseline (thesis 4.4)"),
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
+    "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
     "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
-__all__ = ["AGENTS", "BC", "BEAR", "ISBEAR", "SAC", "TD3", "TD3BC", "Agent", "agent_class", "agent_name"]
+__all__ = ["AGENTS", "BC", "BEAR", "ISBEAR", "MBPO", "SAC", "TD3", "TD3BC", "Agent", "agent_class", "agent_name"]
 
 
 def agent_class(name: str) -> "type[Agent]":

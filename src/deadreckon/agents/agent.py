@@ -25,10 +25,12 @@ class Agent(eqx.Module):
         discrete: whether it takes `Discrete` actions; continuous ones otherwise (class attribute).
         images: whether it takes observations of any shape instead of flat ones (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
+        offline: whether it can learn from a log alone (class attribute).
     """
 
     discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
+    offline: ClassVar[bool] = True
     images: ClassVar[bool] = False
 
     def needs(self, spec: Spec) -> Needs:
@@ -51,6 +53,11 @@ class Agent(eqx.Module):
         """The agent's own estimate of the discounted return, for diagnostics; None if it has none."""
         return None
 
+    @classmethod
+    def acting(cls, task: str) -> dict[str, Any]:
+        """How acting and learning take turns in a task, where the agent does not want it as `collect.online.Online` has it."""
+        return {}
+
     def resolve(self, spec: Spec, steps: int) -> Self:
         """Checks the fields against the log and fills in those that were left to it (None).
 
@@ -62,6 +69,8 @@ class Agent(eqx.Module):
             UserError: names the field and what it takes.
         """
         check_fields(self)
+        if spec.rows and not self.offline:
+            raise UserError(f"{type(self).__name__} learns by acting in a simulator, not from a log; say --online --task TASK")
         if spec.discrete != self.discrete:
             kind = "discrete" if self.discrete else "continuous"
             raise UserError(f"{type(self).__name__} needs {kind} actions, {spec.name} has {spec.action}")

@@ -21,10 +21,10 @@ class TrainOnline:
     seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
     seed: int = 0  # the first
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online
-    copies: int = 8  # environments a seed, stepped together
-    explore: int = 10_000  # environment steps of uniform actions before the first update
-    updates_per_step: float = 1.0  # updates an environment step after that
-    block: int = 64  # environment steps between two blocks of updates
+    copies: int | None = None  # environments a seed, stepped together; None: the agent's, or 8
+    explore: int | None = None  # environment steps of uniform actions before the first update; None: the agent's, or 10,000
+    updates_per_step: float | None = None  # updates an environment step after that; None: the agent's, or 1
+    block: int | None = None  # environment steps between two blocks of updates; None: the agent's, or 64
     evaluate_every: int | None = None  # environment steps between evaluations; None: a fiftieth of the run
     episodes: int = 10  # an evaluation
     chunk: int = 2000  # updates between checkpoints: what a kill can lose
@@ -81,7 +81,9 @@ def _train_online(name, parsed):
     from deadreckon.runs.online import train_online
 
     options: TrainOnline = parsed.run
-    settings = Online(options.copies, options.explore, options.updates_per_step, options.block)
+    given = {name: getattr(options, name) for name in ("copies", "explore", "updates_per_step", "block")}
+    own = type(parsed.agent).acting(options.task)
+    settings = Online(**own | {name: value for name, value in given.items() if value is not None})
     updates = settings.updates(options.steps)
     with Bar(f"{name} in {options.task}", updates, "updates") as bar:
         return train_online(

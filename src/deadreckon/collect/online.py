@@ -131,6 +131,7 @@ class Exploration:
         seeds_of = [np.random.SeedSequence([seed, ACT]).generate_state(self.copies, np.uint64) for seed in seeds]
         self.simulator: Any = task.simulate([int(s) for s in np.concatenate(seeds_of)], threads)
         self._shape = len(seeds), self.copies
+        self.metrics: dict[str, np.ndarray] = {}
         self.seen = self.simulator.reset().reshape(*self._shape, *shape)
         self._action = slice(shape[0], shape[0] + size)
         self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths)
@@ -142,14 +143,14 @@ class Exploration:
 
     @property
     def count(self) -> int:
-        """Rows a lane, which are its environment steps."""
+        """Rows a lane to learn from, which are its environment steps."""
         return self.replay.count
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> dict[str, Array]:
         """See `Experience`."""
         due = self.settings.steps(step + self.block)
         rows = []
-        for at in range(self.count, due, self.copies):
+        for at in range(self.replay.count, due, self.copies):
             rows.append(self._step(learner, states, roots, at))
         if rows:
             self.replay.append(np.concatenate(rows, 1))
@@ -176,7 +177,7 @@ class Exploration:
 
     def state(self) -> dict[str, np.ndarray]:
         """See `Experience`: the simulator's state, what was last seen, and the number of rows."""
-        return {**self.simulator.state(), "seen": self.seen, "count": np.asarray(self.count)}
+        return {**self.simulator.state(), "seen": self.seen, "count": np.asarray(self.replay.count)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """See `Experience`."""

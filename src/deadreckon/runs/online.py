@@ -8,6 +8,8 @@ from pathlib import Path
 
 from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
+from deadreckon.agents.mbpo import MBPO
+from deadreckon.collect.imagined import Imagination
 from deadreckon.collect.online import Exploration, Online
 from deadreckon.data.spec import Spec
 from deadreckon.runs.folder import Folder
@@ -43,7 +45,7 @@ def train_online(
         steps: environment steps a seed, the random ones at the beginning included. A run may be resumed with more of them.
         seeds: how many: `seed` .. `seed + seeds - 1`.
         seed: the first.
-        settings: how acting and learning take turns; None are the defaults of `Online`.
+        settings: how acting and learning take turns; None are the agent's own, or the defaults of `Online`.
         out: run folder; None is `runs/AGENT-TASK-online`.
         evaluate_every: environment steps between evaluations; None is a fiftieth of the run. The last update is always
             evaluated.
@@ -57,21 +59,22 @@ def train_online(
         UserError: input that does not fit, in one line; nothing is written then.
     """
     check_plan(seed, evaluate_every, seeds=seeds, chunk=chunk, episodes=episodes)
-    settings = settings or Online()
     task = find_task(task) if isinstance(task, str) else task
+    lanes = lanes_of(agent, seeds)
+    settings = settings or Online(**type(lanes[0]).acting(task.name))
     updates = settings.updates(steps)
     spec = Spec.empty(task.observation_shape, task.action_space, task.name)
-    lanes = [lane.resolve(spec, updates) for lane in lanes_of(agent, seeds)]
+    lanes = [lane.resolve(spec, updates) for lane in lanes]
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
     folder = Folder(Path(out) if out is not None else Path("runs") / f"{name}-{task.name}-online")
     every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
     if evaluate_every is None:
         every = folder.period(resume) or every
-    job = Fit(
-        lanes, Exploration(task, lanes[0], numbers, updates, settings, [folder.replay(s) for s in numbers], threads),
-        numbers, updates, chunk, folder.checkpoints, stops=every,
-    )  # fmt: skip
+    around = numbers, updates, settings, [folder.replay(s) for s in numbers], threads
+    dreamers = [lane for lane in lanes if isinstance(lane, MBPO)]
+    experience = Imagination(task, dreamers, *around) if dreamers else Exploration(task, lanes[0], *around)
+    job = Fit(lanes, experience, numbers, updates, chunk, folder.checkpoints, stops=every)
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},
         "online": dataclasses.asdict(settings),

@@ -31,7 +31,8 @@ class GymMujoco(Task):
         ground: leading positions that are not observed: 1 in the plane, 2 in space.
         forward_reward: of a unit of speed along x.
         control_cost: of a squared action.
-        healthy: (n, positions + velocities) states to (n,) bool; an unhealthy state is terminal. None: none is.
+        healthy: (n, positions + velocities) states to (n,) bool, as numpy or JAX arrays; an unhealthy state is terminal. None:
+            none is.
         healthy_reward: a step that ends in a healthy state.
         start_noise: half-width of the uniform noise on the first positions.
         gaussian: whether the first velocities' noise is Gaussian, of that deviation, or uniform like the positions'.
@@ -60,6 +61,14 @@ class GymMujoco(Task):
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "GymSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""
         return GymSimulator(self, seeds, threads)
+
+    def ends(self, observations: Any) -> Any:
+        """See `Task.ends`: known to who learns a model (thesis 5.3), which then need not learn when episodes end."""
+        size = observations.shape[1] - self.padding
+        if self.healthy is None:
+            return observations[:, 0] != observations[:, 0]
+        unseen = 0.0 * observations[:, : self.ground]  # where along the ground, which decides nothing
+        return ~self.healthy(observations.__array_namespace__().concat([unseen, observations[:, :size]], axis=1))
 
 
 class GymSimulator:
@@ -211,8 +220,16 @@ def _between(column: np.ndarray, low: float, high: float) -> np.ndarray:
     return (low < column) & (column < high)
 
 
+def _finite(state: Any) -> Any:
+    return (abs(state) < np.inf).all(1)
+
+
+def _pendulum_stands(state: np.ndarray) -> np.ndarray:
+    return _finite(state) & (abs(state[:, 1]) <= 0.2)
+
+
 def _hopper_stands(state: np.ndarray) -> np.ndarray:
-    bounded = (np.abs(state[:, 2:]) < 100.0).all(1)
+    bounded = (abs(state[:, 2:]) < 100.0).all(1)
     return bounded & (state[:, 1] > 0.7) & _between(state[:, 2], -0.2, 0.2)
 
 
@@ -221,7 +238,7 @@ def _walker_stands(state: np.ndarray) -> np.ndarray:
 
 
 def _ant_stands(state: np.ndarray) -> np.ndarray:
-    return np.isfinite(state).all(1) & (state[:, 2] >= 0.2) & (state[:, 2] <= 1.0)
+    return _finite(state) & (state[:, 2] >= 0.2) & (state[:, 2] <= 1.0)
 
 
 def _humanoid_stands(state: np.ndarray) -> np.ndarray:
@@ -230,10 +247,10 @@ def _humanoid_stands(state: np.ndarray) -> np.ndarray:
 
 def _make(name: str, size: int, actions: int, gym_id: str, split: str, summary: str, **fields: Any) -> GymMujoco:
     published = Reference(*_PUBLISHED[name], "D4RL") if name in _PUBLISHED else None
-    bound = 0.4 if name == "humanoid" else 1.0
+    bound = {"humanoid": 0.4, "inverted-pendulum": 3.0}.get(name, 1.0)
     return GymMujoco(
         name=name, domain="gym", horizon=1000, observation_shape=(size,), gym_id=gym_id, split=split, summary=summary,
-        action_space=Box((-bound,) * actions, (bound,) * actions), reference=published or _HUMANOID, published=published,
+        action_space=Box((-bound,) * actions, (bound,) * actions), reference=published or _MEASURED[name], published=published,
         **fields,
     )  # fmt: skip
 
@@ -247,11 +264,17 @@ _PUBLISHED = {
     "ant": (-325.6, 3879.7),
 }
 
-# D4RL has no humanoid. Standing for the whole horizon earns 5 a step; what uniform actions earn is measured, see
+# D4RL has neither. Standing for the whole horizon earns 5 and 1 a step; what uniform actions earn is measured, see
 # `python -m deadreckon.collect.references`.
-_HUMANOID = Reference(117.3715, 5000.0, "uniform actions on this simulator; standing for 1,000 steps")
+_MEASURED = {
+    "humanoid": Reference(117.3715, 5000.0, "uniform actions on this simulator; standing for 1,000 steps"),
+    "inverted-pendulum": Reference(4.98, 1000.0, "uniform actions on this simulator; standing for 1,000 steps"),
+}
 
 TASKS = (
+    _make("inverted-pendulum", 4, 1, "InvertedPendulum-v5", "training", "balance a pole on a cart", xml="inverted_pendulum.xml",
+          frame_skip=2, ground=0, forward_reward=0.0, control_cost=0.0, healthy=_pendulum_stands, start_noise=1e-2,
+          clipped=False),
     _make("hopper", 11, 3, "Hopper-v5", "evaluation", "hop forward on one leg", xml="hopper.xml", frame_skip=4,
           healthy=_hopper_stands),
     _make("halfcheetah", 17, 6, "HalfCheetah-v5", "training", "run forward on two legs; nothing ends an episode early",

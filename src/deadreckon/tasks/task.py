@@ -158,3 +158,10 @@ class Task:
             threads: to step with; all cores if None. Results do not depend on it.
         """
         raise NotImplementedError
+
+    def ends(self, observations: Any) -> Any:
+        """(n,) bool whether an episode ends where these are observed (n, *shape), as numpy or JAX arrays.
+
+        None where observations alone do not tell.
+        """
+        return None

@@ -417,7 +417,7 @@ class Fit:
             means.append(mean)
             bad.append(first)
         means, bad = jax.device_get((means, bad))
-        mean = {name: np.mean([part[name] for part in means], 0) for name in means[0]}
+        mean = {name: np.mean([part[name] for part in means], 0) for name in means[0]} | experience.metrics
         return states, mean, {name: _earliest([part[name] for part in bad]) for name in bad[0]}
 
     def _tree(self) -> Any:

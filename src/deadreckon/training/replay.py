@@ -22,10 +22,12 @@ class Experience(Protocol):
 
     Attributes:
         block: updates between two turns of acting; also the unit in which runs are paused and saved.
+        metrics: numbers of its own, each (lanes,), that are told with those of the updates.
         needs, spec, view, fields: as of `Rows`.
     """
 
     block: int
+    metrics: dict[str, np.ndarray]
     needs: Needs
     spec: Spec
     view: View

@@ -1,0 +1,126 @@
+"""MBPO's experience: what is made up, when and how much of it, and a run that a kill does not change."""
+
+import jax
+import numpy as np
+import pytest
+
+import deadreckon as dr
+from deadreckon.agents import MBPO
+from deadreckon.collect.imagined import Imagination
+from deadreckon.collect.online import Online
+from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
+from deadreckon.tasks import task
+from deadreckon.training.fit import Fit
+
+TASK = task("inverted-pendulum")
+TINY = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "model_epochs": 2,
+        "rollouts": 3, "model_every": 20, "keep": 40, "length": (1, 3, 1, 2), "target_entropy": -0.05}  # fmt: skip
+SETTINGS = Online(copies=2, explore=40, updates_per_step=0.5, block=10)
+UPDATES = SETTINGS.updates(120)
+
+
+def job(seeds=(0,), paths=(), folder=None, updates=UPDATES, **changes):
+    agent = MBPO(**TINY | changes).resolve(Spec.empty(TASK.observation_shape, TASK.action_space, TASK.name), updates)
+    experience = Imagination(TASK, [agent] * len(seeds), list(seeds), updates, SETTINGS, paths, threads=1)
+    return Fit([agent] * len(seeds), experience, list(seeds), updates, 5, folder), experience
+
+
+def walk(fit, updates=None):
+    for progress in fit.chunks():
+        if progress.step == updates:
+            return
+
+
+def columns(buffer):
+    return np.split(np.asarray(buffer), np.cumsum([4, 1, 1, 4]), axis=1)
+
+
+def test_what_is_learned_from():
+    fit, experience = job(real=0.2)
+    walk(fit)
+    assert experience.real_steps == 120
+    assert sorted(experience._batches) == [2, 3]  # of fits after 50, 70, 90 and 110 steps the last two are kept
+    made_up = [len(rows[0]) for rows in experience._batches.values()]
+    # 3 rollouts a step, 20 steps; 1 step long at first, 3 after a thousand.
+    assert made_up == [60, 60]
+    assert experience.count == 120 + 30
+    rows = np.asarray(experience._buffer[0, : experience.count])
+    observation, action, reward, following, terminal = columns(rows)
+    assert (np.abs(action) <= 1).all()
+    assert set(np.unique(terminal)) <= {0.0, 1.0}
+    np.testing.assert_array_equal(terminal[:120, 0] > 0, np.asarray(TASK.ends(following[:120])))  # it is known when it ends
+    real = np.asarray(experience.replay.buffer[0, :120])
+    assert all((real[:, :4] == row).all(1).any() for row in observation[:120])  # rollouts of one step begin at real states
+    assert all((real[:, : rows.shape[1]] == row).all(1).any() for row in rows[120:])
+    assert not any((real[:, : rows.shape[1]] == row).all(1).any() for row in rows[:120])
+    assert reward.std() >= 0.0
+    assert set(experience.metrics) == {"model_error", "model_epochs", "rollout_length"}
+
+
+def test_lengths_of_rollouts():
+    agent = MBPO().resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1)
+    assert agent.target_entropy == -1.0
+    assert [agent.rollout_length(e) for e in (0, 20, 60, 99.9, 100, 500)] == [1, 1, 8, 14, 15, 15]
+    assert MBPO(length=(3, 3, 1, 2)).resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1).rollout_length(7) == 3
+    assert MBPO.acting("halfcheetah")["updates_per_step"] == 40
+    fit, experience = job(length=(2, 2, 1, 2))
+    walk(fit, 5)
+    # Rollouts that ended after a step are made up for by others.
+    assert len(experience._batches[0][0]) == 2 * 60
+
+
+def test_several_seeds_are_what_each_is_alone():
+    both, experience = job(seeds=(3, 4))
+    walk(both)
+    alone, single = job(seeds=(4,))
+    walk(alone)
+    np.testing.assert_allclose(experience.replay.buffer[1], single.replay.buffer[0], atol=1e-4)
+    np.testing.assert_allclose(experience._buffer[1], single._buffer[0], atol=1e-3)
+
+
+@pytest.mark.parametrize("killed", [15, 25])  # where a fit of the model is due, and between two
+def test_a_run_goes_on_where_it_stopped(tmp_path, killed):
+    whole, _ = job()
+    walk(whole)
+    paths = [tmp_path / "replay" / "seed0.bin"]
+    first, _ = job(paths=paths, folder=tmp_path / "c")
+    walk(first, killed)
+    second, experience = job(paths=paths, folder=tmp_path / "c")
+    second.resume()
+    assert 0 < second.step < killed
+    walk(second)
+    for one, other in zip(*map(leaves, (whole, second))):
+        np.testing.assert_array_equal(one, other)
+    # Files that no checkpoint asks for are gone.
+    assert len(list((tmp_path / "replay").glob("*made-up*"))) <= 3
+    next((tmp_path / "replay").glob(f"*made-up-{max(experience._batches):06d}.npy")).unlink()
+    third, _ = job(paths=paths, folder=tmp_path / "c")
+    with pytest.raises(UserError, match="cannot read the rollouts in .*seed0-made-up-000003.npy"):
+        third.resume()
+
+
+def leaves(fit):
+    return jax.tree.leaves(fit.states)
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"model_every": 25}, r"model_every \(25\) must be a multiple of block \(10\), and keep \(40\) of it"),
+    ({"length": (1, 2, 3, 3)}, r"MBPO.length takes first, last, from epoch, to a later epoch, got \(1, 2, 3, 3\)"),
+    ({"real": 1.0}, "real must be 0 .. 1 without 1, got 1"),
+    ({"elites": 4}, "elites are members at most, got 4 of 3"),
+    ({"model_decay": (0.1, 0.1, 0.1)}, "model_decay needs 2 numbers, one a layer, got 3"),
+])  # fmt: skip
+def test_refusals(changes, words):
+    with pytest.raises(UserError, match=words):
+        job(**changes)
+
+
+def test_it_does_not_learn_from_a_log():
+    rng = np.random.default_rng(0)
+    log = dr.Dataset.from_arrays(
+        observations=rng.standard_normal((30, 2)), actions=rng.uniform(-1, 1, (30, 1)), rewards=np.ones(30),
+        terminals=np.arange(30) % 10 == 9, name="log",
+    )  # fmt: skip
+    with pytest.raises(UserError, match="MBPO learns by acting in a simulator, not from a log; say --online --task TASK"):
+        dr.train(MBPO(), log, steps=10)
