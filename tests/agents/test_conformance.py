@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import AGENTS, agent_class
+from deadreckon.agents.dreaming import Dreaming
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
@@ -24,8 +25,14 @@ LOG = corridor()
 STEPS, CHUNK = 150, 50
 
 
+MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "rollouts": 40, "model_epochs": 2, "length": 2,
+         "logged_rows": 20}  # fmt: skip
+
+
 def small(name, **fields):
-    return agent_class(name)(**({"hidden": (16, 16), "batch_size": 64} | fields)).resolve(LOG.spec, STEPS)
+    kind = agent_class(name)
+    fields = {"hidden": (16, 16), "batch_size": 64} | (MODEL if issubclass(kind, Dreaming) else {}) | fields
+    return kind(**fields).resolve(LOG.spec, STEPS)
 
 
 def rows_of(agent, log=LOG):

@@ -10,7 +10,11 @@ if TYPE_CHECKING:
     from deadreckon.agents.bc import BC
     from deadreckon.agents.bear import BEAR
     from deadreckon.agents.bear_is import ISBEAR
+    from deadreckon.agents.combo import COMBO
     from deadreckon.agents.mbpo import MBPO
+    from deadreckon.agents.mobile import MOBILE
+    from deadreckon.agents.mopo import MOPO
+    from deadreckon.agents.morel import MOReL
     from deadreckon.agents.sac import SAC
     from deadreckon.agents.td3 import TD3
     from deadreckon.agents.td3_bc import TD3BC
@@ -22,10 +26,30 @@ AGENTS = {
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
     "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
+    "mopo": ("mopo", "MOPO", "SAC on rollouts in a model of the log, rewards lowered by its deviation (Yu et al. 2020)"),
+    "morel": ("morel", "MOReL", "SAC in a model that ends where its networks disagree (Kidambi et al. 2020)"),
+    "combo": ("combo", "COMBO", "SAC on rollouts in a model, critics held down on unseen actions (Yu et al. 2021)"),
+    "mobile": ("mobile", "MOBILE", "SAC on rollouts in a model, values lowered where backups differ (Sun et al. 2023)"),
     "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
-__all__ = ["AGENTS", "BC", "BEAR", "ISBEAR", "MBPO", "SAC", "TD3", "TD3BC", "Agent", "agent_class", "agent_name"]
+__all__ = [
+    "AGENTS",
+    "BC",
+    "BEAR",
+    "COMBO",
+    "ISBEAR",
+    "MBPO",
+    "MOBILE",
+    "MOPO",
+    "SAC",
+    "TD3",
+    "TD3BC",
+    "Agent",
+    "MOReL",
+    "agent_class",
+    "agent_name",
+]  # fmt: skip
 
 
 def agent_class(name: str) -> "type[Agent]":

@@ -47,6 +47,7 @@ class MBPO(SAC):
         missing = {name: known[name] for name in ("length", "keep", "model_hidden", "target_entropy")
                    if getattr(self, name) is None and name in known}  # fmt: skip
         agent = super(MBPO, self.replace(**missing)).resolve(spec, steps)
+        assert agent.length is not None
         if len(agent.length) != 4 or agent.length[2] >= agent.length[3]:
             raise UserError(f"MBPO.length takes first, last, from epoch, to a later epoch, got {agent.length}")
         return agent

@@ -1,6 +1,6 @@
 """Soft actor-critic (Haarnoja et al. 2018) with automatic temperature; on a fixed log it is the thesis's SAC-off."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ class SAC(Agent):
     target_entropy: float | None = None  # nats; None is minus the number of action dimensions
     discount: float = 0.99  # per step
     target_rate: float = 0.005  # Polyak rate of the target critics
+    entropy_backup: bool = static(True)  # whether targets hold the entropy bonus too
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     batch_size: int = static(256)  # rows a batch
 
@@ -52,7 +53,7 @@ class SAC(Agent):
         """Transitions."""
         return Needs(batch_size=self.batch_size)
 
-    def init(self, spec, key):
+    def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
@@ -66,7 +67,12 @@ class SAC(Agent):
         d = dist.gaussian_head(state.actor(batch.next_observation))
         pre = dist.sample(d, key)
         q = q_values(state.target_critics, batch.next_observation, jnp.tanh(pre)).min(0)
-        return backup(batch, self.discount, q - jnp.exp(state.log_temperature) * dist.log_prob(d, pre))
+        bonus = jnp.exp(state.log_temperature) * dist.log_prob(d, pre) if self.entropy_backup else 0.0
+        return backup(batch, self.discount, q - bonus)
+
+    def critic_loss(self, critics, state, batch, target, key):
+        """Squared errors of all critics."""
+        return bellman_loss(critics, batch, target)
 
     def actor_loss(self, actor, state, batch, key):
         """temperature log pi(a|s) - min_j Q_j(s, a), a reparameterised; also gives the mean log-probability."""
@@ -79,7 +85,8 @@ class SAC(Agent):
     def update(self, state, batch, *, step, key):
         """Critics, actor, temperature, targets."""
         k_target, k_actor = jax.random.split(key)
-        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, self.target(state, batch, k_target))
+        target = self.target(state, batch, k_target)
+        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
         critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
 

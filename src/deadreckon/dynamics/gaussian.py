@@ -31,6 +31,10 @@ class Gaussian(Model):
         mean, log_variance = jnp.split(out[..., :-1], 2, -1)
         return mean, soft_bounds(log_variance, bounds), out[..., -1]
 
+    def heads(self, params, inputs):
+        """Means and log-variances (members, b, observation + 1), and logits of an end (members, b), of (members, b, inputs)."""
+        return jax.vmap(self._heads)(params["nets"], params["bounds"], inputs)
+
     def losses(self, params, inputs, target, terminal, key):
         """See `Model`."""
 
@@ -45,7 +49,7 @@ class Gaussian(Model):
 
     def sample(self, params, inputs, key):
         """See `Model`."""
-        mean, log_variance, logit = jax.vmap(self._heads)(params["nets"], params["bounds"], inputs)
+        mean, log_variance, logit = self.heads(params, inputs)
         if key is None or self.deterministic:
             return mean, logit
         return mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape), logit

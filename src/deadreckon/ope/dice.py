@@ -156,7 +156,7 @@ class DICE(Estimator):
         """Logged rewards weighted by the ratios."""
         ratios = self.ratios(case)
         found = weighted(case, ratios, case.data.rewards) / (1.0 - case.discount)
-        return estimates(case, self.label, ratios, found)
+        return estimates(case, self.label, ratios, found, case.unsettled("dice", "q"))
 
     @property
     def label(self) -> str:
@@ -165,8 +165,8 @@ class DICE(Estimator):
         return next((f"{name.capitalize()}DICE" for name, preset in PRESETS.items() if preset == fields), "DICE")
 
 
-def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray) -> Estimates:
-    """Of (members, policies, rows) ratios and the (members, policies) values by them.
+def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray, warnings: list[str]) -> Estimates:
+    """Of (members, policies, rows) ratios and the (members, policies) values by them, with warnings of the fit.
 
     An episode's weight is the sum of its rows' ratios, averaged over members.
     """
@@ -176,7 +176,7 @@ def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray) -> 
     effective = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
     return Estimates(
         label, case.names, found.mean(0), low, high, case.discount, redraws=found, effective=effective,
-        warnings=tuple(few(case.names, effective, case.data.episodes)),
+        warnings=(*few(case.names, effective, case.data.episodes), *warnings),
     )  # fmt: skip
 
 

@@ -1,0 +1,50 @@
+"""MOReL (Kidambi et al. 2020): rollouts end, and are punished, where the networks of the model disagree too much.
+
+    disc(s, a) = max_{i, j} ||mu_i(s, a) - mu_j(s, a)||
+
+over the networks' means of the standardised changes. Beyond a threshold the rollout falls into a state where nothing follows,
+with a reward below all of the log's: a pessimistic world. Here its policy is SAC's; the paper's is a natural policy gradient.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from deadreckon.agents.dreaming import Dreaming
+from deadreckon.dynamics import Ensemble, Gaussian
+
+_ROWS = 10_000  # of the log, from which the threshold is taken
+
+
+class MOReL(Dreaming):
+    """SAC in a world that ends where the model does not know it."""
+
+    familiar: float = 0.99  # share of the log's rows whose disagreement is still trusted; it sets the threshold
+    penalty: float = 30.0  # by which the reward of leaving what is known lies below the log's least
+
+    def doubted(self, ensemble, found, rows):
+        """Ends rollouts where the model is not to be trusted."""
+        known = rows.take(np.linspace(0, rows.count - 1, min(_ROWS, rows.count)).astype(int))
+        change = known["next_observation"] - known["observation"]
+        scale = jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)
+        usual = disagreement(self.model, ensemble, scale, *(jnp.asarray(known[name]) for name in ("observation", "action")))
+        limit = jnp.quantile(usual, self.familiar)
+        least = float(rows.log.spec.reward.min) - self.penalty
+        trusted, kept = jnp.ones(len(found[0].reward), bool), []
+        for branch in found:
+            lost = disagreement(self.model, ensemble, scale, branch.observation, branch.action) > limit
+            reward = jnp.where(lost, least, branch.reward)
+            kept.append(branch._replace(reward=reward, terminal=branch.terminal | lost, running=branch.running & trusted))
+            trusted = trusted & ~lost
+        return kept
+
+
+@eqx.filter_jit
+def disagreement(
+    model: Gaussian, ensemble: Ensemble, scale: Array, observation: Array, action: Array
+) -> Float[Array, "n"]:
+    """The greatest distance between the means of two networks, each number in units of `scale`."""
+    inputs = ensemble.standardise(jnp.concatenate([observation, action], -1))
+    mean = model.heads(ensemble.params, jnp.broadcast_to(inputs, (model.members, *inputs.shape)))[0] / scale
+    return jnp.linalg.norm(mean[:, None] - mean[None], axis=-1).max((0, 1))

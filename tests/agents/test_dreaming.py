@@ -1,0 +1,177 @@
+"""Offline agents with a model: what a batch holds, and each one's doubt against numbers by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from deadreckon.agents import COMBO, MOBILE, MOPO, MOReL
+from deadreckon.agents.combo import soft_maximum
+from deadreckon.agents.dreaming import Dreaming, _ends
+from deadreckon.agents.mopo import deviation
+from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.dynamics import Branch
+from deadreckon.errors import UserError
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from tests.agents.test_conformance import MODEL
+
+TINY = MODEL | {"hidden": (8,), "batch_size": 16, "logged_rows": 6, "rollouts": 8, "keep": 2}
+
+
+def walk(n=120, seed=0):
+    """A log of a point that is pushed about, in episodes of 20 steps."""
+    rng = np.random.default_rng(seed)
+    s, a = rng.standard_normal((n, 2)).astype(np.float32), rng.uniform(-1, 1, (n, 1)).astype(np.float32)
+    ends = np.arange(n) % 20 == 19
+    return Dataset.from_arrays(
+        observations=s, actions=a, rewards=s[:, 0], terminals=ends, name="walk",
+        final_observations=rng.standard_normal((ends.sum(), 2)).astype(np.float32),
+    )  # fmt: skip
+
+
+LOG = walk()
+
+
+def prepared(kind, turns=1, **fields):
+    agent = kind(**TINY | fields).resolve(LOG.spec, 10)
+    rows = Rows(LOG, agent.needs(LOG.spec))
+    state = agent.init(LOG.spec, jax.random.key(0))
+    for turn in range(turns):
+        state = agent.prepare(state, rows, jax.random.key(turn), None)
+    return agent, rows, state
+
+
+def batch_of(rows, n=16):
+    return Batch(**{name: jnp.asarray(column) for name, column in rows.take(np.arange(n)).items()})
+
+
+def test_a_batch_is_logged_rows_and_made_up_ones():
+    agent, rows, state = prepared(Dreaming)
+    assert int(state.turns) == 1
+    first = np.asarray(state.rows[0])
+    assert (np.asarray(state.rows[1]) == 0).all()
+    logged = batch_of(rows)
+    mixed = agent.mixed(state, logged, jax.random.key(3))
+    for name in ("observation", "action", "reward", "next_observation", "terminal"):
+        np.testing.assert_array_equal(getattr(mixed, name)[:6], getattr(logged, name)[:6])
+    made = np.concatenate([np.asarray(getattr(mixed, name)).reshape(16, -1) for name in mixed._fields[:5]], 1)[6:]
+    assert all((first == row).all(1).any() for row in made)  # from the slot that is filled alone
+    starts = first[(first[:, None, :2] == np.asarray(LOG.observations)).all(-1).any(1)]
+    assert len(starts) >= 8  # rollouts begin at logged observations
+    _, _, later = prepared(Dreaming, turns=3)
+    assert (np.asarray(later.rows[0]) != first).any()  # the oldest slot was used again
+    for one, other in zip(jax.tree.leaves(later.ensemble), jax.tree.leaves(state.ensemble)):
+        np.testing.assert_array_equal(one, other)  # the model is fitted once
+
+
+def test_ends_are_known_of_known_logs_alone():
+    assert _ends("walk") is None
+    hopper = _ends("hopper-medium-v2@dr1")
+    standing = np.zeros((2, 11), np.float32)
+    standing[0, 0] = 1.25
+    np.testing.assert_array_equal(hopper(standing, None, standing), [False, True])
+    assert hopper == _ends("hopper-expert-v2")
+    assert _ends("maze2d-umaze-v1") is None
+
+
+def test_mopo_lowers_rewards_by_the_greatest_deviation():
+    agent, rows, state = prepared(MOPO)
+    logged = batch_of(rows)
+    branch = Branch(*logged[:5], jnp.ones(16, bool))
+    inputs = np.concatenate([logged.observation, logged.action], 1)
+    seen = (inputs - np.asarray(state.ensemble.mean)) / np.asarray(state.ensemble.std)
+    deviations = []
+    for i in range(3):
+        one = jax.tree.map(lambda leaf, i=i: leaf[i], state.ensemble.params)
+        log_variance = np.asarray(agent.model._heads(one["nets"], one["bounds"], jnp.asarray(seen, jnp.float32))[1])
+        deviations.append(np.sqrt(np.exp(log_variance).sum(1)))
+    np.testing.assert_allclose(deviation(agent.model, state.ensemble, branch), np.max(deviations, 0), rtol=1e-4)
+    lowered = agent.replace(penalty=2.0).doubted(state.ensemble, [branch], rows)[0]
+    np.testing.assert_allclose(lowered.reward, logged.reward - 2.0 * np.max(deviations, 0), rtol=1e-4)
+    np.testing.assert_array_equal(lowered.next_observation, branch.next_observation)
+
+
+def test_mobile_lowers_values_by_the_disagreement_of_backups():
+    agent, rows, state = prepared(MOBILE, draws=2000, penalty=3.0)
+    logged = batch_of(rows)
+    mixed, plain = (each.mixed(state, logged, jax.random.key(3)) for each in (agent, agent.replace(penalty=0.0)))
+    np.testing.assert_array_equal(mixed.reward[:6], logged.reward[:6])
+    doubt = (plain.reward - mixed.reward)[6:] / 3.0
+    assert (doubt > 0).all()
+    # A critic that sees the first number alone: the deviation of the networks' means of it.
+    first = MLP((jnp.array([[1.0], [0.0], [0.0]])[None].repeat(2, 0),), (jnp.zeros((2, 1)),))
+    seen = agent.inconsistency(state.sac._replace(target_critics=first), state.ensemble, plain, jax.random.key(0))
+    inputs = state.ensemble.standardise(jnp.concatenate([plain.observation, plain.action], 1))
+    means, log_variance, _ = agent.model.heads(state.ensemble.best(), jnp.broadcast_to(inputs, (2, *inputs.shape)))
+    wanted = np.asarray(means)[..., 0].std(0, ddof=1)
+    noise = float(np.exp(0.5 * np.asarray(log_variance)[..., 0]).max()) / np.sqrt(2000)
+    np.testing.assert_allclose(seen, wanted, atol=5 * noise)
+    low = agent.replace(floor=0.5).target(state.sac, plain, jax.random.key(0))
+    free = agent.replace(floor=None).target(state.sac, plain, jax.random.key(0))
+    np.testing.assert_allclose(low, np.maximum(free, 0.5))
+    assert (np.asarray(free) < 0.5).any()
+
+
+def test_combo_holds_critics_down():
+    agent, rows, state = prepared(COMBO, draws=4000)
+    batch = batch_of(rows)
+    # A critic that is constant has log 2^size of it, and the number of draws.
+    flat = MLP((jnp.zeros((2, 3, 1)),), (jnp.full((2, 1), 0.7),))
+    wanted = 0.7 + np.log(2.0) + np.log(3 * 4000)
+    np.testing.assert_allclose(soft_maximum(flat, state.sac.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.1)
+    # One that rises with the action: the integral of exp(a) over [-1, 1].
+    rising = MLP((jnp.array([[0.0], [0.0], [1.0]])[None].repeat(2, 0),), (jnp.zeros((2, 1)),))
+    wanted = np.log(np.exp(1) - np.exp(-1)) + np.log(3 * 4000)
+    np.testing.assert_allclose(soft_maximum(rising, state.sac.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.15)
+    critics, target, key = state.sac.critics, jnp.zeros(16), jax.random.key(1)
+    with_it, metrics = agent.critic_loss(critics, state.sac, batch, target, key)
+    without, _ = agent.replace(conservatism=0.0).critic_loss(critics, state.sac, batch, target, key)
+    high = soft_maximum(critics, state.sac.actor, batch, 4000, jax.random.fold_in(key, 2)).mean(1)
+    logged = q_values(critics, batch.observation[:6], batch.action[:6]).mean(1)
+    assert with_it - without == pytest.approx(5.0 * float((high - logged).sum()), rel=1e-4)
+    assert metrics["gap"] == pytest.approx(float((high - logged).mean()), rel=1e-5)
+    squares = np.square(np.asarray(q_values(critics, batch.observation, batch.action))).mean(1).sum()
+    assert without == pytest.approx(squares, rel=1e-5)
+
+
+def test_targets_without_the_entropy_bonus():
+    agent, rows, state = prepared(COMBO)
+    batch, key = batch_of(rows), jax.random.key(5)
+    d = dist.gaussian_head(state.sac.actor(batch.next_observation))
+    pre = dist.sample(d, key)
+    q = q_values(state.sac.target_critics, batch.next_observation, jnp.tanh(pre)).min(0)
+    plain = batch.reward + 0.99 * (1 - batch.terminal) * q
+    np.testing.assert_allclose(agent.target(state.sac, batch, key), plain, rtol=1e-5)
+    bonus = 0.99 * (1 - batch.terminal) * dist.log_prob(d, pre)  # at temperature 1
+    np.testing.assert_allclose(agent.replace(entropy_backup=True).target(state.sac, batch, key), plain - bonus, rtol=1e-4)
+
+
+def test_morel_ends_rollouts_that_the_model_does_not_know():
+    agent, rows, state = prepared(MOReL, familiar=0.9, penalty=4.0)
+    usual = rows.take(np.arange(rows.count))
+    far = usual["observation"][:16] + 50.0 * (np.arange(16) % 2)[:, None].astype(np.float32)
+    make = lambda seen: Branch(jnp.asarray(seen), jnp.asarray(usual["action"][:16]), jnp.ones(16), jnp.asarray(seen),  # noqa: E731
+                               jnp.zeros(16, bool), jnp.ones(16, bool))  # fmt: skip
+    first, second = agent.doubted(state.ensemble, [make(far), make(usual["observation"][:16])], rows)
+    lost = np.asarray(first.terminal)
+    assert lost[1::2].all()
+    assert lost[::2].sum() <= 4
+    np.testing.assert_allclose(np.asarray(first.reward)[lost], LOG.rewards.min() - 4.0, rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(first.reward)[~lost], 1.0)
+    assert first.running.all()
+    np.testing.assert_array_equal(second.running, ~lost)
+
+
+@pytest.mark.parametrize(("fields", "words"), [
+    ({"logged_rows": 16}, "MOPO.logged_rows must be fewer than a batch has, 16, got 16"),
+    ({"elites": 4}, "MOPO.elites are members at most, got 4 of 3"),
+    ({"model_decay": (0.1,)}, "MOPO.model_decay needs 2 numbers, one a layer of the model, got 1"),
+])  # fmt: skip
+def test_refusals(fields, words):
+    with pytest.raises(UserError, match=words):
+        MOPO(**TINY | fields).resolve(LOG.spec, 1)
+    with pytest.raises(UserError, match="COMBO needs logged rows in a batch, got 0"):
+        COMBO(**TINY | {"logged_rows": 0}).resolve(LOG.spec, 1)
+
