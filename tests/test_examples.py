@@ -113,3 +113,31 @@ def test_design_tables_run_and_resume(tmp_path, monkeypatch, capsys):
     assert "20:1, 0.05, 5 steps" in first
     example.main(options)
     assert capsys.readouterr().out == first
+
+
+@pytest.mark.slow
+def test_mbpo_curves_run_resume_and_are_drawn(tmp_path, monkeypatch, capsys, home):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import mbpo_curves as example
+
+    for group, count in (("compare", 3), ("ratio", 5), ("length", 4)):
+        assert len(example.variants(group, "hopper")) == count
+    assert example.variants("compare", "hopper")["sac-20"][1].updates_per_step == 20
+    tiny = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 2, "elites": 1,
+            "model_epochs": 1, "rollouts": 2, "model_every": 50, "keep": 50}  # fmt: skip
+
+    def variants(group, task):
+        settings = example.Online(copies=2, explore=50, updates_per_step=0.2, block=50)
+        return {"mbpo": (example.MBPO(**tiny), settings), "sac": (example.SAC(hidden=(8,), batch_size=16), settings)}
+
+    monkeypatch.setattr(example, "variants", variants)
+    drawn = str(tmp_path / "curves.svg")
+    options = example.Options("inverted-pendulum", steps=200, seeds=2, every=50, episodes=2, out=str(tmp_path), picture=drawn)
+    example.main(options)
+    first = capsys.readouterr().out
+    assert "| mbpo | 0:" in first
+    assert "| sac | 0:" in first
+    assert " 200:" in first
+    assert "<svg" in Path(drawn).read_text()
+    example.main(options)
+    assert capsys.readouterr().out == first

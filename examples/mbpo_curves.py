@@ -1,0 +1,93 @@
+"""Chapter 5 as one declared set of runs: MBPO beside SAC without a model (Figure 5.2, 5.3), and lengths of rollouts (5.3).
+
+    python examples/mbpo_curves.py --task inverted-pendulum --steps 10000 --seeds 1     (a quarter of an hour a run on a CPU)
+    python examples/mbpo_curves.py --task hopper --steps 130000 --seeds 3 --groups compare length         (a GPU)
+
+Runs go on where they were stopped. Returns after so many environment steps are printed as Markdown, and --picture draws them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+import deadreckon as dr
+from deadreckon.agents import MBPO, SAC
+from deadreckon.agents.agent import Agent
+from deadreckon.agents.mbpo import PRESETS
+from deadreckon.cli.main import cache_compiled_programs
+from deadreckon.cli.progress import Bar
+from deadreckon.collect.online import Online
+from deadreckon.report import picture
+
+
+@dataclass
+class Options:
+    """MBPO, and SAC without a model."""
+
+    task: str = "hopper"  # simulator to learn in
+    groups: tuple[str, ...] = ("compare",)  # among compare, ratio, length
+    steps: int = 130_000  # environment steps, the 5,000 random ones included
+    seeds: int = 3  # of each run, as one program
+    every: int = 1000  # environment steps between evaluations
+    episodes: int = 10  # an evaluation
+    out: str = "runs/mbpo"  # the runs are OUT/TASK/VARIANT
+    picture: str | None = None  # SVG file of the learning curves
+
+
+def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
+    """The runs of a group, by name."""
+    acting = MBPO.acting(task)
+    own = PRESETS.get(task, {}).get("target_entropy")
+
+    def sac(ratio: float) -> tuple[Agent, Online]:
+        return SAC(target_entropy=own), Online(**acting | {"updates_per_step": ratio})
+
+    def mbpo(*length: int) -> tuple[Agent, Online]:
+        return MBPO(length=length or None), Online(**acting)
+
+    return {
+        # SAC with as many updates a step as MBPO, and as it usually is.
+        "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
+        "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},
+        "length": {"mbpo": mbpo(), **{f"mbpo-k{k}": mbpo(k, k, 1, 2) for k in (1, 200, 500)}},
+    }[group]
+
+
+def main(options: Options) -> None:
+    """Trains what is not trained yet, prints, and draws."""
+    cache_compiled_programs()
+    asked = {name: run for group in options.groups for name, run in variants(group, options.task).items()}
+    folders = {name: Path(options.out) / options.task / name for name in asked}
+    for name, (agent, settings) in asked.items():
+        with Bar(f"{name} in {options.task}", settings.updates(options.steps), "updates") as bar:
+            dr.train_online(
+                agent, options.task, steps=options.steps, seeds=options.seeds, settings=settings, out=folders[name],
+                evaluate_every=options.every, episodes=options.episodes, resume=True,
+                watch=lambda progress, updates, bar=bar: bar(progress.step, updates),
+            )  # fmt: skip
+    print(markdown(folders, {name: settings for name, (_, settings) in asked.items()}))
+    if options.picture:
+        names = {folder.name: name for name, folder in folders.items()}
+        print(picture(options.picture, {options.task: list(folders.values())}, quantity="return", names=names))
+
+
+def markdown(folders: dict[str, Path], settings: dict[str, Online]) -> str:
+    """Mean returns of all seeds and episodes, from least to greatest seed, after six shares of the run."""
+    rows = []
+    for name, folder in folders.items():
+        run = dr.load_run(folder)
+        found = run.evaluations.to_pydict()
+        updates, returns, seeds = (np.asarray(found[key]) for key in ("step", "return", "seed"))
+        judged, cells = np.unique(updates), []
+        for update in judged[np.linspace(0, len(judged) - 1, 6).astype(int)]:
+            means = [returns[(updates == update) & (seeds == seed)].mean() for seed in run.seeds]
+            spread = f" ({min(means):,.0f} to {max(means):,.0f})" if len(means) > 1 else ""
+            cells.append(f"{settings[name].steps(int(update)):,}: {np.mean(means):,.0f}{spread}")
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(["| run |" + " return after so many environment steps |" * 6, "|---|" + "---:|" * 6, *rows])
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
