@@ -43,7 +43,14 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-@pytest.fixture(scope="session", params=[name for name in AGENTS if agent_class(name).offline])
+# They differ from MOBILE and COMBO in what happens between updates alone, which tests/agents/test_dreaming.py looks at.
+SLOW = ("mopo", "morel")
+PARAMS = [
+    pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
+]
+
+
+@pytest.fixture(scope="session", params=PARAMS)
 def trained(request):
     """(agent, rows, fit of two lanes, metrics by chunk)."""
     agent = small(request.param)

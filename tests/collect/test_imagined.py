@@ -70,6 +70,7 @@ def test_lengths_of_rollouts():
     assert len(experience._batches[0][0]) == 2 * 60
 
 
+@pytest.mark.slow
 def test_several_seeds_are_what_each_is_alone():
     both, experience = job(seeds=(3, 4))
     walk(both)
