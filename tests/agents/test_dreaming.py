@@ -71,7 +71,7 @@ def test_ends_are_known_of_known_logs_alone():
     hopper = _ends("hopper-medium-v2@dr1")
     standing = np.zeros((2, 11), np.float32)
     standing[0, 0] = 1.25
-    np.testing.assert_array_equal(hopper(standing, None, standing), [False, True])
+    np.testing.assert_array_equal(hopper(standing), [False, True])
     assert hopper == _ends("hopper-expert-v2")
     assert _ends("maze2d-umaze-v1") is None
 
@@ -174,4 +174,6 @@ def test_refusals(fields, words):
         MOPO(**TINY | fields).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="COMBO needs logged rows in a batch, got 0"):
         COMBO(**TINY | {"logged_rows": 0}).resolve(LOG.spec, 1)
+    with pytest.raises(UserError, match="MOBILE.elites must be 2 or more, got 1"):
+        MOBILE(**TINY | {"elites": 1}).resolve(LOG.spec, 1)
 

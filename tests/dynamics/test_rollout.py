@@ -35,7 +35,7 @@ def ensemble(members, elites):
 def test_every_step_is_an_elites_and_all_have_equal_shares():
     starts = jnp.zeros((60, 2))
     found = branches(Counting(members=4), ensemble([1, 10, 100, 1000], [0, 2, 3]), Half(), starts, 3, jax.random.key(0),
-                     lambda s, a, following: jnp.zeros(len(s), bool))  # fmt: skip
+                     lambda following: jnp.zeros(len(following), bool))  # fmt: skip
     steps = np.stack([np.asarray(b.next_observation - b.observation)[:, 0] for b in found], 1)
     for t in range(3):
         assert dict(zip(*np.unique(steps[:, t], return_counts=True))) == {1.0: 20, 100.0: 20, 1000.0: 20}
@@ -50,7 +50,7 @@ def test_every_step_is_an_elites_and_all_have_equal_shares():
 def test_what_has_ended_runs_no_more():
     starts = jnp.stack([jnp.arange(6.0), jnp.zeros(6)], 1)
     found = branches(Counting(members=1), ensemble([1], [0]), Half(), starts, 3, jax.random.key(0),
-                     lambda s, a, following: following[:, 0] >= 5.0)  # fmt: skip
+                     lambda following: following[:, 0] >= 5.0)  # fmt: skip
     running = np.stack([b.running for b in found], 1)
     np.testing.assert_array_equal(running.sum(1), [3, 3, 3, 2, 1, 1])
     np.testing.assert_array_equal(found[0].terminal, [False] * 4 + [True] * 2)
@@ -62,7 +62,7 @@ def test_what_has_ended_runs_no_more():
 
 def test_numbers_that_go_bad_are_no_rows():
     found = branches(Counting(members=2), ensemble([1, np.nan], [0, 1]), Half(), jnp.zeros((10, 2)), 2, jax.random.key(0),
-                     lambda s, a, following: jnp.zeros(len(s), bool))  # fmt: skip
+                     lambda following: jnp.zeros(len(following), bool))  # fmt: skip
     assert np.asarray(found[0].running).sum() == 5
     assert np.asarray(found[1].running).sum() <= 5
     assert np.isfinite(np.asarray(found[1].next_observation)[np.asarray(found[1].running)]).all()

@@ -5,7 +5,7 @@ the present policy branch off from logged states. A batch is a share of logged r
 are SAC's. The agents differ in how they keep from believing the model too much.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,11 @@ from jaxtyping import Array
 from deadreckon.agents import sac
 from deadreckon.agents.sac import SAC
 from deadreckon.data.batch import Batch, Rows
-from deadreckon.data.catalogue import ENTRIES
-from deadreckon.dynamics import Branch, Ensemble, Gaussian, Trainer, branches
-from deadreckon.errors import UserError
-from deadreckon.nets.optim import begin
-from deadreckon.tasks.registry import task as find_task
+from deadreckon.dynamics import Branch, Ensemble, Gaussian, Trainer, branches, packed
+from deadreckon.dynamics.ensemble import check_sizes
+from deadreckon.dynamics.rollout import Ends
+from deadreckon.errors import DivergedError, UserError
+from deadreckon.tasks.registry import of_log
 from deadreckon.training.learner import static
 
 
@@ -56,12 +56,7 @@ class Dreaming(SAC):
         if self.logged_rows >= self.batch_size:
             name = f"{type(self).__name__}.logged_rows"
             raise UserError(f"{name} must be fewer than a batch has, {self.batch_size}, got {self.logged_rows}")
-        if self.elites > self.members:
-            raise UserError(f"{type(self).__name__}.elites are members at most, got {self.elites} of {self.members}")
-        layers = len(self.model_hidden) + 1
-        if len(self.model_decay) not in (0, layers):
-            name = f"{type(self).__name__}.model_decay"
-            raise UserError(f"{name} needs {layers} numbers, one a layer of the model, got {len(self.model_decay)}")
+        check_sizes(type(self).__name__, self.members, self.elites, self.model_hidden, self.model_decay)
         return super().resolve(spec, steps)
 
     @property
@@ -77,9 +72,7 @@ class Dreaming(SAC):
     def init(self, spec, key):
         """SAC's state, and room for what will be made up."""
         k_sac, k_model = jax.random.split(key)
-        params = self.model.create(spec, k_model)
-        size = spec.observation_size + spec.action_size
-        unfitted = Ensemble(params, begin(params), jnp.zeros(size), jnp.ones(size), jnp.arange(self.elites, dtype=jnp.int32))
+        unfitted = Ensemble.unfitted(self.model, spec, self.elites, k_model)
         width = 2 * spec.observation_size + spec.action_size + 2
         rows = jnp.zeros((self.keep, self._made_up * self.length, width), jnp.float32)
         return State(super().init(spec, k_sac), unfitted, rows, jnp.int32(0))
@@ -94,11 +87,12 @@ class Dreaming(SAC):
             columns = rows.take(np.sort(rng.permutation(rows.count)[:drawn]))
             trainer = Trainer(elites=self.elites, most_epochs=self.model_epochs)
             ensemble, _ = trainer.fit(self.model, rows.spec, columns, seed)
-            ensemble = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), ensemble, state.ensemble)
         starts = rows.take(rng.integers(rows.count, size=self._made_up))["observation"]
         policy, known = SAC.policy(self, state.sac), _ends(rows.log.name) if self.ends == "known" else None
         found = branches(self.model, ensemble, policy, jnp.asarray(starts), self.length, key, known)
-        made = np.concatenate([_packed(branch) for branch in self.doubted(ensemble, found, rows)])
+        made = packed(self.doubted(ensemble, found, rows))
+        if not len(made):
+            raise DivergedError("model: none of its rollouts has finite numbers; a lower model_lr may help")
         # Rollouts that ended early are made up for by others.
         made = made[np.resize(rng.permutation(len(made)), state.rows.shape[1])]
         return state._replace(ensemble=ensemble, rows=state.rows.at[turn % self.keep].set(made), turns=jnp.int32(turn + 1))
@@ -136,32 +130,7 @@ class Dreaming(SAC):
         return super().q_value(state.sac, observation, action)
 
 
-def _packed(branch: Branch) -> np.ndarray:
-    parts = [np.asarray(part, np.float32).reshape(len(branch.reward), -1) for part in branch[:5]]
-    return np.concatenate(parts, 1)[np.asarray(branch.running)]
-
-
-class _Known:
-    """When episodes of a task end, as a function of transitions."""
-
-    def __init__(self, task: Any):
-        self.task = task
-
-    def __call__(self, observation: Array, action: Array, following: Array) -> Array:
-        return self.task.ends(following)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Known) and other.task == self.task
-
-    def __hash__(self) -> int:
-        return hash(self.task)
-
-
-def _ends(log: str) -> _Known | None:
+def _ends(log: str) -> Ends | None:
     """Of a known log's task, where observations tell; None leaves it to the model."""
-    entry = ENTRIES.get(log.split("@")[0])
-    if entry is None:
-        return None
-    task = find_task(entry.task)
-    seen = task.ends(np.zeros((1, *task.observation_shape), np.float32))
-    return None if seen is None else _Known(task)
+    task = of_log(log)
+    return None if task is None else task.ends

@@ -7,6 +7,7 @@ rollouts of a few steps branch off from real states.
 from typing import Any, ClassVar, Literal
 
 from deadreckon.agents.sac import SAC
+from deadreckon.dynamics.ensemble import check_sizes
 from deadreckon.errors import UserError
 from deadreckon.training.learner import static
 
@@ -48,8 +49,10 @@ class MBPO(SAC):
                    if getattr(self, name) is None and name in known}  # fmt: skip
         agent = super(MBPO, self.replace(**missing)).resolve(spec, steps)
         assert agent.length is not None
+        assert agent.model_hidden is not None
         if len(agent.length) != 4 or agent.length[2] >= agent.length[3]:
             raise UserError(f"MBPO.length takes first, last, from epoch, to a later epoch, got {agent.length}")
+        check_sizes("MBPO", self.members, self.elites, agent.model_hidden, self.model_decay)
         return agent
 
     def rollout_length(self, epoch: float) -> int:

@@ -15,6 +15,7 @@ from deadreckon.agents import sac
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.data.batch import Batch
 from deadreckon.dynamics import Ensemble
+from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import q_values
 from deadreckon.training.learner import static
@@ -27,6 +28,12 @@ class MOBILE(Dreaming):
     floor: float | None = 0.0  # least target, where rewards are positive; None: none
     penalty: float = 1.5  # of a unit of inconsistency (published: 0.1 to 2, by log)
     draws: int = static(10)  # next observations drawn from each network
+
+    def resolve(self, spec, steps):
+        """Refuses a single network, which has nobody to disagree with."""
+        if self.elites < 2:
+            raise UserError(f"MOBILE.elites must be 2 or more, got {self.elites}")
+        return super().resolve(spec, steps)
 
     def mixed(self, state, batch, key):
         """Lowers the rewards of made-up rows, which lowers their targets by as much."""

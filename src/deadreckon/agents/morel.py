@@ -2,8 +2,9 @@
 
     disc(s, a) = max_{i, j} ||mu_i(s, a) - mu_j(s, a)||
 
-over the networks' means of the standardised changes. Beyond a threshold the rollout falls into a state where nothing follows,
-with a reward below all of the log's: a pessimistic world. Here its policy is SAC's; the paper's is a natural policy gradient.
+over the networks' means of the standardised changes and reward. Beyond a threshold the rollout falls into a state where nothing
+follows, with a reward below all of the log's: a pessimistic world. Here its policy is SAC's; the paper's is a natural policy
+gradient.
 """
 
 import equinox as eqx

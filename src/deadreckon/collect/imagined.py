@@ -12,10 +12,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.mbpo import MBPO
 from deadreckon.collect.online import Exploration, Online
-from deadreckon.dynamics import Ensemble, Gaussian, Trainer, branches
+from deadreckon.dynamics import Ensemble, Gaussian, Trainer, branches, packed
+from deadreckon.dynamics.ensemble import room
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.nets.optim import begin
 from deadreckon.tasks.task import Task
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
@@ -30,8 +30,7 @@ class Imagination(Exploration):
     asks for.
 
     Args:
-        agents: one a lane; they differ in float fields only.
-        task, seeds, updates, settings, paths, threads: see `Exploration`.
+        task, agent, seeds, updates, settings, paths, threads: see `Exploration`.
 
     Raises:
         UserError: a task that cannot be learned online, or turns that do not fit each other.
@@ -40,35 +39,30 @@ class Imagination(Exploration):
     def __init__(
         self,
         task: Task,
-        agents: Sequence[MBPO],
+        agent: MBPO,
         seeds: Sequence[int],
         updates: int,
         settings: Online,
         paths: Sequence[Path] = (),
         threads: int | None = None,
     ):
-        super().__init__(task, agents[0], seeds, updates, settings, paths, threads)
-        agent = self.agent = agents[0]
+        super().__init__(task, agent, seeds, updates, settings, paths, threads)
+        self.agent = agent
         assert agent.model_hidden is not None  # resolved
         assert agent.keep is not None
-        every, layers = agent.model_every, len(agent.model_hidden) + 1
+        every = agent.model_every
         if every % settings.block or agent.keep % every:
             wanted = f"a multiple of block ({settings.block}), and keep ({agent.keep}) of it"
             raise UserError(f"model_every ({every}) must be {wanted}")
         if not 0.0 <= agent.real < 1.0:
             raise UserError(f"real must be 0 .. 1 without 1, got {agent.real:g}")
-        if agent.elites > agent.members:
-            raise UserError(f"elites are members at most, got {agent.elites} of {agent.members}")
-        if len(agent.model_decay) not in (0, layers):
-            raise UserError(f"model_decay needs {layers} numbers, one a layer, got {len(agent.model_decay)}")
         self.seeds, self.paths = list(seeds), list(paths)
         self.model = Gaussian(agent.members, agent.model_hidden, agent.model_lr, 0.0, layer_decay=agent.model_decay)
         self.trainer = Trainer(elites=agent.elites, patience=agent.model_patience, most_epochs=agent.model_epochs)
-        self.ensembles = [self._unfitted(seed) for seed in self.seeds]
-        known = task.ends(np.zeros((1, *task.observation_shape), np.float32)) is not None
-        if agent.ends == "known" and not known:
+        self.ensembles = [Ensemble.unfitted(self.model, self.spec, agent.elites, jax.random.key(seed)) for seed in self.seeds]
+        if agent.ends == "known" and task.ends is None:
             raise UserError(f"{task.name}: its observations do not tell when an episode ends; ask for ends='learned'")
-        self._ends = _Known(task) if agent.ends == "known" else None
+        self._ends = task.ends if agent.ends == "known" else None
         self._width = 2 * self.spec.observation_size + self.spec.action_size + 2  # numbers in a row that is learned from
         self._turns = every // settings.block  # blocks between fits
         self._kept = agent.keep // every  # batches of rollouts
@@ -77,11 +71,7 @@ class Imagination(Exploration):
         self._needed = 0  # the first turn that the checkpoint before the next one needs
         self._buffer = jnp.zeros((len(seeds), 0, 0))
         self._count = 0
-
-    def _unfitted(self, seed: int) -> Ensemble:
-        params = self.model.create(self.spec, jax.random.key(seed))
-        size = self.spec.observation_size + self.spec.action_size
-        return Ensemble(params, begin(params), jnp.zeros(size), jnp.ones(size), jnp.arange(self.agent.elites, dtype=jnp.int32))
+        self.metrics = {name: np.full(len(seeds), np.nan) for name in ("model_error", "model_epochs", "rollout_length")}
 
     @property
     def count(self) -> int:
@@ -116,10 +106,7 @@ class Imagination(Exploration):
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
             policy = own(learner).policy(own(states))
             key = jax.random.fold_in(jax.random.key(mixed), _DREAM)
-            rows = np.concatenate([
-                np.concatenate([_flat(part) for part in branch[:5]], 1)[np.asarray(branch.running)]
-                for branch in branches(self.model, self.ensembles[lane], policy, starts, length, key, self._ends)
-            ])  # fmt: skip
+            rows = packed(branches(self.model, self.ensembles[lane], policy, starts, length, key, self._ends))
             if not len(rows):  # a lane whose numbers went bad, which it is told after its updates
                 rows = real[:, : self._width]
             # Lanes have equally many rows; those of rollouts that ended early are made up for by others.
@@ -148,9 +135,8 @@ class Imagination(Exploration):
             real.append(np.asarray(self.replay.buffer[lane, :steps, : self._width])[rows])
         rows = np.concatenate([made_up, np.stack(real)], 1)
         self._count = rows.shape[1]
-        # Room for growth, so that few programs serve all lengths of rollouts.
-        room = 1 << max(self._count - 1, 1).bit_length()
-        self._buffer = jnp.asarray(np.pad(rows, ((0, 0), (0, room - self._count), (0, 0))))
+        # With room for growth, so that few programs serve all lengths of rollouts.
+        self._buffer = jnp.asarray(np.pad(rows, ((0, 0), (0, room(self._count) - self._count), (0, 0))))
 
     def _rng(self, lane: int, turn: int) -> np.random.Generator:
         return np.random.default_rng([self.seeds[lane], _DREAM, turn, 0])
@@ -185,8 +171,8 @@ class Imagination(Exploration):
         return path.with_name(f"{path.stem}-made-up-{turn:06d}.npy")
 
     def state(self) -> dict[str, Any]:
-        """See `Experience`: also the ensembles."""
-        return {**super().state(), "ensembles": self.ensembles}
+        """See `Experience`: also the ensembles, and what is told of them until the next fit."""
+        return {**super().state(), "ensembles": self.ensembles, "metrics": self.metrics}
 
     def restore(self, state: dict[str, Any]) -> None:
         """See `Experience`.
@@ -196,6 +182,7 @@ class Imagination(Exploration):
         """
         super().restore(state)
         self.ensembles = jax.device_put(state["ensembles"])
+        self.metrics = {name: np.asarray(value) for name, value in state["metrics"].items()}
         blocks = (self.real_steps - self.settings.explore) // self.settings.block
         self._batches, self._waiting = {}, []
         if blocks < 1:
@@ -205,26 +192,6 @@ class Imagination(Exploration):
         for t in range(self._needed, turn + 1):
             self._batches[t] = np.stack([_read(self._file(path, t)) for path in self.paths])
         self._refill(turn)
-
-
-class _Known:
-    """A task's ends as a function of transitions; equal for equal tasks, so that one program serves all lanes."""
-
-    def __init__(self, task: Task):
-        self.task = task
-
-    def __call__(self, observation: Array, action: Array, following: Array) -> Array:
-        return self.task.ends(following)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Known) and other.task == self.task
-
-    def __hash__(self) -> int:
-        return hash(self.task)
-
-
-def _flat(part: Array) -> np.ndarray:
-    return np.asarray(part, np.float32).reshape(len(part), -1)
 
 
 def _mixed(seed: int, turn: int) -> int:

@@ -19,6 +19,7 @@ from deadreckon.data.view import STD_FLOOR
 from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import begin
+from deadreckon.training.fit import choose
 from deadreckon.training.learner import static
 
 FEWEST = 10  # rows, of which some must be held out
@@ -38,6 +39,12 @@ class Ensemble(NamedTuple):
     mean: Float[Array, "i"]
     std: Float[Array, "i"]
     elites: Int[Array, "e"]
+
+    @classmethod
+    def unfitted(cls, model: Model, spec: Spec, elites: int, key: PRNGKeyArray) -> "Ensemble":
+        """Fresh networks, of which the first are called elites."""
+        params, size = model.create(spec, key), spec.observation_size + spec.action_size
+        return cls(params, begin(params), jnp.zeros(size), jnp.ones(size), jnp.arange(elites, dtype=jnp.int32))
 
     def standardise(self, inputs: Array) -> Array:
         """Inputs as the networks see them."""
@@ -105,11 +112,11 @@ class Trainer(eqx.Module):
             opt = begin(params)
         else:
             params, opt = start.params, start.opt
-        data = tuple(_padded(part, _room(n)) for part in (inputs, target, terminal))
-        judged = _padded(inputs[held], _room(len(held))), _padded(target[held], _room(len(held)))
+        data = tuple(_padded(part, room(n)) for part in (inputs, target, terminal))
+        judged = _padded(inputs[held], room(len(held))), _padded(target[held], room(len(held)))
         own = rng.integers(0, len(train), (model.members, len(train)))  # one redraw a member
         batches = -(-len(train) // model.batch_size)
-        room = _room(len(train)) + model.batch_size
+        width = room(len(train)) + model.batch_size
         kept = params
         best = np.full(model.members, np.inf)
         idle, epochs = 0, 0
@@ -117,7 +124,7 @@ class Trainer(eqx.Module):
             shuffled = np.take_along_axis(own, np.argsort(rng.random(own.shape), 1), 1)
             # The last batch is filled up from the beginning.
             rows = np.resize(train[shuffled].T, (batches * model.batch_size, model.members)).T
-            rows = np.pad(rows, ((0, 0), (0, room - rows.shape[1]))).astype(np.int32)
+            rows = np.pad(rows, ((0, 0), (0, width - rows.shape[1]))).astype(np.int32)
             part = jax.random.fold_in(key, epochs)
             params, opt = _epoch(model, params, opt, data, jnp.asarray(rows), jnp.int32(batches), part)
             error = np.asarray(_errors(model, params, judged, jnp.int32(len(held))), float)
@@ -125,7 +132,7 @@ class Trainer(eqx.Module):
                 raise DivergedError(f"model: its error was not finite after epoch {epochs + 1}; a lower learning rate may help")
             improved = error < (1.0 - self.better) * best
             best = np.where(improved, error, best)
-            kept = _choose(jnp.asarray(improved), params, kept)
+            kept = choose(jnp.asarray(improved), params, kept)
             idle = 0 if improved.any() else idle + 1
             epochs += 1
         elites = np.argsort(best, kind="stable")[: self.elites].astype(np.int32)
@@ -164,15 +171,22 @@ def _errors(model: Model, params: Any, data: tuple[Array, Array], count: Array) 
     return (jnp.square(mean - target).mean(-1) * known).sum(-1) / count
 
 
-@jax.jit
-def _choose(take: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(lambda n, o: jnp.where(take.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
+def check_sizes(who: str, members: int, elites: int, hidden: tuple[int, ...], decay: tuple[float, ...]) -> None:
+    """Refuses settings of an ensemble that do not fit each other; `who` has them as elites and model_decay.
+
+    Raises:
+        UserError: names the setting.
+    """
+    if elites > members:
+        raise UserError(f"{who}.elites are members at most, got {elites} of {members}")
+    if len(decay) not in (0, len(hidden) + 1):
+        raise UserError(f"{who}.model_decay needs {len(hidden) + 1} numbers, one a layer of the model, got {len(decay)}")
 
 
-def _room(n: int) -> int:
-    """The power of two that holds so many rows, so that few programs serve data that grows."""
+def room(n: int) -> int:
+    """The power of two that holds so many rows, 1,024 at least, so that few programs serve data that grows."""
     return 1 << max(n - 1, 1023).bit_length()
 
 
-def _padded(part: np.ndarray, room: int) -> Array:
-    return jnp.asarray(np.pad(part, ((0, room - len(part)), *[(0, 0)] * (part.ndim - 1))))
+def _padded(part: np.ndarray, length: int) -> Array:
+    return jnp.asarray(np.pad(part, ((0, length - len(part)), *[(0, 0)] * (part.ndim - 1))))

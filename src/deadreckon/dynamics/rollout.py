@@ -1,19 +1,20 @@
 """Branched rollouts: a few steps of a policy in a learned model, from states that were really seen (thesis 5.3)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from deadreckon.dynamics.ensemble import Ensemble
 from deadreckon.dynamics.model import Model
 from deadreckon.policies.policy import Step
 
-# Whether (b,) next observations end the episode: of (observation, action, next observation).
-Ends = Callable[[Array, Array, Array], Array]
+# Whether episodes end (n,) where these are observed (n, o): a task's `ends`.
+Ends = Callable[[Array], Array]
 
 
 class Branch(NamedTuple):
@@ -44,7 +45,7 @@ def branches(
         starts: observations; their number must be a multiple of that of the elites, which share it evenly.
         length: steps.
         key: of everything random.
-        ends: which transitions end an episode; None asks the model.
+        ends: where episodes end; None asks the model.
     """
     found, observation, running = [], starts, jnp.ones(len(starts), bool)
     for t in range(length):
@@ -52,6 +53,16 @@ def branches(
         found.append(branch)
         observation, running = branch.next_observation, branch.running & ~branch.terminal
     return found
+
+
+def packed(found: Sequence[Branch]) -> Float[np.ndarray, "n w"]:
+    """The steps that mean something, as rows of observation, action, reward, next observation and terminal."""
+    return np.concatenate([
+        np.concatenate([np.asarray(part, np.float32).reshape(len(branch.reward), -1) for part in branch[:5]], 1)[
+            np.asarray(branch.running)
+        ]
+        for branch in found
+    ])  # fmt: skip
 
 
 @eqx.filter_jit
@@ -69,6 +80,6 @@ def _step(
     back = jnp.argsort(order)
     drawn, logit = drawn.reshape(n, -1)[back], logit.reshape(n)[back]
     following = observation + drawn[:, :-1]
-    over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if ends is None else ends(observation, action, following)
+    over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if ends is None else ends(following)
     lost = ~jnp.isfinite(drawn).all(-1)
     return Branch(observation, action, drawn[:, -1], following, over | lost, running & ~lost)

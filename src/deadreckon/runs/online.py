@@ -72,8 +72,8 @@ def train_online(
     if evaluate_every is None:
         every = folder.period(resume) or every
     around = numbers, updates, settings, [folder.replay(s) for s in numbers], threads
-    dreamers = [lane for lane in lanes if isinstance(lane, MBPO)]
-    experience = Imagination(task, dreamers, *around) if dreamers else Exploration(task, lanes[0], *around)
+    first = lanes[0]
+    experience = Imagination(task, first, *around) if isinstance(first, MBPO) else Exploration(task, first, *around)
     job = Fit(lanes, experience, numbers, updates, chunk, folder.checkpoints, stops=every)
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},

@@ -21,6 +21,7 @@ from deadreckon.policies.policy import Deployed
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
+from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Failure, Fit
@@ -173,10 +174,7 @@ def load(path: Path | str) -> Run:
 def _judge(task: Task | str | None, log: Dataset) -> Task | None:
     if isinstance(task, Task):
         return task
-    if task is not None:
-        return find_task(task)
-    known = catalogue.ENTRIES.get(log.name.split("@")[0])
-    return None if known is None else find_task(known.task)
+    return find_task(task) if task is not None else of_log(log.name)
 
 
 def check_plan(seed: int, evaluate_every: int | None, **counts: int) -> None:

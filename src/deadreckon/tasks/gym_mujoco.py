@@ -62,13 +62,18 @@ class GymMujoco(Task):
         """One copy of the environment for each seed; see `Task.simulate`."""
         return GymSimulator(self, seeds, threads)
 
-    def ends(self, observations: Any) -> Any:
+    @property
+    def ends(self) -> Callable[[Any], Any]:
         """See `Task.ends`: known to who learns a model (thesis 5.3), which then need not learn when episodes end."""
-        size = observations.shape[1] - self.padding
+        return self._fallen
+
+    def _fallen(self, observations: Any) -> Any:
+        arrays = observations.__array_namespace__()
         if self.healthy is None:
-            return observations[:, 0] != observations[:, 0]
-        unseen = 0.0 * observations[:, : self.ground]  # where along the ground, which decides nothing
-        return ~self.healthy(observations.__array_namespace__().concat([unseen, observations[:, :size]], axis=1))
+            return arrays.zeros(len(observations), dtype=bool)
+        unseen = arrays.zeros_like(observations[:, : self.ground])  # where along the ground, which decides nothing
+        size = observations.shape[1] - self.padding
+        return ~self.healthy(arrays.concat([unseen, observations[:, :size]], axis=1))
 
 
 class GymSimulator:

@@ -1,5 +1,6 @@
 """The tasks by name. Importing this loads neither MuJoCo nor Gymnasium."""
 
+from deadreckon.data.catalogue import ENTRIES
 from deadreckon.errors import UserError, unknown
 from deadreckon.tasks import gym_mujoco, maze2d
 from deadreckon.tasks.task import Task
@@ -17,6 +18,12 @@ def task(name: str) -> Task:
         return _TASKS[name]
     except KeyError:
         raise unknown("task", name, _TASKS) from None
+
+
+def of_log(name: str) -> Task | None:
+    """The task of a log that the catalogue knows, by the log's name; None for others."""
+    known = ENTRIES.get(name.split("@")[0])
+    return None if known is None else task(known.task)
 
 
 def names() -> list[str]:

@@ -159,8 +159,9 @@ class Task:
         """
         raise NotImplementedError
 
-    def ends(self, observations: Any) -> Any:
-        """(n,) bool whether an episode ends where these are observed (n, *shape), as numpy or JAX arrays.
+    @property
+    def ends(self) -> Callable[[Any], Any] | None:
+        """Tells of observations (n, *shape), as numpy or JAX arrays, whether an episode ends there: (n,) bool.
 
         None where observations alone do not tell.
         """

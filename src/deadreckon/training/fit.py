@@ -229,7 +229,8 @@ def _finite(states: Any) -> Array:
 
 
 @jax.jit
-def _choose(take_new: Array, new: Any, old: Any) -> Any:
+def choose(take_new: Array, new: Any, old: Any) -> Any:
+    """Of two stacks (lanes, ...) each lane from the one that (lanes,) says."""
     return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
 
 
@@ -450,7 +451,7 @@ class Fit:
                 failures[lane] = Failure("parameters", stop - 1)
         self.failures = tuple(failures)
         healthy = np.asarray([f is None for f in failures])
-        self.states = new if healthy.all() else _choose(jnp.asarray(healthy), new, self.states)
+        self.states = new if healthy.all() else choose(jnp.asarray(healthy), new, self.states)
         return {name: np.where(healthy, np.asarray(value, np.float64), np.nan) for name, value in means.items()}
 
     def _prepare(self) -> None:
