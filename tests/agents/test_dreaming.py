@@ -1,5 +1,7 @@
 """Offline agents with a model: what a batch holds, and each one's doubt against numbers by hand."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from deadreckon.agents import COMBO, MOBILE, MOPO, MOReL
 from deadreckon.agents.combo import soft_maximum
-from deadreckon.agents.dreaming import Dreaming, _ends
+from deadreckon.agents.dreaming import Dreaming
 from deadreckon.agents.mopo import deviation
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.dataset import Dataset
@@ -49,9 +51,9 @@ def batch_of(rows, n=16):
 
 def test_a_batch_is_logged_rows_and_made_up_ones():
     agent, rows, state = prepared(Dreaming)
-    assert int(state.turns) == 1
-    first = np.asarray(state.rows[0])
-    assert (np.asarray(state.rows[1]) == 0).all()
+    assert int(state.model.turns) == 1
+    first = np.asarray(state.model.rows[0])
+    assert (np.asarray(state.model.rows[1]) == 0).all()
     logged = batch_of(rows)
     mixed = agent.mixed(state, logged, jax.random.key(3))
     for name in ("observation", "action", "reward", "next_observation", "terminal"):
@@ -61,19 +63,24 @@ def test_a_batch_is_logged_rows_and_made_up_ones():
     starts = first[(first[:, None, :2] == np.asarray(LOG.observations)).all(-1).any(1)]
     assert len(starts) >= 8  # rollouts begin at logged observations
     _, _, later = prepared(Dreaming, turns=3)
-    assert (np.asarray(later.rows[0]) != first).any()  # the oldest slot was used again
-    for one, other in zip(jax.tree.leaves(later.ensemble), jax.tree.leaves(state.ensemble)):
+    assert (np.asarray(later.model.rows[0]) != first).any()  # the oldest slot was used again
+    for one, other in zip(jax.tree.leaves(later.model.ensemble), jax.tree.leaves(state.model.ensemble)):
         np.testing.assert_array_equal(one, other)  # the model is fitted once
 
 
-def test_ends_are_known_of_known_logs_alone():
-    assert _ends("walk") is None
-    hopper = _ends("hopper-medium-v2@dr1")
+def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
+    agent = lambda name, **fields: MOPO(**TINY | fields).resolve(dataclasses.replace(LOG.spec, name=name), 10)  # noqa: E731
+    assert (agent("walk").ends, agent("walk").over) == ("learned", None)
+    hopper = agent("hopper-medium-v2@dr1")
     standing = np.zeros((2, 11), np.float32)
     standing[0, 0] = 1.25
-    np.testing.assert_array_equal(hopper(standing), [False, True])
-    assert hopper == _ends("hopper-expert-v2")
-    assert _ends("maze2d-umaze-v1") is None
+    np.testing.assert_array_equal(hopper.over(standing), [False, True])
+    assert hopper.over == agent("hopper-expert-v2").over == agent("walk", ends="hopper").over
+    assert agent("maze2d-umaze-v1").ends == "learned"  # its observations do not tell
+    assert agent("hopper").ends == "learned"  # a log that has a task's name is not known to be the task's
+    assert agent("hopper-medium-v2", ends="learned").over is None
+    with pytest.raises(UserError, match="maze2d-umaze: its observations do not tell when an episode ends"):
+        agent("walk", ends="maze2d-umaze")
 
 
 def test_mopo_lowers_rewards_by_the_greatest_deviation():
@@ -81,14 +88,14 @@ def test_mopo_lowers_rewards_by_the_greatest_deviation():
     logged = batch_of(rows)
     branch = Branch(*logged[:5], jnp.ones(16, bool))
     inputs = np.concatenate([logged.observation, logged.action], 1)
-    seen = (inputs - np.asarray(state.ensemble.mean)) / np.asarray(state.ensemble.std)
+    seen = (inputs - np.asarray(state.model.ensemble.mean)) / np.asarray(state.model.ensemble.std)
     deviations = []
     for i in range(3):
-        one = jax.tree.map(lambda leaf, i=i: leaf[i], state.ensemble.params)
+        one = jax.tree.map(lambda leaf, i=i: leaf[i], state.model.ensemble.params)
         log_variance = np.asarray(agent.model._heads(one["nets"], one["bounds"], jnp.asarray(seen, jnp.float32))[1])
         deviations.append(np.sqrt(np.exp(log_variance).sum(1)))
-    np.testing.assert_allclose(deviation(agent.model, state.ensemble, branch), np.max(deviations, 0), rtol=1e-4)
-    lowered = agent.replace(penalty=2.0).doubted(state.ensemble, [branch], rows)[0]
+    np.testing.assert_allclose(deviation(agent.model, state.model.ensemble, branch), np.max(deviations, 0), rtol=1e-4)
+    lowered = agent.replace(penalty=2.0).doubted(state.model.ensemble, [branch], rows)[0]
     np.testing.assert_allclose(lowered.reward, logged.reward - 2.0 * np.max(deviations, 0), rtol=1e-4)
     np.testing.assert_array_equal(lowered.next_observation, branch.next_observation)
 
@@ -102,14 +109,14 @@ def test_mobile_lowers_values_by_the_disagreement_of_backups():
     assert (doubt > 0).all()
     # A critic that sees the first number alone: the deviation of the networks' means of it.
     first = MLP((jnp.array([[1.0], [0.0], [0.0]])[None].repeat(2, 0),), (jnp.zeros((2, 1)),))
-    seen = agent.inconsistency(state.sac._replace(target_critics=first), state.ensemble, plain, jax.random.key(0))
-    inputs = state.ensemble.standardise(jnp.concatenate([plain.observation, plain.action], 1))
-    means, log_variance, _ = agent.model.heads(state.ensemble.best(), jnp.broadcast_to(inputs, (2, *inputs.shape)))
+    seen = agent.inconsistency(state._replace(target_critics=first), state.model.ensemble, plain, jax.random.key(0))
+    inputs = state.model.ensemble.standardise(jnp.concatenate([plain.observation, plain.action], 1))
+    means, log_variance, _ = agent.model.heads(state.model.ensemble.best(), jnp.broadcast_to(inputs, (2, *inputs.shape)))
     wanted = np.asarray(means)[..., 0].std(0, ddof=1)
     noise = float(np.exp(0.5 * np.asarray(log_variance)[..., 0]).max()) / np.sqrt(2000)
     np.testing.assert_allclose(seen, wanted, atol=5 * noise)
-    low = agent.replace(floor=0.5).target(state.sac, plain, jax.random.key(0))
-    free = agent.replace(floor=None).target(state.sac, plain, jax.random.key(0))
+    low = agent.replace(floor=0.5).target(state, plain, jax.random.key(0))
+    free = agent.replace(floor=None).target(state, plain, jax.random.key(0))
     np.testing.assert_allclose(low, np.maximum(free, 0.5))
     assert (np.asarray(free) < 0.5).any()
 
@@ -120,15 +127,15 @@ def test_combo_holds_critics_down():
     # A critic that is constant has log 2^size of it, and the number of draws.
     flat = MLP((jnp.zeros((2, 3, 1)),), (jnp.full((2, 1), 0.7),))
     wanted = 0.7 + np.log(2.0) + np.log(3 * 4000)
-    np.testing.assert_allclose(soft_maximum(flat, state.sac.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.1)
+    np.testing.assert_allclose(soft_maximum(flat, state.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.1)
     # One that rises with the action: the integral of exp(a) over [-1, 1].
     rising = MLP((jnp.array([[0.0], [0.0], [1.0]])[None].repeat(2, 0),), (jnp.zeros((2, 1)),))
     wanted = np.log(np.exp(1) - np.exp(-1)) + np.log(3 * 4000)
-    np.testing.assert_allclose(soft_maximum(rising, state.sac.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.15)
-    critics, target, key = state.sac.critics, jnp.zeros(16), jax.random.key(1)
-    with_it, metrics = agent.critic_loss(critics, state.sac, batch, target, key)
-    without, _ = agent.replace(conservatism=0.0).critic_loss(critics, state.sac, batch, target, key)
-    high = soft_maximum(critics, state.sac.actor, batch, 4000, jax.random.fold_in(key, 2)).mean(1)
+    np.testing.assert_allclose(soft_maximum(rising, state.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.15)
+    critics, target, key = state.critics, jnp.zeros(16), jax.random.key(1)
+    with_it, metrics = agent.critic_loss(critics, state, batch, target, key)
+    without, _ = agent.replace(conservatism=0.0).critic_loss(critics, state, batch, target, key)
+    high = soft_maximum(critics, state.actor, batch, 4000, jax.random.fold_in(key, 2)).mean(1)
     logged = q_values(critics, batch.observation[:6], batch.action[:6]).mean(1)
     assert with_it - without == pytest.approx(5.0 * float((high - logged).sum()), rel=1e-4)
     assert metrics["gap"] == pytest.approx(float((high - logged).mean()), rel=1e-5)
@@ -139,13 +146,13 @@ def test_combo_holds_critics_down():
 def test_targets_without_the_entropy_bonus():
     agent, rows, state = prepared(COMBO)
     batch, key = batch_of(rows), jax.random.key(5)
-    d = dist.gaussian_head(state.sac.actor(batch.next_observation))
+    d = dist.gaussian_head(state.actor(batch.next_observation))
     pre = dist.sample(d, key)
-    q = q_values(state.sac.target_critics, batch.next_observation, jnp.tanh(pre)).min(0)
+    q = q_values(state.target_critics, batch.next_observation, jnp.tanh(pre)).min(0)
     plain = batch.reward + 0.99 * (1 - batch.terminal) * q
-    np.testing.assert_allclose(agent.target(state.sac, batch, key), plain, rtol=1e-5)
+    np.testing.assert_allclose(agent.target(state, batch, key), plain, rtol=1e-5)
     bonus = 0.99 * (1 - batch.terminal) * dist.log_prob(d, pre)  # at temperature 1
-    np.testing.assert_allclose(agent.replace(entropy_backup=True).target(state.sac, batch, key), plain - bonus, rtol=1e-4)
+    np.testing.assert_allclose(agent.replace(entropy_backup=True).target(state, batch, key), plain - bonus, rtol=1e-4)
 
 
 def test_morel_ends_rollouts_that_the_model_does_not_know():
@@ -154,7 +161,7 @@ def test_morel_ends_rollouts_that_the_model_does_not_know():
     far = usual["observation"][:16] + 50.0 * (np.arange(16) % 2)[:, None].astype(np.float32)
     make = lambda seen: Branch(jnp.asarray(seen), jnp.asarray(usual["action"][:16]), jnp.ones(16), jnp.asarray(seen),  # noqa: E731
                                jnp.zeros(16, bool), jnp.ones(16, bool))  # fmt: skip
-    first, second = agent.doubted(state.ensemble, [make(far), make(usual["observation"][:16])], rows)
+    first, second = agent.doubted(state.model.ensemble, [make(far), make(usual["observation"][:16])], rows)
     lost = np.asarray(first.terminal)
     assert lost[1::2].all()
     assert lost[::2].sum() <= 4

@@ -39,7 +39,7 @@ def columns(buffer):
 def test_what_is_learned_from():
     fit, experience = job(real=0.2)
     walk(fit)
-    assert experience.real_steps == 120
+    assert experience.environment_steps == 120
     assert sorted(experience._batches) == [2, 3]  # of fits after 50, 70, 90 and 110 steps the last two are kept
     made_up = [len(rows[0]) for rows in experience._batches.values()]
     # 3 rollouts a step, 20 steps; 1 step long at first, 3 after a thousand.
@@ -107,9 +107,10 @@ def leaves(fit):
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"model_every": 25}, r"model_every \(25\) must be a multiple of block \(10\), and keep \(40\) of it"),
+    ({"model_every": 25}, r"model_every \(25\) must be a multiple of block \(10\)"),
+    ({"keep": 50}, r"keep \(50\) must be a multiple of model_every \(20\)"),
     ({"length": (1, 2, 3, 3)}, r"MBPO.length takes first, last, from epoch, to a later epoch, got \(1, 2, 3, 3\)"),
-    ({"real": 1.0}, "real must be 0 .. 1 without 1, got 1"),
+    ({"real": 1.0}, "MBPO.real must be 0 .. 1 without 1, got 1"),
     ({"elites": 4}, "MBPO.elites are members at most, got 4 of 3"),
     ({"model_decay": (0.1, 0.1, 0.1)}, "MBPO.model_decay needs 2 numbers, one a layer of the model, got 3"),
 ])  # fmt: skip

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from deadreckon.agents import sac
 from deadreckon.agents.dreaming import Dreaming
+from deadreckon.agents.sac import State
 from deadreckon.data.batch import Batch
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
@@ -40,10 +40,10 @@ class MOBILE(Dreaming):
         k_rows, k_draw = jax.random.split(key)
         rows = super().mixed(state, batch, k_rows)
         made_up = jnp.arange(self.batch_size) >= self.logged_rows
-        doubt = jnp.where(made_up, self.inconsistency(state.sac, state.ensemble, rows, k_draw), 0.0)
+        doubt = jnp.where(made_up, self.inconsistency(state, state.model.ensemble, rows, k_draw), 0.0)
         return rows._replace(reward=rows.reward - self.penalty * doubt)
 
-    def inconsistency(self, state: sac.State, ensemble: Ensemble, rows: Batch, key: Array) -> Float[Array, "b"]:
+    def inconsistency(self, state: State, ensemble: Ensemble, rows: Batch, key: Array) -> Float[Array, "b"]:
         """u above, with the target critics, over the elites."""
         k_model, k_policy = jax.random.split(key)
         inputs = ensemble.standardise(jnp.concatenate([rows.observation, rows.action], -1))

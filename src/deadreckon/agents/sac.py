@@ -26,6 +26,7 @@ class State(NamedTuple):
     actor_opt: optax.OptState
     critics_opt: optax.OptState
     temperature_opt: optax.OptState
+    model: Any = None  # of agents that learn one
 
 
 class SAC(Agent):
@@ -98,9 +99,9 @@ class SAC(Agent):
         log_temperature, temperature_opt = descend(
             state.log_temperature, slope, state.temperature_opt, self.temperature_lr
         )
-        state = State(
-            actor, critics, track(state.target_critics, critics, self.target_rate), log_temperature,
-            actor_opt, critics_opt, temperature_opt,
+        state = state._replace(
+            actor=actor, target_critics=track(state.target_critics, critics, self.target_rate), log_temperature=log_temperature,
+            actor_opt=actor_opt, temperature_opt=temperature_opt,
         )  # fmt: skip
         return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}
 

@@ -143,10 +143,15 @@ class Exploration:
 
     @property
     def count(self) -> int:
-        """Rows a lane to learn from, which are its environment steps."""
+        """See `Experience`."""
         return self.replay.count
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> dict[str, Array]:
+    @property
+    def environment_steps(self) -> int:
+        """Steps taken, in every lane."""
+        return self.replay.count
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`."""
         due = self.settings.steps(step + self.block)
         rows = []
@@ -154,7 +159,7 @@ class Exploration:
             rows.append(self._step(learner, states, roots, at))
         if rows:
             self.replay.append(np.concatenate(rows, 1))
-        return {"packed": self.replay.buffer}
+        return states, {"packed": self.replay.buffer}
 
     def _step(self, learner: Any, states: Any, roots: PRNGKeyArray, at: int) -> np.ndarray:
         """One step of every copy as rows; `at` are the steps that a lane has taken before."""

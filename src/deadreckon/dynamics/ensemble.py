@@ -61,11 +61,13 @@ class Report(NamedTuple):
     Attributes:
         epochs: how many.
         error: (members,) mean squared error on the rows held out, of the weights kept.
+        elite_error: mean of the elites'.
         rows: to learn from.
     """
 
     epochs: int
     error: np.ndarray
+    elite_error: float
     rows: int
 
 
@@ -137,7 +139,7 @@ class Trainer(eqx.Module):
             epochs += 1
         elites = np.argsort(best, kind="stable")[: self.elites].astype(np.int32)
         found = Ensemble(kept, opt, jnp.asarray(mean, jnp.float32), jnp.asarray(std), jnp.asarray(elites))
-        return found, Report(epochs, best, len(train))
+        return found, Report(epochs, best, float(best[elites].mean()), len(train))
 
 
 def rows_of(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

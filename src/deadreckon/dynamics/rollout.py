@@ -42,7 +42,7 @@ def branches(
     Args:
         model, ensemble: what happens next.
         policy: what is done, in the coordinates of the model.
-        starts: observations; their number must be a multiple of that of the elites, which share it evenly.
+        starts: observations, dealt out to the elites anew at every step.
         length: steps.
         key: of everything random.
         ends: where episodes end; None asks the model.
@@ -69,17 +69,30 @@ def packed(found: Sequence[Branch]) -> Float[np.ndarray, "n w"]:
 def _step(
     model: Model, ensemble: Ensemble, policy: Any, ends: Ends | None, observation: Array, running: Array, key: PRNGKeyArray
 ) -> Branch:
-    k_act, k_order, k_draw, k_end = jax.random.split(key, 4)
-    n, elites = len(observation), len(ensemble.elites)
+    k_act, k_next = jax.random.split(key)
+    n = len(observation)
     nothing = Step(observation, jnp.zeros(n), jnp.zeros(n, bool))
     action = policy.act(nothing, policy.start(n), k_act, greedy=False)[0]
-    # Rows are dealt to the elites in equal shares: a draw for each row would have every elite do all rows.
+    reward, following, over, lost = transition(model, ensemble, ends, observation, action, k_next)
+    return Branch(observation, action, reward, following, over | lost, running & ~lost)
+
+
+def transition(
+    model: Model, ensemble: Ensemble, ends: Ends | None, observation: Float[Array, "n o"], action: Float[Array, "n a"],
+    key: PRNGKeyArray,
+) -> tuple[Float[Array, "n"], Float[Array, "n o"], Bool[Array, "n"], Bool[Array, "n"]]:  # fmt: skip
+    """What an elite a row says that follows: reward, next observation, whether the episode ends, whether numbers went bad."""
+    k_order, k_draw, k_end = jax.random.split(key, 3)
+    n, elites = len(observation), len(ensemble.elites)
+    # Rows are dealt to the elites in equal shares: a draw for each row would have every elite do all rows. Where they do
+    # not divide, the first are done once more.
+    share = -(-n // elites)
     order = jax.random.permutation(k_order, n)
     inputs = ensemble.standardise(jnp.concatenate([observation, action], -1))
-    drawn, logit = model.sample(ensemble.best(), inputs[order].reshape(elites, n // elites, -1), k_draw)
+    dealt = inputs[jnp.resize(order, (elites * share,))].reshape(elites, share, -1)
+    drawn, logit = model.sample(ensemble.best(), dealt, k_draw)
     back = jnp.argsort(order)
-    drawn, logit = drawn.reshape(n, -1)[back], logit.reshape(n)[back]
+    drawn, logit = drawn.reshape(elites * share, -1)[back], logit.reshape(-1)[back]
     following = observation + drawn[:, :-1]
     over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if ends is None else ends(following)
-    lost = ~jnp.isfinite(drawn).all(-1)
-    return Branch(observation, action, drawn[:, -1], following, over | lost, running & ~lost)
+    return drawn[:, -1], following, over, ~jnp.isfinite(drawn).all(-1)

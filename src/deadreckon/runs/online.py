@@ -8,9 +8,8 @@ from pathlib import Path
 
 from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
-from deadreckon.agents.mbpo import MBPO
-from deadreckon.collect.imagined import Imagination
-from deadreckon.collect.online import Exploration, Online
+from deadreckon.collect.experience import experience_of
+from deadreckon.collect.online import Online
 from deadreckon.data.spec import Spec
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
@@ -73,7 +72,7 @@ def train_online(
         every = folder.period(resume) or every
     around = numbers, updates, settings, [folder.replay(s) for s in numbers], threads
     first = lanes[0]
-    experience = Imagination(task, first, *around) if isinstance(first, MBPO) else Exploration(task, first, *around)
+    experience = experience_of(first)(task, first, *around)
     job = Fit(lanes, experience, numbers, updates, chunk, folder.checkpoints, stops=every)
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},

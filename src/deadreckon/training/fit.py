@@ -413,7 +413,7 @@ class Fit:
         assert experience is not None
         means, bad = [], []
         for start in range(self.step, stop, experience.block):
-            data = experience.extend(self.learner, states, self.roots, start)
+            states, data = experience.extend(self.learner, states, self.roots, start)
             states, mean, first = self._update(states, data, start, start + experience.block, experience.count)
             means.append(mean)
             bad.append(first)

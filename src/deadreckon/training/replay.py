@@ -35,11 +35,20 @@ class Experience(Protocol):
 
     @property
     def count(self) -> int:
-        """Rows so far, the same in every lane."""
+        """Rows to learn from, the same in every lane."""
         ...
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> dict[str, Array]:
-        """Acts until the updates `step` .. `step + block - 1` have the rows they are due; gives all rows, lanes first."""
+    @property
+    def environment_steps(self) -> int:
+        """Steps taken so far, in every lane."""
+        ...
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+        """Acts until the updates `step` .. `step + block - 1` have the rows they are due.
+
+        Returns:
+            The states, in which it may have put what it made of the rows, and all rows, lanes first.
+        """
         ...
 
     def flush(self) -> None:

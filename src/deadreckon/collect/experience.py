@@ -1,0 +1,15 @@
+"""Which kind of experience an agent learns from online."""
+
+from deadreckon.agents.agent import Agent
+from deadreckon.agents.mbpo import MBPO
+from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.collect.imagined import Imagination
+from deadreckon.collect.modelled import Modelling
+from deadreckon.collect.online import Exploration
+
+_KINDS: dict[type[Agent], type[Exploration]] = {MBPO: Imagination, ModelledOnline: Modelling}
+
+
+def experience_of(agent: Agent) -> type[Exploration]:
+    """The class whose rows this agent learns from; of several that fit, the first in the table."""
+    return next((kind for base, kind in _KINDS.items() if isinstance(agent, base)), Exploration)

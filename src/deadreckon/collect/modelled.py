@@ -1,0 +1,96 @@
+"""Experience of agents with a learned model: real steps, and an ensemble that is fitted to them anew every so often."""
+
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.collect.online import Exploration, Online
+from deadreckon.dynamics import Report
+from deadreckon.errors import UserError
+from deadreckon.tasks.task import Task
+
+
+class Modelling(Exploration):
+    """Every `model_every` real steps fits the ensembles in the agents' states to all of them, going on from the last fit.
+
+    Args:
+        task, agent, seeds, updates, settings, paths, threads: see `Exploration`.
+
+    Raises:
+        UserError: a task that cannot be learned online, or turns that do not fit each other.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        agent: ModelledOnline,
+        seeds: Sequence[int],
+        updates: int,
+        settings: Online,
+        paths: Sequence[Path] = (),
+        threads: int | None = None,
+    ):
+        super().__init__(task, agent, seeds, updates, settings, paths, threads)
+        if agent.model_every % settings.block:
+            raise UserError(f"model_every ({agent.model_every}) must be a multiple of block ({settings.block})")
+        self.seeds, self.paths = list(seeds), list(paths)
+        self._turns = agent.model_every // settings.block  # blocks between fits
+        self.metrics = {name: np.full(len(seeds), np.nan) for name in ("model_error", "model_epochs")}
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+        """See `Experience`."""
+        states, data = super().extend(learner, states, roots, step)
+        turn, rest = divmod(step // self.block, self._turns)
+        return (states, data) if rest else (self._fitted(learner, states, turn), data)
+
+    def _fitted(self, learner: Any, states: Any, turn: int) -> Any:
+        """The states with their ensembles fitted to all real rows."""
+        ensembles, reports = [], []
+        for lane in range(len(self.seeds)):
+            agent, state = own(learner, lane), own(states, lane)
+            real, start = self._columns(self.real(lane)), state.model if turn else None
+            ensemble, report = agent.trainer.fit(agent.model, self.spec, real, self._mixed(lane, turn), start)
+            ensembles.append(ensemble)
+            reports.append(report)
+        self.metrics |= self._told(reports)
+        return states._replace(model=jax.tree.map(lambda *leaves: jnp.stack(leaves), *ensembles))
+
+    @staticmethod
+    def _told(reports: list[Report]) -> dict[str, np.ndarray]:
+        return {
+            "model_error": np.array([report.elite_error for report in reports]),
+            "model_epochs": np.array([float(report.epochs) for report in reports]),
+        }
+
+    def real(self, lane: int) -> Float[np.ndarray, "n w"]:
+        """All real rows of a lane, as they are learned from."""
+        return np.asarray(self.replay.buffer[lane, : self.environment_steps])
+
+    def _mixed(self, lane: int, turn: int) -> int:
+        """A seed for every turn of a lane's seed."""
+        return zlib.crc32(f"{self.seeds[lane]} {turn}".encode())
+
+    def _columns(self, real: Float[np.ndarray, "n w"]) -> dict[str, np.ndarray]:
+        edges = np.cumsum([0, *(int(np.prod(shape)) for shape, _ in self.fields.values())])
+        return {name: real[:, start:end] for name, start, end in zip(self.fields, edges, edges[1:])}
+
+    def state(self) -> dict[str, Any]:
+        """See `Experience`: also what is told of the last fit."""
+        return {**super().state(), "metrics": self.metrics}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """See `Experience`."""
+        super().restore(state)
+        self.metrics = {name: np.asarray(value) for name, value in state["metrics"].items()}
+
+
+def own(tree: Any, lane: int) -> Any:
+    """What belongs to a lane."""
+    return jax.tree.map(lambda leaf: leaf[lane], tree)
