@@ -1,4 +1,4 @@
-"""Chapter 5 as one declared set of runs: MBPO beside SAC without a model (Figure 5.2, 5.3), and lengths of rollouts (5.3).
+"""Chapter 5 as one declared set of runs: MBPO beside SAC and its rivals (Figure 5.2), and what of it matters (5.3).
 
     python examples/mbpo_curves.py --task inverted-pendulum --steps 10000 --seeds 1     (a quarter of an hour a run on a CPU)
     python examples/mbpo_curves.py --task hopper --steps 130000 --seeds 3 --groups compare length         (a GPU)
@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 import deadreckon as dr
-from deadreckon.agents import MBPO, SAC
+from deadreckon.agents import MBPO, MVE, SAC, STEVE
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.modelled import PRESETS
 from deadreckon.cli.main import cache_compiled_programs
@@ -27,7 +27,7 @@ class Options:
     """MBPO, and SAC without a model."""
 
     task: str = "hopper"  # simulator to learn in
-    groups: tuple[str, ...] = ("compare",)  # among compare, ratio, length
+    groups: tuple[str, ...] = ("compare",)  # among compare, rivals, ratio, length, expansion
     steps: int = 130_000  # environment steps, the 5,000 random ones included
     seeds: int = 3  # of each run, as one program
     every: int = 1000  # environment steps between evaluations
@@ -50,6 +50,8 @@ def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
     return {
         # SAC with as many updates a step as MBPO, and as it usually is.
         "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
+        "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting))},
+        "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (1, 3, 5)},
         "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},
         "length": {"mbpo": mbpo(), **{f"mbpo-k{k}": mbpo(k, k, 1, 2) for k in (1, 200, 500)}},
     }[group]

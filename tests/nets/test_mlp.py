@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.nets.mlp import MLP, ensemble, joined, q_values, softplus, split
+from deadreckon.nets.mlp import MLP, ensemble, joined, least, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, copy, descend, track
 from deadreckon.nets.vae import VAE
 
@@ -74,3 +74,10 @@ def test_vae_loss_equals_numpy():
     kl = -0.5 * (1 + 2 * log_std - mean**2 - np.exp(2 * log_std)).mean()
     np.testing.assert_allclose(loss, error + 0.5 * kl, rtol=1e-4)
     np.testing.assert_allclose(metrics["behavior_kl"], kl, rtol=1e-4)
+
+
+def test_the_least_and_its_slope():
+    values = jnp.asarray([[3.0, 1.0, 2.0], [2.0, 4.0, 2.0], [5.0, 1.5, 9.0]])
+    np.testing.assert_array_equal(least(values), [2.0, 1.0, 2.0])
+    slope = jax.grad(lambda v: least(v).sum())(values)
+    np.testing.assert_array_equal(slope, [[0, 1, 0.5], [1, 0, 0.5], [0, 0, 0]])  # halved where two are equal

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from deadreckon.agents.mobile import MOBILE
     from deadreckon.agents.mopo import MOPO
     from deadreckon.agents.morel import MOReL
+    from deadreckon.agents.mve import MVE
     from deadreckon.agents.sac import SAC
+    from deadreckon.agents.steve import STEVE
     from deadreckon.agents.td3 import TD3
     from deadreckon.agents.td3_bc import TD3BC
 
@@ -26,6 +28,8 @@ AGENTS = {
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
     "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
+    "mve": ("mve", "MVE", "SAC with targets after some steps in a model, --online only (Feinberg et al. 2018; thesis 5.4)"),
+    "steve": ("steve", "STEVE", "SAC with targets of all horizons, weighted by certainty, --online only (Buckman et al. 2018)"),
     "mopo": ("mopo", "MOPO", "SAC on rollouts in a model of the log, rewards lowered by its deviation (Yu et al. 2020)"),
     "morel": ("morel", "MOReL", "SAC in a model that ends where its networks disagree (Kidambi et al. 2020)"),
     "combo": ("combo", "COMBO", "SAC on rollouts in a model, critics held down on unseen actions (Yu et al. 2021)"),
@@ -42,7 +46,9 @@ __all__ = [
     "MBPO",
     "MOBILE",
     "MOPO",
+    "MVE",
     "SAC",
+    "STEVE",
     "TD3",
     "TD3BC",
     "Agent",

@@ -10,7 +10,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import TanhGaussian
 from deadreckon.training.learner import static
@@ -63,13 +63,22 @@ class SAC(Agent):
         opts = begin(actor), begin(critics), begin(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
 
-    def target(self, state, batch, key):
+    def act(self, state, observation, noise):
+        """Actions of the present actor by standard normal `noise`, and the entropy bonus for them that values hold."""
+        d = dist.gaussian_head(state.actor(observation))
+        pre = d.mean + jnp.exp(d.log_std) * noise
+        bonus = -jnp.exp(state.log_temperature) * dist.log_prob(d, pre) if self.entropy_backup else jnp.zeros(pre.shape[:-1])
+        return jnp.tanh(pre), bonus
+
+    def value(self, state, observation, noise):
+        """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor."""
+        action, bonus = self.act(state, observation, noise)
+        return least(q_values(state.target_critics, observation, action)) + bonus
+
+    def target(self, state, batch, key) -> Any:
         """r + discount (min_j Q'_j(s', a') - temperature log pi(a'|s')), a' from the present actor."""
-        d = dist.gaussian_head(state.actor(batch.next_observation))
-        pre = dist.sample(d, key)
-        q = q_values(state.target_critics, batch.next_observation, jnp.tanh(pre)).min(0)
-        bonus = jnp.exp(state.log_temperature) * dist.log_prob(d, pre) if self.entropy_backup else 0.0
-        return backup(batch, self.discount, q - bonus)
+        noise = jax.random.normal(key, batch.action.shape)
+        return backup(batch, self.discount, self.value(state, batch.next_observation, noise))
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors of all critics."""
@@ -80,7 +89,7 @@ class SAC(Agent):
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, key)
         log_prob = dist.log_prob(d, pre)
-        q = q_values(state.critics, batch.observation, jnp.tanh(pre)).min(0)
+        q = least(q_values(state.critics, batch.observation, jnp.tanh(pre)))
         return (jnp.exp(state.log_temperature) * log_prob - q).mean(), log_prob.mean()
 
     def update(self, state, batch, *, step, key):
@@ -111,4 +120,4 @@ class SAC(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics; it holds the entropy bonus too."""
-        return q_values(state.critics, observation, action).min(0)
+        return least(q_values(state.critics, observation, action))

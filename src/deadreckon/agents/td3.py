@@ -8,7 +8,7 @@ import optax
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
-from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import Deterministic
 from deadreckon.training.learner import static
@@ -54,7 +54,7 @@ class TD3(Agent):
         """r + discount min_j Q'_j(s', a'), a' the target actor's action plus clipped noise (TD3 eq. 14-15)."""
         noise = jnp.clip(self.noise * jax.random.normal(key, batch.action.shape), -self.noise_clip, self.noise_clip)
         action = jnp.clip(jnp.tanh(state.target_actor(batch.next_observation)) + noise, -1.0, 1.0)
-        return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action).min(0))
+        return backup(batch, self.discount, least(q_values(state.target_critics, batch.next_observation, action)))
 
     def actor_loss(self, actor, state, batch):
         """-Q_1(s, pi(s))."""
@@ -86,4 +86,4 @@ class TD3(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""
-        return q_values(state.critics, observation, action).min(0)
+        return least(q_values(state.critics, observation, action))

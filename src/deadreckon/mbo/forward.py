@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from deadreckon.data.batch import redrawn
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import Surrogate, climb
-from deadreckon.nets.mlp import MLP
+from deadreckon.nets.mlp import MLP, least
 from deadreckon.training.learner import static
 
 LOG_STD = -5.0, 2.0  # bounds of the predicted log-deviation, in deviations of the score
@@ -42,7 +42,7 @@ def mean_of(nets: MLP, x: Array) -> Array:
 
 def least_of(nets: MLP, x: Array) -> Array:
     """Of what the members believe."""
-    return jax.vmap(lambda net: believed(net, x)[0])(nets).min(0)
+    return least(jax.vmap(lambda net: believed(net, x)[0])(nets))
 
 
 @jax.jit

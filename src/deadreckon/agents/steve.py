@@ -1,0 +1,82 @@
+"""Stochastic ensemble value expansion (Buckman et al. 2018) on top of SAC: targets of all horizons, weighted by certainty.
+
+From a real transition every network of the model makes a rollout of its own, and every target critic closes it after each of
+its steps. With mean and variance over both,
+
+    y = sum_{h=0}^{H} w_h mean_h,    w_h proportional to 1 / variance_h
+
+so that the model is used as far as networks and critics agree on it. The horizons of a row share their draws of the policy.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import create_critics
+from deadreckon.agents.modelled import ModelledSAC
+from deadreckon.nets.mlp import q_values
+from deadreckon.nets.optim import begin, copy
+from deadreckon.training.learner import static
+
+_LEAST = 1e-8  # variance, where all agree
+
+
+class Target(NamedTuple):
+    """What critics are held to, and the mean horizon that it comes from."""
+
+    value: Float[Array, "b"]
+    horizon: Float[Array, "b"]
+
+
+class STEVE(ModelledSAC):
+    """SAC whose targets weigh all horizons of an ensemble's rollouts."""
+
+    horizon: int = static(3)  # H, steps in the model at most
+    critics: int = static(4)  # their disagreement is half of what is known of a horizon
+
+    def init(self, spec, key):
+        """SAC's state with so many critics."""
+        k_rest, k_critics = jax.random.split(key)
+        critics = create_critics(spec, self.hidden, self.critics, k_critics)
+        return super().init(spec, k_rest)._replace(critics=critics, target_critics=copy(critics), critics_opt=begin(critics))
+
+    def target(self, state, batch, key):
+        """y above."""
+        targets = self.targets(state, batch, key)
+        weight = 1.0 / (targets.var((1, 2)) + _LEAST)
+        weight = weight / weight.sum(0)
+        horizon = jnp.arange(self.horizon + 1.0)[:, None]
+        return Target((weight * targets.mean((1, 2))).sum(0), (weight * horizon).sum(0))
+
+    def targets(self, state, batch, key) -> Float[Array, "h e c b"]:
+        """Targets of every horizon, network and critic."""
+        elites, model = self.elites, state.model
+        spread = lambda x: jnp.broadcast_to(x, (elites, *x.shape))  # noqa: E731
+        observation, so_far = spread(batch.next_observation), spread(batch.reward)
+        discount = spread(self.discount * (1.0 - batch.terminal))
+        found = []
+        for h in range(self.horizon + 1):
+            k_act, k_draw, k_end = jax.random.split(jax.random.fold_in(key, h), 3)
+            action, bonus = self.act(state, observation, jax.random.normal(k_act, batch.action.shape))
+            value = q_values(state.target_critics, observation, action) + bonus
+            found.append(so_far[:, None] + discount[:, None] * jnp.moveaxis(value, 0, 1))
+            if h == self.horizon:
+                break
+            inputs = model.standardise(jnp.concatenate([observation, action], -1))
+            drawn, logit = self.model.sample(model.best(), inputs, k_draw)
+            lost = ~jnp.isfinite(drawn).all(-1)
+            drawn = jnp.where(lost[..., None], 0.0, drawn)
+            following = observation + drawn[..., :-1]
+            asked = following.reshape(-1, following.shape[-1])
+            over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if self.over is None else self.over(asked)
+            so_far = so_far + discount * (drawn[..., -1] + bonus)
+            discount = discount * self.discount * (1.0 - (over.reshape(lost.shape) | lost))
+            observation = following
+        return jnp.stack(found)
+
+    def critic_loss(self, critics, state, batch, target, key):
+        """Squared errors of all critics; also tells the mean horizon."""
+        loss, metrics = super().critic_loss(critics, state, batch, target.value, key)
+        return loss, metrics | {"horizon": target.horizon.mean()}
