@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from deadreckon.data.designs import Designs
     from deadreckon.data.io import read
     from deadreckon.policies.library import load_policies
+    from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.online import train_online
     from deadreckon.runs.train import Run, train
@@ -33,6 +34,7 @@ _HOMES = {
     "Designs": ("data.designs", "Designs"),
     "Run": ("runs.train", "Run"),
     "collect_log": ("collect.recipes", "collect"),
+    "dope": ("runs.dope", "dope"),
     "evaluate": ("runs.evaluate", "evaluate"),
     "load": ("data.catalogue", "load"),
     "load_policies": ("policies.library", "load_policies"),
@@ -43,8 +45,9 @@ _HOMES = {
 }
 _PACKAGES = ("agents", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
-    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "evaluate", "load",
-    "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train", "train_online",
+    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "dope", "evaluate",
+    "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train",
+    "train_online",
 ]  # fmt: skip
 
 

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from deadreckon.data.batch import Rows
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import AutoRegressive, Gaussian, Trainer
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
 from deadreckon.dynamics.model import bernoulli_nll, gaussian_nll, soft_bounds
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import begin
+from deadreckon.training.fit import fit
 
 SPEC = Spec.empty((2,), Box((-1.0,), (1.0,)), "linear")
 A = np.array([[-0.1, 0.2], [0.0, -0.3]])  # of the change
@@ -158,3 +161,21 @@ def test_refusals():
         Trainer().fit(Gaussian(members=2, hidden=(4,)), SPEC, linear(9), 0)
     with pytest.raises(DivergedError, match="model: its error was not finite after epoch 1; a lower learning rate may help"):
         Trainer().fit(Gaussian(members=2, hidden=(4,), lr=1e30), SPEC, linear(100), 0)
+
+
+def test_the_autoregressive_model_knows_what_numbers_have_to_do_with_each_other():
+    """Both numbers become one draw, which no diagonal model can say."""
+    rng = np.random.default_rng(0)
+    seen, both = rng.standard_normal((2000, 2)), rng.standard_normal((2000, 1))
+    log = Dataset.from_arrays(
+        observations=seen, actions=np.zeros((2000, 1)), rewards=np.zeros(2000), timeouts=np.ones(2000, bool),
+        final_observations=np.tile(both, 2), action_space=Box((-1.0,), (1.0,)), name="both",
+    )  # fmt: skip
+    correlation = {}
+    for kind in (AutoRegressive, Gaussian):
+        model = kind(members=1, hidden=(16,), lr=1e-2)
+        params, _, _ = fit([model], Rows(log, model.needs(log.spec)), [0], 600).lane(0)
+        change = model.draw(params, jnp.asarray(seen[None], jnp.float32), jnp.zeros((1, 2000, 1)), jax.random.key(1))
+        correlation[kind] = np.corrcoef(np.asarray(change.observation[0]).T)[0, 1]
+    assert correlation[AutoRegressive] > 0.9
+    assert abs(correlation[Gaussian]) < 0.1

@@ -87,4 +87,8 @@ def test_a_log_estimates_its_own_policy_as_its_mean(logs):
     for log in logs:
         case = Case(log, as_policy(shown(log), log), discount=0.0, logged=True)
         for estimator in (ESTIMATORS["ips"], ESTIMATORS["snips"]):
-            assert estimator.on(case).value[-1] == pytest.approx(log.rewards.mean())
+            found = estimator.on(case)
+            assert found.value[-1] == pytest.approx(log.rewards.mean())
+            # How often each item was shown is nearly the policy: its weights are near one.
+            assert found.value[0] == pytest.approx(log.rewards.mean(), rel=0.2)
+            assert found.low[0] < log.rewards.mean() < found.high[0]

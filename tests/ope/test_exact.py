@@ -37,10 +37,12 @@ WORLDS = {
     "chain": chain(4, slip=0.2, noise=0.3),  # ends, and pays at the end only
     "ends": garnet(states=6, actions=2, ending=0.15, noise=0.5),
     "goes on": garnet(states=6, actions=2, noise=0.5, seed=1),  # timeouts alone
+    "grid": gridworld(3, 3, slip=0.3),  # a goal far from the start
 }
+PARAMS = [pytest.param(name, marks=pytest.mark.slow if name == "grid" else ()) for name in WORLDS]
 
 
-@pytest.fixture(scope="module", params=WORLDS)
+@pytest.fixture(scope="module", params=PARAMS)
 def world(request):
     """A case of three policies, the first of which made the log."""
     true = WORLDS[request.param]
@@ -160,3 +162,45 @@ def test_vpm_where_seldom_an_episode_ends():
     vpm = VPM(members=1, hidden=(), steps=30_000, lr=5e-4, batch_size=512)
     found = vpm.estimate(log, as_policy(policy), discount=0.98)
     assert found.value[0] == pytest.approx(MDP.of(log).value(policy, 0.98), rel=0.1)
+
+
+def with_values(log, policy, begin, q):
+    """A case of one policy whose critics have been told: (members,) what they say at the start, and Q (states, actions)."""
+    case = Case(log, [as_policy(policy)], discount=DISCOUNT)
+    magic = WEIGHTED["magic"]
+    state, after = log.observations.argmax(1), log.next_observations.argmax(1)
+    v = (policy * q).sum(1)
+    errors = log.rewards + DISCOUNT * np.where(log.terminals, 0.0, v[after]) - q[state, log.actions]
+    begins = np.stack([v[state[log.starts]] + each for each in begin])
+    case.once(("errors", magic.fqe, magic.samples), lambda: (errors[None].astype(float), begins[:, None]))
+    return case
+
+
+def test_magic_corrects_where_that_is_worth_it():
+    true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
+    behavior, near, far = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0], tables(true, 1, 4.0, seed=2)[0]
+    log = true.log(behavior, 400, 60, np.random.default_rng(0))
+    magic, full = WEIGHTED["magic"], WEIGHTED["magic"].replace(kind="wdr")
+    # Critics that are wrong by far, on a log that knows better.
+    wrong = with_values(log, near, np.zeros(3), true.q(near, DISCOUNT) + 5.0)
+    exact, told = true.value(near, DISCOUNT), full.on(wrong)
+    assert abs(magic.on(wrong).value[0] - told.value[0]) < 0.05
+    assert abs(told.value[0] - exact) < 0.5
+    # Critics that are right, on a log of few episodes that resemble the policy's.
+    log = true.log(behavior, 15, 60, np.random.default_rng(1))
+    right = with_values(log, far, np.zeros(3), true.q(far, DISCOUNT))
+    critics = true.q(far, DISCOUNT)
+    promised = (far * critics).sum(1)[log.observations.argmax(1)[log.starts]].mean()
+    corrected, blended = full.on(right).value[0] - promised, magic.on(right).value[0] - promised
+    assert abs(blended) < 0.5 * abs(corrected)
+
+
+def test_magic_of_one_critic_knows_no_interval():
+    true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
+    log, q = true.log(behavior, 60, 60, np.random.default_rng(0)), true.q(target, DISCOUNT)
+    begins = np.zeros(1), np.array([-0.3, 0.0, 0.3])
+    one, three = (WEIGHTED["magic"].on(with_values(log, target, begin, q)) for begin in begins)
+    assert np.isnan(one.low[0])
+    assert np.isfinite(one.value[0])
+    assert three.low[0] < true.value(target, DISCOUNT) < three.high[0]

@@ -58,7 +58,9 @@ def demo(args: Sequence[str]) -> None:
     # A quick target network: values reach back from the goal in fewer updates.
     estimator = FQE(hidden=HIDDEN, lr=1e-3, target_rate=0.02, members=3, steps=max(1, options.steps // 2))
     with Watch() as watch:
-        judged = judge(folders, log, [estimator], out=out / "ope", task=TASK, seed=options.seed, watch=watch)
+        judged = judge(
+            folders, log, [estimator], out=out / "ope", task=TASK, discount=0.99, greedy=True, seed=options.seed, watch=watch
+        )
     page = write(folders, out / "report.html", title="From a log to a judged policy", estimates=out / "ope")
     print(f"{table(folders)}\n\nin the simulator: {headline(folders)}")
     print(f"\nfrom the log alone: {judged.choice}\nchecked: {checked(judged.told)}\n\nreport: {page}")

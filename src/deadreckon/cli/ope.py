@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from deadreckon.cli.parse import parse
-from deadreckon.cli.progress import Bar, Watch
+from deadreckon.cli.progress import Watch
 from deadreckon.errors import UserError
 
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
@@ -96,38 +96,30 @@ def ope(args: Sequence[str]) -> None:
 def bench(args: Sequence[str]) -> None:
     """Runs the protocol, prints its tables and writes a page beside the results."""
     options = parse(Bench, args, "ope bench")
-    from deadreckon.collect import collect, recipe
-    from deadreckon.collect.recipes import default_path
-    from deadreckon.data.io import read
     from deadreckon.ope import dope
     from deadreckon.ope.metrics import PUBLIC_CLIP
     from deadreckon.ope.registry import CPU_BUDGET, PUBLIC, with_fields
     from deadreckon.report.dope import write_bench
+    from deadreckon.runs import dope as protocol
 
-    if options.seeds < 1:
-        raise UserError(f"--seeds must be 1 or more, got {options.seeds}")
     found = _estimators(options.estimators, options.fits, CPU_BUDGET if options.budget == "cpu" else {})
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
-    results = []
-    for task in map(str.strip, options.tasks.split(",")):
-        for kind in map(str.strip, options.kinds.split(",")):
-            name = f"{task}-{kind}-v2"
-            path = default_path(recipe(name), options.log_steps, 0)
-            if not path.exists():
-                with Bar(f"collecting {name}", options.log_steps or recipe(name).steps, "steps") as bar:
-                    collect(name, steps=options.log_steps, out=path, progress=bar)
-            data = read(path)
-            told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
-            with Watch() as watch:
-                for seed in range(options.seed, options.seed + options.seeds):
-                    results += dope.evaluate_log(data, task, found, seed=seed, out=options.out, watch=watch, told=told)
+    tasks, kinds = ([name.strip() for name in names.split(",")] for names in (options.tasks, options.kinds))
+    told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
+    with Watch() as watch:
+        results = protocol.dope(
+            found, tasks, kinds, log_steps=options.log_steps, seeds=options.seeds, seed=options.seed, out=options.out,
+            collecting=lambda name, done, steps: watch(f"collecting {name}", done, steps, "steps"), watch=watch, told=told,
+        )  # fmt: skip
     clip = PUBLIC_CLIP if options.clip else None
+    if clip is not None:
+        print(f"\nnormalised estimates are cut at {clip:g}, as in the public notebook")
     for metric, words in dope.METRICS.items():
         print(f"\n{words}\n\n{dope.markdown(results, metric, clip=clip)}")
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
     print(f"\nDeploying by estimates: gain for risk, and errors against the log's own policy\n\n{dope.risks(results)}")
-    print(f"\n{write_bench(results, Path(options.out) / 'report.html')}")
+    print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
 
 
 def _estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]]) -> list[Any]:

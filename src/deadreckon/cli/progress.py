@@ -64,7 +64,7 @@ class Bar:
 
 
 class Watch:
-    """A bar for each thing that is fitted, one after the other; use it as a context manager and call it."""
+    """A bar for each thing that is done, one after the other; use it as a context manager and call it."""
 
     def __init__(self):
         self.what = ""
@@ -73,11 +73,11 @@ class Watch:
     def __enter__(self) -> Self:
         return self
 
-    def __call__(self, what: str, step: int, steps: int) -> None:
-        """Tells how far the fit of `what` is."""
+    def __call__(self, what: str, step: int, steps: int, unit: str = "updates") -> None:
+        """Tells how far `what` is."""
         if what != self.what or self.bar is None:
             self._end()
-            self.what, self.bar = what, Bar(what, steps, "updates").__enter__()
+            self.what, self.bar = what, Bar(what, steps, unit).__enter__()
         self.bar(step)
 
     def _end(self) -> None:

@@ -115,7 +115,7 @@ def evaluate_log(
         folder = None if out is None or isinstance(found, Function) else Path(out) / data.name
         path = None if folder is None else folder / f"{type(found).__name__}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
-            result = _from_json(read_json(path)["result"])
+            result = _kept(path)
         else:
             if case is None:
                 fits = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
@@ -131,6 +131,13 @@ def evaluate_log(
         results.append(result)
         told(result)
     return results
+
+
+def _kept(path: Path) -> Result:
+    try:
+        return _from_json(read_json(path)["result"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} is not a whole result ({error}); without it, it is computed again") from error
 
 
 def _nothing(asked: Any, names: tuple[str, ...], discount: float, why: str) -> Estimates:
@@ -190,8 +197,9 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
             good = [r.metrics(**options) for r in own if np.isfinite(r.estimates).all()]
             pair = np.mean([getattr(m, metric) for m in good], 0) if good else (math.nan, math.nan)
             if own:
-                raw = metric == "absolute_error" and options.get("normalised", True)  # E.2 prints it in returns
-                printed = None if raw else _printed(metric, log, method)
+                # E.2 prints errors in returns, and regret of one choice in ranges.
+                same = options.get("normalised", True) == (metric != "absolute_error") and options.get("k", 1) == 1
+                printed = _printed(metric, log, method) if same else None
                 found.setdefault(log, {})[method] = Cell(float(pair[0]), float(pair[1]), printed)
     return found
 

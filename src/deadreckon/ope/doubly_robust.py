@@ -53,11 +53,12 @@ class DoublyRobust(Estimator):
             drawn = (episodes.counts @ total) / (episodes.counts @ count)
             if self.kind == "magic":
                 value, redrawn, uncorrected = self._blend(episodes, sums, begin[i].mean(), drawn)
-                # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale.
+                # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of one
+                # critic that is not known, and there is no interval.
                 low, high = spread(begins[:, i].mean(-1))
-                deviation = np.nan_to_num(high - low) / (2 * NORMAL)
                 noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
-                redrawn = redrawn + uncorrected * deviation * noise
+                if uncorrected > 0:
+                    redrawn = redrawn + uncorrected * (high - low) / (2 * NORMAL) * noise
             else:
                 value, redrawn = begin[i].mean() + sums.value(), drawn + sums.redraw(episodes.counts)
             if self.kind == "dr" and episodes.even:  # a mean over episodes, whose deviation is known

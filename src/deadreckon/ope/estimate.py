@@ -233,15 +233,18 @@ class Case:
         return self.once(("behavior", model), lambda: self._learned(model))
 
     def _learned(self, model: BehaviorModel) -> np.ndarray:
-        rows = Rows(self.data, model.needs(self.data.spec))
-        net, _ = self.train(model, rows, model.steps, "behaviour")
-        if self.data.spec.discrete:
-            policy: Any = _Categorical(net, rows.view)
-        else:
-            policy = Deployed.of(TanhGaussian(net), rows.view)
-        return Actor([policy], ["the behaviour model"], self.data.spec, False, 0).log_probs(
-            self.data.observations, self.data.actions
-        )[0]
+        return self.behavior(model).log_probs(self.data.observations, self.data.actions)[0]
+
+    def behavior(self, model: BehaviorModel) -> Actor:
+        """A model of the policy that made the log, which draws its actions; made once."""
+
+        def make() -> Actor:
+            rows = Rows(self.data, model.needs(self.data.spec))
+            net, _ = self.train(model, rows, model.steps, "behaviour")
+            policy = _Categorical(net, rows.view) if self.data.spec.discrete else Deployed.of(TanhGaussian(net), rows.view)
+            return Actor([policy], ["the behaviour model"], self.data.spec, False, self.seed)
+
+        return self.once(("behavior policy", model), make)
 
     # ---- fits -------------------------------------------------------------------------------------------------------
 
@@ -339,7 +342,10 @@ class Estimator(eqx.Module):
                 check_fields(each)
         begun = time.perf_counter()
         found = self.solve(case)
-        return dataclasses.replace(found, seconds=time.perf_counter() - begun)
+        warnings = found.warnings
+        if getattr(self, "members", None) == 1:
+            warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
+        return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)
 
     @property
     def label(self) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from deadreckon.data.batch import Rows
 from deadreckon.dynamics import AutoRegressive, Gaussian, Model
 from deadreckon.dynamics.model import Limits
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
 
@@ -34,10 +34,11 @@ class ModelBased(Estimator):
     weight_decay: float = 1e-5  # AdamW
     episodes: int = static(100)  # made up for each member and policy, from initial observations of the log
     horizon: int | None = static(None)  # steps of an episode; None: until 1 % is left, or as the longest where all end
+    model: BehaviorModel = static(BehaviorModel())  # how the log's own policy is learned, where it is judged too
 
     def fitted(self, case: Case) -> tuple[Model, Any, Rows]:
         """The model and its parameters; made once for a case."""
-        return case.once(self.replace(episodes=1, horizon=None), lambda: self._fit(case))
+        return case.once(self.replace(episodes=1, horizon=None, model=None), lambda: self._fit(case))
 
     def _fit(self, case: Case) -> tuple[Model, Any, Rows]:
         model = KINDS[self.kind](self.members, self.hidden, self.lr, self.weight_decay, self.batch_size)
@@ -59,33 +60,37 @@ class ModelBased(Estimator):
         horizon = self.horizon or int(np.ceil(np.log(TAIL) / np.log(max(case.discount, 1e-6))))
         if self.horizon is None and np.asarray(data.terminals)[data.ends].all():
             horizon = min(horizon, int(data.lengths.max()))
+        # Where nothing in the log ends, nothing does; of a learned chance something would be left, and over many steps count.
+        endings = jnp.float32(np.asarray(data.terminals).any())
         redrawn = case.redrawn(members)
         rng = np.random.default_rng([case.seed, 3])
         # Every policy begins at the same observations, drawn as the member's own episodes count.
         starts = np.stack([rng.choice(data.episodes, count, p=own / own.sum()) for own in redrawn.T.astype(float)])
         first = np.asarray(rows.view.observe(np.asarray(data.observations[data.starts[starts]])))
         returns = np.zeros((members, case.count))
-        if case.logged:  # what it would do at other observations is not known; what it got is
-            returns[:, -1] = redrawn.T @ data.returns(case.discount) / redrawn.sum(0)
-        for i in range(len(case.policies)):
+        # What the log got is no comparison where its episodes were cut off: its own policy makes up episodes like the others.
+        for i in range(case.count):
+            actor, which = (case.actor, i) if i < len(case.policies) else (case.behavior(self.model), 0)
             observation, alive = jnp.asarray(first), jnp.ones((members, count))
             total = jnp.zeros((members, count))
             for t in range(horizon):
                 seen = np.asarray(observation).reshape(members * count, -1)
                 raw = seen * rows.view.std + rows.view.mean
-                action = case.actor.act(i, raw, t).reshape(members, count, *data.actions.shape[1:])
+                action = actor.act(which, raw, t).reshape(members, count, *data.actions.shape[1:])
                 key = jax.random.fold_in(jax.random.key(case.seed), t)
                 factor = jnp.float32(case.discount**t)
-                observation, alive, total = _step(model, params, limits, observation, action, alive, total, factor, key)
+                observation, alive, total = _step(
+                    model, params, limits, observation, action, alive, total, factor, endings, key
+                )
             returns[:, i] = unit * np.asarray(total.mean(1))
         low, high = spread(returns)
         return Estimates(self.label, case.names, returns.mean(0), low, high, case.discount, redraws=returns)
 
 
 @eqx.filter_jit
-def _step(model: Model, params: Any, limits: Limits, observation, action, alive, total, factor, key):
+def _step(model: Model, params: Any, limits: Limits, observation, action, alive, total, factor, endings, key):
     """One step of all episodes: their observations, chances of going on, and discounted returns so far."""
     change = limits.hold(model.draw(params, observation, action, key))
     # An end happens with its probability: what follows counts as much as it is likely to be reached.
     total = total + factor * alive * change.reward
-    return change.observation, alive * (1.0 - change.ends), total
+    return change.observation, alive * (1.0 - endings * change.ends), total

@@ -54,6 +54,16 @@ class Actor:
                 raise UserError(
                     f"{name} is made for observations of {wanted} numbers, {self.spec.name} has {self.spec.observation_size}"
                 )
+            if isinstance(policy, Deployed):
+                self._fits(name, _action_shape(policy, self.spec.observation_size))
+
+    def _fits(self, name: str, shape: tuple[int, ...]) -> None:
+        """Refuses a policy whose actions, of that shape a row, are not the log's."""
+        wanted = () if self.spec.discrete else (self.spec.action_size,)
+        if shape != wanted:
+            given = f"of shape {shape}" if shape else "that are one number"
+            has = f"one of {self.spec.action_size} choices" if self.spec.discrete else f"shape {wanted}"
+            raise UserError(f"{name} gives actions {given}, {self.spec.name} has {has}")
 
     def table(self, observations: Any, samples: int, purpose: int = 0, more: int = 0) -> np.ndarray:
         """What each policy does at each observation.
@@ -78,11 +88,7 @@ class Actor:
                 if self.spec.discrete:
                     found = self._probabilities(policy, part, key)
                 else:
-                    found = self._actions(policy, part, key, inner[0])
-                if found.shape[1:] != inner:
-                    size = self.spec.action_size
-                    given = found.shape[2:] or "() (one number)"
-                    raise UserError(f"{name} gives actions of shape {given}, {self.spec.name} has ({size},)")
+                    found = self._actions(i, part, key, inner[0])
                 if not np.isfinite(found).all():
                     raise UserError(f"{name} gives actions that are not finite")
                 out[start : start + len(part), i] = found
@@ -94,10 +100,10 @@ class Actor:
         Returns:
             (rows, size) actions in [-1, 1], or (rows,) indices.
         """
-        policy, key = self.policies[which], [self.seed, MADE_UP, t, which]
+        key = [self.seed, MADE_UP, t, which]
         if not self.spec.discrete:
-            return self._actions(policy, observations, key, 1)[:, 0]
-        chances = self._probabilities(policy, observations, key).cumsum(1)
+            return self._actions(which, observations, key, 1)[:, 0]
+        chances = self._probabilities(self.policies[which], observations, key).cumsum(1)
         drawn = np.random.default_rng([*key, 1]).random(len(observations)) * chances[:, -1]
         return (drawn[:, None] >= chances[:, :-1]).sum(1)
 
@@ -120,7 +126,7 @@ class Actor:
                     with np.errstate(divide="ignore"):
                         found = np.log(chosen)
                 elif self.greedy or _draws_nothing(policy):
-                    unit = self._actions(policy, seen, key, 1)[:, 0]
+                    unit = self._actions(i, seen, key, 1)[:, 0]
                     z = (view.to_unit(taken) - unit) / NOISE
                     found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(NOISE * np.sqrt(2 * np.pi)) - view.log_scale
                 elif policy.has_log_prob:
@@ -139,9 +145,9 @@ class Actor:
             raise UserError(f"{self.names[bad]} gives log-probabilities that are not finite")
         return out
 
-    def _actions(self, policy: Any, observations: np.ndarray, key: list[int], samples: int) -> np.ndarray:
+    def _actions(self, which: int, observations: np.ndarray, key: list[int], samples: int) -> np.ndarray:
         """(rows, samples, size) in [-1, 1]."""
-        view = View.of(self.spec)
+        policy = self.policies[which]
         if isinstance(policy, Deployed):
             seed = jnp.uint32(np.random.SeedSequence(key).generate_state(1)[0])
             drawn = _padded(_draw, policy, observations, seed=seed, samples=samples, greedy=self.greedy)
@@ -149,9 +155,8 @@ class Actor:
             rng = np.random.default_rng(key)
             step = Step(observations, np.zeros(len(observations)), np.ones(len(observations), bool))
             drawn = np.stack([policy.act(step, (), rng, greedy=self.greedy)[0] for _ in range(samples)], 1)
-        if drawn.ndim != 3 or drawn.shape[2] != self.spec.action_size:
-            return drawn
-        return np.asarray(view.to_unit(np.asarray(drawn, np.float32)))
+            self._fits(self.names[which], drawn.shape[2:])
+        return np.asarray(View.of(self.spec).to_unit(np.asarray(drawn, np.float32)))
 
     def _probabilities(self, policy: Any, observations: np.ndarray, key: list[int]) -> np.ndarray:
         """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased."""
@@ -182,6 +187,13 @@ def _observation_size(policy: Any) -> int | None:
     if not isinstance(policy, Deployed) or not hasattr(policy.inner, "net"):
         return None
     return int(policy.inner.net.weights[0].shape[0])  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _action_shape(policy: Deployed, observation_size: int) -> tuple[int, ...]:
+    """Of one action of a policy of ours."""
+    step = Step(jnp.zeros((1, observation_size)), jnp.zeros(1), jnp.ones(1, bool))
+    act = lambda: policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]  # noqa: E731
+    return eqx.filter_eval_shape(act).shape[1:]
 
 
 def _draws_nothing(policy: Any) -> bool:

@@ -18,12 +18,13 @@ from deadreckon.runs.evaluate import Interval
 SLOTS = 8  # colours there are
 
 
-def write_bench(results: Sequence[Result], out: Path | str) -> Path:
+def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | None = None) -> Path:
     """Writes one self-contained HTML page about results of `ope.dope.evaluate_log`.
 
     Args:
         results: of one or several logs.
         out: the page; an old one is replaced.
+        clip: what normalised estimates are cut at for the metrics; None: nothing.
 
     Raises:
         UserError: a method with two settings, or an output that cannot be written.
@@ -31,7 +32,7 @@ def write_bench(results: Sequence[Result], out: Path | str) -> Path:
     logs = list(dict.fromkeys(r.log for r in results))
     methods = list(dict.fromkeys(r.method for r in results))
     slots = {method: i % SLOTS for i, method in enumerate(methods)}
-    tables = {metric: cells(results, metric) for metric in METRICS}
+    tables = {metric: cells(results, metric, clip=clip) for metric in METRICS}
     sections: list[tuple[str, str, Markup | None]] = [
         ("metrics", "How good the estimates are", _metrics(tables, slots)),
         ("tables", "Log by log", join(*(_table(METRICS[m], found, methods) for m, found in tables.items()))),
@@ -41,6 +42,7 @@ def write_bench(results: Sequence[Result], out: Path | str) -> Path:
     ]
     count = len(results[0].names)
     facts = [("logs", str(len(logs))), ("policies a task", str(count)), ("estimators", ", ".join(methods))]
+    facts += [] if clip is None else [("normalised estimates", f"cut at {clip:g}")]
     text = document("Off-policy evaluation, the DOPE protocol", _lead(tables), facts, sections)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
@@ -71,8 +72,8 @@ def judge(
     estimators: Sequence[Any] = ("fqe",),
     *,
     out: Path | str | None = None,
-    discount: float = 0.99,
-    greedy: bool = True,
+    discount: float = 0.995,
+    greedy: bool = False,
     task: Task | str | None = None,
     episodes: int = 100,
     seed: int = 0,
@@ -101,6 +102,13 @@ def judge(
         names = [f"{name} ({i})" for i, name in enumerate(names)]
     found = [as_estimator(each) for each in estimators]
     task = find_task(task) if isinstance(task, str) else task
+    if task is not None:
+        there = Spec.empty(task.observation_shape, task.action_space, task.name)
+        sizes = [(spec.observation_shape, spec.action_size) for spec in (there, data.spec)]
+        if sizes[0] != sizes[1] or there.discrete != data.spec.discrete:
+            told = " and ".join(f"{spec.name} has observations {spec.observation_shape}, actions {spec.action}"
+                                for spec in (there, data.spec))  # fmt: skip
+            raise UserError(f"the choice cannot be checked there: {told}")
     case = Case(
         data, policies, discount=discount, seed=seed, greedy=greedy, names=names, logged=True,
         out=None if out is None else Path(out) / "fits", watch=watch,
