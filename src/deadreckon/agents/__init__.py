@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.mopo import MOPO
     from deadreckon.agents.morel import MOReL
     from deadreckon.agents.mve import MVE
+    from deadreckon.agents.ppo import PPO
     from deadreckon.agents.sac import SAC
     from deadreckon.agents.steve import STEVE
     from deadreckon.agents.td3 import TD3
@@ -27,6 +28,7 @@ AGENTS = {
     "td3": ("td3", "TD3", "twin delayed DDPG on a fixed log, the naive baseline (thesis 4.4)"),
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
+    "ppo": ("ppo", "PPO", "clipped policy gradients on the last block of steps, --online only (Schulman et al. 2017)"),
     "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
     "mve": ("mve", "MVE", "SAC with targets after some steps in a model, --online only (Feinberg et al. 2018; thesis 5.4)"),
     "steve": ("steve", "STEVE", "SAC with targets of all horizons, weighted by certainty, --online only (Buckman et al. 2018)"),
@@ -47,6 +49,7 @@ __all__ = [
     "MOBILE",
     "MOPO",
     "MVE",
+    "PPO",
     "SAC",
     "STEVE",
     "TD3",

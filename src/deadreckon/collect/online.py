@@ -153,13 +153,14 @@ class Exploration:
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`."""
-        due = self.settings.steps(step + self.block)
-        rows = []
-        for at in range(self.replay.count, due, self.copies):
-            rows.append(self._step(learner, states, roots, at))
+        self._collect(learner, states, roots, self.settings.steps(step + self.block))
+        return states, {"packed": self.replay.buffer}
+
+    def _collect(self, learner: Any, states: Any, roots: PRNGKeyArray, due: int) -> None:
+        """Acts until there are so many rows."""
+        rows = [self._step(learner, states, roots, at) for at in range(self.replay.count, due, self.copies)]
         if rows:
             self.replay.append(np.concatenate(rows, 1))
-        return states, {"packed": self.replay.buffer}
 
     def _step(self, learner: Any, states: Any, roots: PRNGKeyArray, at: int) -> np.ndarray:
         """One step of every copy as rows; `at` are the steps that a lane has taken before."""

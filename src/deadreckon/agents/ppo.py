@@ -1,0 +1,167 @@
+"""Proximal policy optimisation (Schulman et al. 2017), the on-policy baseline of thesis 5.4.
+
+    max E[ min( r A, clip(r, 1 - clip, 1 + clip) A ) ],    r = pi(a|s) / pi_old(a|s)
+
+with advantages by generalised estimation (Schulman et al. 2016). Each block of steps is learned from for a few passes and then
+forgotten; `collect.on_policy` makes it.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data.batch import Needs
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.policies.policy import TanhGaussian
+from deadreckon.training.learner import static
+
+PASSES, MINIBATCH = 10, 64  # of a block, and rows
+
+
+class Moments(NamedTuple):
+    """Mean, variance and number of all that was seen so far."""
+
+    mean: Array
+    variance: Array
+    number: Array
+
+    @classmethod
+    def none(cls, *shape: int) -> "Moments":
+        """Before anything was seen: mean 0 and variance 1."""
+        return cls(jnp.zeros(shape), jnp.ones(shape), jnp.float32(0.0))
+
+    def seeing(self, rows: Float[Array, "n *s"]) -> "Moments":
+        """With some more rows (Chan et al. 1979)."""
+        n = self.number + len(rows)
+        gap = rows.mean(0) - self.mean
+        spread = self.variance * self.number + rows.var(0) * len(rows) + jnp.square(gap) * self.number * len(rows) / n
+        return Moments(self.mean + gap * len(rows) / n, spread / n, n)
+
+    @property
+    def deviation(self) -> Array:
+        """Never quite zero."""
+        return jnp.sqrt(self.variance) + 1e-6
+
+
+class State(NamedTuple):
+    """Networks, optimisers, and what observations and returns have been like."""
+
+    actor: MLP
+    critic: MLP
+    opt: optax.OptState
+    observations: Moments
+    returns: Moments
+    model: Any = None  # of agents that learn one
+
+
+class PPO(Agent):
+    """Clipped policy gradients on what the policy has just done."""
+
+    online: ClassVar[bool] = True
+    offline: ClassVar[bool] = False
+
+    lr: float = 3e-4  # learning rate
+    discount: float = 0.99  # per step
+    trace: float = 0.95  # lambda of the advantages: 0 trusts the critic, 1 the returns
+    clip: float = 0.2  # by which the ratio of probabilities may leave 1
+    value_weight: float = 0.5  # of the critic's loss
+    entropy_weight: float = 0.0  # of the policy's entropy
+    gradient_norm: float = 0.5  # what a longer gradient is cut to
+    hidden: tuple[int, ...] = static((64, 64))  # width of each hidden layer, tanh
+    batch_size: int = static(MINIBATCH)  # rows a batch
+
+    @classmethod
+    def acting(cls, task: str) -> dict[str, Any]:
+        """How acting and learning take turns: 2,048 steps, then ten passes over them."""
+        return {"copies": 8, "explore": 2000, "updates_per_step": PASSES / MINIBATCH, "block": 2048}
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks; the actor's last layer is small, so that it begins without preferences."""
+        ka, kc = jax.random.split(key)
+        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka, activation="tanh")
+        actor = MLP((*actor.weights[:-1], 0.01 * actor.weights[-1]), (*actor.biases[:-1], 0.0 * actor.biases[-1]), "tanh")
+        critic = MLP.create(spec.observation_size, self.hidden, 1, kc, activation="tanh")
+        return State(actor, critic, begin((actor, critic)), Moments.none(spec.observation_size), Moments.none())
+
+    def observing(self, state: State, observation: Float[Array, "n o"]) -> State:
+        """The state before it acts again, which has seen some more observations."""
+        return state._replace(observations=state.observations.seeing(observation))
+
+    def digest(self, state: State, rows: dict[str, Float[Array, "t c *s"]]) -> tuple[State, dict[str, Array]]:
+        """What is learned of a block: every row with its advantage, return and probability.
+
+        Args:
+            state: of the policy that acted.
+            rows: steps of several copies: observation, action, reward, next_observation, terminal and timeout.
+
+        Returns:
+            The state, which knows the block's returns, and columns (t, c, *s).
+        """
+        policy = self.policy(state)
+        log_prob = policy.log_prob(rows["observation"], rows["action"])
+        now, following = (self.value(state, rows[name]) for name in ("observation", "next_observation"))
+        error = rows["reward"] + self.discount * (1.0 - rows["terminal"]) * following - now
+        goes_on = 1.0 - jnp.maximum(rows["terminal"], rows["timeout"])
+
+        def back(later: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
+            advantage = step[0] + self.discount * self.trace * step[1] * later
+            return advantage, advantage
+
+        advantage = jax.lax.scan(back, jnp.zeros(error.shape[1:]), (error, goes_on), reverse=True)[1]
+        returns = advantage + now
+        new = state._replace(returns=state.returns.seeing(returns.reshape(-1)))
+        columns = {"observation": rows["observation"], "action": rows["action"], "behavior_log_prob": log_prob,
+                   "return_to_go": returns, "advantage": advantage}  # fmt: skip
+        return new, columns
+
+    def update(self, state, batch, *, step, key):
+        """Actor and critic."""
+        nets = state.actor, state.critic
+        grads, metrics = jax.grad(self.loss, has_aux=True)(nets, state, batch, key)
+        norm = optax.global_norm(grads)
+        grads = jax.tree.map(lambda g: g * jnp.minimum(1.0, self.gradient_norm / (norm + 1e-12)), grads)
+        (actor, critic), opt = descend(nets, grads, state.opt, self.lr)
+        return state._replace(actor=actor, critic=critic, opt=opt), metrics
+
+    def loss(self, nets, state, batch, key):
+        """Minus the clipped gain, the critic's squared error and minus the entropy, weighted."""
+        actor, critic = nets
+        policy = self.policy(state._replace(actor=actor))
+        log_ratio = policy.log_prob(batch.observation, batch.action) - batch.behavior_log_prob
+        ratio = jnp.exp(log_ratio)
+        gain = batch.extra["advantage"]
+        gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+        clipped = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
+        actor_loss = -jnp.minimum(ratio * gain, clipped * gain).mean()
+        error = (self.value(state._replace(critic=critic), batch.observation) - batch.return_to_go) / state.returns.deviation
+        critic_loss = jnp.square(error).mean()
+        d = dist.gaussian_head(policy.net(batch.observation))
+        entropy = -dist.log_prob(d, dist.sample(d, key)).mean()
+        loss = actor_loss + self.value_weight * critic_loss - self.entropy_weight * entropy
+        apart = ((ratio - 1.0) - log_ratio).mean()  # estimates KL(old || new) without its noise
+        cut = (jnp.abs(ratio - 1.0) > self.clip).mean()
+        return loss, {"actor_loss": actor_loss, "critic_loss": critic_loss, "entropy": entropy, "kl": apart, "clipped": cut}
+
+    def value(self, state: State, observation: Float[Array, "*b o"]) -> Float[Array, "*b"]:
+        """The critic, on the scale of returns."""
+        return state.returns.mean + state.returns.deviation * folded(state.critic, state.observations)(observation)[..., 0]
+
+    def policy(self, state):
+        """The actor, which standardises observations in its first layer."""
+        return TanhGaussian(folded(state.actor, state.observations))
+
+
+def folded(net: MLP, seen: Moments) -> MLP:
+    """The network on raw observations that does what `net` does on standardised ones."""
+    first = net.weights[0] / seen.deviation[:, None]
+    return MLP((first, *net.weights[1:]), (net.biases[0] - seen.mean @ first, *net.biases[1:]), net.activation)

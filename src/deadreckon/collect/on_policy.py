@@ -1,0 +1,84 @@
+"""Experience that is learned from once: the last block of steps, with advantages."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.agents.ppo import PPO
+from deadreckon.collect.online import Exploration, Online
+from deadreckon.tasks.task import Task
+
+
+class OnPolicy(Exploration):
+    """What the policies did in the last block, as `PPO.digest` sees it.
+
+    Args:
+        task, agent, seeds, updates, settings, paths, threads: see `Exploration`.
+
+    Raises:
+        UserError: a task that cannot be learned online.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        agent: PPO,
+        seeds: Sequence[int],
+        updates: int,
+        settings: Online,
+        paths: Sequence[Path] = (),
+        threads: int | None = None,
+    ):
+        super().__init__(task, agent, seeds, updates, settings, paths, threads)
+        shape, size = task.observation_shape, task.action_space.size
+        self._rows = {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": (),
+                      "timeout": ()}  # fmt: skip
+        columns = {"observation": shape, "action": (size,), "behavior_log_prob": (), "return_to_go": (), "advantage": ()}
+        self.fields = {name: (each, np.dtype(np.float32)) for name, each in columns.items()}
+
+    @property
+    def count(self) -> int:
+        """See `Experience`."""
+        return self.settings.block
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+        """See `Experience`; observations of the block before, at first the random ones, are standardised with from here on."""
+        self._collect(learner, states, roots, self.settings.explore)
+        known = self.settings.explore if self.environment_steps == self.settings.explore else self.settings.block
+        states = _observing(learner, states, self._last(known)["observation"])
+        self._collect(learner, states, roots, self.settings.steps(step + self.block))
+        rows = self._last(self.settings.block)
+        by_copy = {name: column.reshape(len(roots), -1, self.copies, *column.shape[2:]) for name, column in rows.items()}
+        return _digest(tuple(self.fields), learner, states, by_copy)
+
+    def _last(self, steps: int) -> dict[str, Float[Array, "l n *s"]]:
+        """Columns of the last rows of all lanes."""
+        end = self.environment_steps
+        return unpacked(self.replay.buffer[:, end - steps : end], self._rows)
+
+
+def unpacked(rows: Float[Array, "*b w"], shapes: dict[str, tuple[int, ...]]) -> dict[str, Float[Array, "*b _s"]]:
+    """Columns (*b, *shape) of rows that hold them one after the other."""
+    edges = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
+    parts = zip(shapes.items(), edges, edges[1:])
+    return {name: rows[..., start:end].reshape(*rows.shape[:-1], *shape) for (name, shape), start, end in parts}
+
+
+@eqx.filter_jit
+def _observing(learner: Any, states: Any, observation: Float[Array, "l n o"]) -> Any:
+    return jax.vmap(lambda agent, state, seen: agent.observing(state, seen))(learner, states, observation)
+
+
+@eqx.filter_jit
+def _digest(names: tuple[str, ...], learner: Any, states: Any, rows: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
+    """The states, and the columns of all rows, in the order of `names`, in one matrix a lane."""
+    states, columns = jax.vmap(lambda agent, state, own: agent.digest(state, own))(learner, states, rows)
+    lanes = len(rows["reward"])
+    count = rows["reward"][0].size
+    return states, {"packed": jnp.concatenate([columns[name].reshape(lanes, count, -1) for name in names], -1)}
