@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 import deadreckon as dr
-from deadreckon.agents import MBPO, MVE, SAC, STEVE
+from deadreckon.agents import MBPO, MVE, PPO, SAC, STEVE
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.modelled import PRESETS
 from deadreckon.cli.main import cache_compiled_programs
@@ -50,7 +50,8 @@ def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
     return {
         # SAC with as many updates a step as MBPO, and as it usually is.
         "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
-        "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting))},
+        "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting)),
+                   "ppo": (PPO(), Online(**PPO.acting(task)))},
         "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (1, 3, 5)},
         "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},
         "length": {"mbpo": mbpo(), **{f"mbpo-k{k}": mbpo(k, k, 1, 2) for k in (1, 200, 500)}},

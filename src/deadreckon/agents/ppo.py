@@ -128,7 +128,7 @@ class PPO(Agent):
         """Actor and critic."""
         nets = state.actor, state.critic
         grads, metrics = jax.grad(self.loss, has_aux=True)(nets, state, batch, key)
-        norm = optax.global_norm(grads)
+        norm = optax.tree.norm(grads)
         grads = jax.tree.map(lambda g: g * jnp.minimum(1.0, self.gradient_norm / (norm + 1e-12)), grads)
         (actor, critic), opt = descend(nets, grads, state.opt, self.lr)
         return state._replace(actor=actor, critic=critic, opt=opt), metrics
