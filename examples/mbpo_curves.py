@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 import deadreckon as dr
-from deadreckon.agents import MBPO, MVE, PPO, SAC, STEVE
+from deadreckon.agents import MBPO, MVE, PETS, PPO, SAC, STEVE
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.modelled import PRESETS
 from deadreckon.cli.main import cache_compiled_programs
@@ -27,7 +27,7 @@ class Options:
     """MBPO, and SAC without a model."""
 
     task: str = "hopper"  # simulator to learn in
-    groups: tuple[str, ...] = ("compare",)  # among compare, rivals, ratio, length, expansion
+    groups: tuple[str, ...] = ("compare",)  # among compare, rivals, pets, ratio, length, expansion
     steps: int = 130_000  # environment steps, the 5,000 random ones included
     seeds: int = 3  # of each run, as one program
     every: int = 1000  # environment steps between evaluations
@@ -52,6 +52,7 @@ def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
         "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
         "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting)),
                    "ppo": (PPO(), Online(**PPO.acting(task)))},
+        "pets": {"pets": (PETS(), Online(**PETS.acting(task))), "pets-small": (PETS.small(), Online(**PETS.acting(task)))},
         "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (1, 3, 5)},
         "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},
         "length": {"mbpo": mbpo(), **{f"mbpo-k{k}": mbpo(k, k, 1, 2) for k in (1, 200, 500)}},

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.mopo import MOPO
     from deadreckon.agents.morel import MOReL
     from deadreckon.agents.mve import MVE
+    from deadreckon.agents.pets import PETS
     from deadreckon.agents.ppo import PPO
     from deadreckon.agents.sac import SAC
     from deadreckon.agents.steve import STEVE
@@ -30,6 +31,7 @@ AGENTS = {
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
     "ppo": ("ppo", "PPO", "clipped policy gradients on the last block of steps, --online only (Schulman et al. 2017)"),
     "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
+    "pets": ("pets", "PETS", "actions planned in an ensemble at every step, --online only (Chua et al. 2018)"),
     "mve": ("mve", "MVE", "SAC with targets after some steps in a model, --online only (Feinberg et al. 2018; thesis 5.4)"),
     "steve": ("steve", "STEVE", "SAC with targets of all horizons, weighted by certainty, --online only (Buckman et al. 2018)"),
     "mopo": ("mopo", "MOPO", "SAC on rollouts in a model of the log, rewards lowered by its deviation (Yu et al. 2020)"),
@@ -49,6 +51,7 @@ __all__ = [
     "MOBILE",
     "MOPO",
     "MVE",
+    "PETS",
     "PPO",
     "SAC",
     "STEVE",

@@ -71,18 +71,28 @@ class Online:
 
 
 @eqx.filter_jit
-def _act(learner: Any, states: Any, seen: Float[Array, "l n o"], roots: PRNGKeyArray, t: Array, explore: bool) -> Array:
-    """(lanes, copies, size) actions in [-1, 1]."""
+def _act(
+    learner: Any, states: Any, seen: Float[Array, "l n o"], carry: Any, roots: PRNGKeyArray, t: Array
+) -> tuple[Float[Array, "l n a"], Any]:
+    """Actions in [-1, 1], and what the policies carry to the next step."""
 
-    def one(learner: Any, state: Any, seen: Array, root: PRNGKeyArray) -> Array:
-        key = jax.random.fold_in(jax.random.fold_in(root, ACT), t)
-        policy = learner.policy(state)
+    def one(learner: Any, state: Any, seen: Array, carry: Any, root: PRNGKeyArray) -> tuple[Array, Any]:
         step = Step(seen, jnp.zeros(len(seen)), jnp.zeros(len(seen), bool))
-        action = policy.act(step, policy.start(len(seen)), key, greedy=False)[0]
+        action, carry = learner.policy(state).act(step, carry, _key(root, t), greedy=False)
         # A lane whose numbers went bad is told so after its updates; until then it must not stop the simulator.
-        return jax.random.uniform(key, action.shape, minval=-1.0, maxval=1.0) if explore else jnp.nan_to_num(action)
+        return jnp.nan_to_num(action), carry
 
-    return jax.vmap(one)(learner, states, seen, roots)
+    return jax.vmap(one)(learner, states, seen, carry, roots)
+
+
+@eqx.filter_jit
+def _explore(roots: PRNGKeyArray, t: Array, shape: tuple[int, ...]) -> Float[Array, "l n a"]:
+    """Uniform actions in [-1, 1]."""
+    return jax.vmap(lambda root: jax.random.uniform(_key(root, t), shape, minval=-1.0, maxval=1.0))(roots)
+
+
+def _key(root: PRNGKeyArray, t: Array) -> PRNGKeyArray:
+    return jax.random.fold_in(jax.random.fold_in(root, ACT), t)
 
 
 class Exploration:
@@ -134,6 +144,11 @@ class Exploration:
         self.metrics: dict[str, np.ndarray] = {}
         self.seen = self.simulator.reset().reshape(*self._shape, *shape)
         self._action = slice(shape[0], shape[0] + size)
+        # What policies remember, of those that do, and begin an episode with.
+        begin = lambda: agent.policy(agent.init(self.spec, jax.random.key(0))).start(self.copies)  # noqa: E731
+        remembers = jax.tree.leaves(eqx.filter_eval_shape(begin))
+        self._fresh = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(seeds)), begin()) if remembers else ()
+        self.carry = self._fresh
         self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths)
 
     def _learnable(self, rows: np.ndarray) -> np.ndarray:
@@ -165,7 +180,11 @@ class Exploration:
     def _step(self, learner: Any, states: Any, roots: PRNGKeyArray, at: int) -> np.ndarray:
         """One step of every copy as rows; `at` are the steps that a lane has taken before."""
         turn = jnp.int32(at // self.copies)
-        unit = np.asarray(_act(learner, states, jnp.asarray(self.seen), roots, turn, at < self.settings.explore))
+        if at < self.settings.explore:
+            unit = _explore(roots, turn, (self.copies, self.task.action_space.size))
+        else:
+            unit, self.carry = _act(learner, states, jnp.asarray(self.seen), self.carry, roots, turn)
+        unit = np.asarray(unit)
         actions = np.asarray(self.view.from_unit(unit), np.float32)
         seen, reward, terminal, timeout = self.simulator.step(actions.reshape(-1, actions.shape[-1]))
         flat = (self.seen.reshape(seen.shape), actions.reshape(len(seen), -1), reward[:, None], seen,
@@ -174,6 +193,8 @@ class Exploration:
         over = np.flatnonzero(terminal | timeout)
         if len(over):
             seen[over] = self.simulator.reset(over)
+            begins = np.isin(np.arange(len(seen)), over).reshape(self._shape)
+            self.carry = jax.tree.map(lambda now, fresh: _where(begins, fresh, now), self.carry, self._fresh)
         self.seen = seen.reshape(self.seen.shape)
         return rows.reshape(*self._shape, -1)
 
@@ -181,15 +202,21 @@ class Exploration:
         """See `Experience`."""
         self.replay.flush()
 
-    def state(self) -> dict[str, np.ndarray]:
-        """See `Experience`: the simulator's state, what was last seen, and the number of rows."""
-        return {**self.simulator.state(), "seen": self.seen, "count": np.asarray(self.replay.count)}
+    def state(self) -> dict[str, Any]:
+        """See `Experience`: the simulator's state, what was last seen, what policies remember, and the number of rows."""
+        return {**self.simulator.state(), "seen": self.seen, "count": np.asarray(self.replay.count), "carry": self.carry}
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """See `Experience`."""
         self.simulator.restore(state)
         self.seen = np.asarray(state["seen"])
+        self.carry = jax.device_put(state["carry"])
         self.replay.restore(int(state["count"]))
+
+
+def _where(which: np.ndarray, fresh: Array, now: Array) -> Array:
+    """Of (lanes, copies, ...) the fresh ones where (lanes, copies) says."""
+    return jnp.where(which.reshape(*which.shape, *[1] * (now.ndim - 2)), fresh, now)
 
 
 def row_width(task: Task) -> int:

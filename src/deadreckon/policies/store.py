@@ -1,6 +1,7 @@
 """Policies to files and back; the format is that of `policies.portable`."""
 
 import dataclasses
+import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,10 @@ from deadreckon.policies import portable
 from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, GreedyQ, TanhGaussian, VAEDecoder
 
 # The only classes that a file can name: reading one runs no code of the file's choosing.
-_KINDS = {kind.__name__: kind for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, GreedyQ, MLP, VAE)}
+_ELSEWHERE = {"Planner": "deadreckon.agents.pets"}  # imported where a file has one: it needs models, which need policies
+_KINDS: dict[str, Any] = {
+    kind.__name__: kind for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, GreedyQ, MLP, VAE)
+}
 
 
 def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:
@@ -69,9 +73,14 @@ def load(path: Path | str) -> Deployed:
 
     def decode(value: Any) -> Any:
         if isinstance(value, dict):
-            if value.get("kind") not in _KINDS:
-                raise UserError(f"{path} names an unknown kind of policy {value.get('kind')!r}")
-            return _KINDS[value["kind"]](**{k: decode(v) for k, v in value.items() if k != "kind"})
+            kind = value.get("kind")
+            if kind in _ELSEWHERE:
+                make = getattr(importlib.import_module(_ELSEWHERE[kind]), kind)
+            elif kind in _KINDS:
+                make = _KINDS[kind]
+            else:
+                raise UserError(f"{path} names an unknown kind of policy {kind!r}")
+            return make(**{k: decode(v) for k, v in value.items() if k != "kind"})
         if isinstance(value, list):
             return tuple(decode(v) for v in value)
         if isinstance(value, str) and value.startswith("@"):
