@@ -53,7 +53,7 @@ def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
         "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting)),
                    "ppo": (PPO(), Online(**PPO.acting(task)))},
         "pets": {"pets": (PETS(), Online(**PETS.acting(task))), "pets-small": (PETS.small(), Online(**PETS.acting(task)))},
-        "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (1, 3, 5)},
+        "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (3, 5)},
         "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},
         "length": {"mbpo": mbpo(), **{f"mbpo-k{k}": mbpo(k, k, 1, 2) for k in (1, 200, 500)}},
     }[group]

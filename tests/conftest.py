@@ -38,6 +38,20 @@ def home(tmp_path, monkeypatch):
     return folder
 
 
+MAPS = Path("/proc/self/maps")  # of this process, on Linux
+MANY = 30_000  # of them; a process may have 65,530, and the compiler crashes beyond
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _programs_are_forgotten():
+    """Every compiled program maps some memory, so a worker that has compiled very many forgets them."""
+    yield
+    if MAPS.exists() and MAPS.read_text().count("\n") > MANY:
+        import jax
+
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of small real files; a test that needs it skips where it is absent."""

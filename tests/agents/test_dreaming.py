@@ -69,7 +69,9 @@ def test_a_batch_is_logged_rows_and_made_up_ones():
 
 
 def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
-    agent = lambda name, **fields: MOPO(**TINY | fields).resolve(dataclasses.replace(LOG.spec, name=name), 10)  # noqa: E731
+    def agent(name, shape=(11,), **fields):
+        return MOPO(**TINY | fields).resolve(dataclasses.replace(LOG.spec, name=name, observation_shape=shape), 10)
+
     assert (agent("walk").ends, agent("walk").over) == ("learned", None)
     hopper = agent("hopper-medium-v2@dr1")
     standing = np.zeros((2, 11), np.float32)
@@ -79,6 +81,8 @@ def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
     assert agent("maze2d-umaze-v1").ends == "learned"  # its observations do not tell
     assert agent("hopper").ends == "learned"  # a log that has a task's name is not known to be the task's
     assert agent("hopper-medium-v2", ends="learned").over is None
+    with pytest.raises(UserError, match=r"ends='hopper': its observations are \(11,\), walk has \(2,\)"):
+        agent("walk", shape=(2,), ends="hopper")
     with pytest.raises(UserError, match="maze2d-umaze: its observations do not tell when an episode ends"):
         agent("walk", ends="maze2d-umaze")
 

@@ -7,6 +7,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.agents import PETS
+from deadreckon.collect.modelled import Modelling
 from deadreckon.collect.online import Online
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import Ensemble
@@ -15,6 +16,8 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.policies import Deployed, store
 from deadreckon.policies.policy import Step
 from deadreckon.policies.portable import load as load_portable
+from deadreckon.tasks import task
+from deadreckon.training.fit import Fit
 
 SPEC = Spec.empty((2,), Box((-1.0,), (1.0,)), "line")
 SMALL = {"members": 2, "elites": 2, "model_hidden": (4,), "model_decay": (), "particles": 2, "ends": "learned"}
@@ -79,12 +82,37 @@ def test_a_planner_survives_its_file(tmp_path):
         load_portable(tmp_path / "p.npz")(seen)
 
 
+FIELDS = {"ends": None, "horizon": 3, "population": 10, "chosen": 2, "model_epochs": 2, "model_every": 20}
+SETTINGS = Online(copies=2, explore=40, updates_per_step=0.1, block=10)
+
+
+def test_plans_begin_with_episodes_and_in_a_model_that_was_fitted():
+    pendulum = task("inverted-pendulum")
+    updates = SETTINGS.updates(90)
+    agent = PETS.small(**SMALL | FIELDS).resolve(Spec.empty((4,), pendulum.action_space, pendulum.name), updates)
+    experience = Modelling(pendulum, agent, [0], updates, SETTINGS, threads=1)
+    job = Fit([agent], experience, [0], updates, 1)
+    states, _ = experience.extend(job.learner, job.states, job.roots, 0)
+    assert experience.environment_steps == 50
+    real = np.asarray(experience.replay.buffer[0, :40])  # the random steps are what the first plans rest on
+    assert float(states.model.mean[0, 4]) != 0.0
+    assert abs(float(states.model.mean[0, 1]) - real[:, 1].mean()) < real[:, 1].std()
+    both = 0
+    for at in range(50, 120, 2):
+        rows = experience._step(job.learner, states, job.roots, at)
+        over = rows[0, :, -2] + rows[0, :, -1] > 0
+        plans = np.abs(np.asarray(experience.carry[0])).sum((1, 2))
+        assert (plans[over] == 0).all()
+        assert (plans[~over] > 0).all()
+        both += over.sum() == 1
+    assert both > 0  # one copy's episode ended while the other's went on
+
+
+@pytest.mark.slow
 def test_a_run_goes_on_where_it_stopped(tmp_path):
-    fields = {"ends": None, "horizon": 3, "population": 10, "chosen": 2, "model_epochs": 2, "model_every": 20}
-    agent = PETS.small(**SMALL | fields)
-    settings = Online(copies=2, explore=40, updates_per_step=0.1, block=10)
+    agent = PETS.small(**SMALL | FIELDS)
     train = lambda out, steps, **more: dr.train_online(  # noqa: E731
-        agent, "inverted-pendulum", steps=steps, settings=settings, out=tmp_path / out, evaluate_every=40, episodes=1,
+        agent, "inverted-pendulum", steps=steps, settings=SETTINGS, out=tmp_path / out, evaluate_every=40, episodes=1,
         chunk=1, threads=1, **more,
     )  # fmt: skip
     whole = train("whole", 90)

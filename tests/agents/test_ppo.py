@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import deadreckon as dr
 from deadreckon.agents import PPO
@@ -108,6 +109,7 @@ def test_it_learns_from_the_last_block_alone():
     np.testing.assert_allclose(rows[:, 5], policy.log_prob(last[:, :4], last[:, 4:5]), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_it_stopped(tmp_path):
     train = lambda out, steps, **more: dr.train_online(  # noqa: E731
         PPO(hidden=(8,), batch_size=16), "inverted-pendulum", steps=steps, settings=SETTINGS, out=tmp_path / out,

@@ -80,4 +80,4 @@ def test_the_least_and_its_slope():
     values = jnp.asarray([[3.0, 1.0, 2.0], [2.0, 4.0, 2.0], [5.0, 1.5, 9.0]])
     np.testing.assert_array_equal(least(values), [2.0, 1.0, 2.0])
     slope = jax.grad(lambda v: least(v).sum())(values)
-    np.testing.assert_array_equal(slope, [[0, 1, 0.5], [1, 0, 0.5], [0, 0, 0]])  # halved where two are equal
+    np.testing.assert_array_equal(slope, [[0, 1, 1], [1, 0, 0], [0, 0, 0]])  # of two that are equal, the first's

@@ -232,7 +232,7 @@ def test_refusals():
         Case(log, [silent, silent], names=["a"])
     with pytest.raises(UserError, match="policy 0 draws its actions and does not tell how likely they are"):
         ImportanceSampling(behavior="auto", model=BehaviorModel(steps=1)).estimate(log, silent)
-    with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(2,\), lqr has \(1,\)"):
+    with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(2,\), lqr has shape \(1,\)"):
         TINY.estimate(log, BlackBoxPolicy(lambda seen, rng: np.tile(seen, 2)))
     with pytest.raises(UserError, match="policy 0 gives actions that are not finite"):
         TINY.estimate(log, BlackBoxPolicy(lambda seen, rng: np.nan * seen))

@@ -50,6 +50,9 @@ class Modelled(Agent):
         ends = self.ends or (LEARNED if own is None or own.ends is None else own.name)
         if ends != LEARNED and task(ends).ends is None:
             raise UserError(f"{ends}: its observations do not tell when an episode ends; ask for ends='{LEARNED}'")
+        if ends != LEARNED and task(ends).observation_shape != spec.observation_shape:
+            sizes = f"{task(ends).observation_shape}, {spec.name} has {spec.observation_shape}"
+            raise UserError(f"ends={ends!r}: its observations are {sizes}")
         agent = super(Modelled, self.replace(**missing, ends=ends)).resolve(spec, steps)
         assert agent.model_hidden is not None
         check_sizes(type(self).__name__, agent.members, agent.elites, agent.model_hidden, agent.model_decay)

@@ -38,6 +38,7 @@ class MVE(ModelledSAC):
         """The batch's `Expansion`."""
         observations, actions = [batch.observation], [batch.action]
         rewards, goes_on, bonuses = [batch.reward], [1.0 - batch.terminal], []
+        skipped = [jnp.zeros_like(batch.reward)]
         observation = batch.next_observation
         for t in range(self.horizon):
             k_act, k_next = jax.random.split(jax.random.fold_in(key, t))
@@ -45,16 +46,18 @@ class MVE(ModelledSAC):
             reward, following, over, lost = transition(self.model, state.model, self.over, observation, action, k_next)
             observations.append(observation)
             actions.append(action)
+            # A step whose numbers went bad is none: the row stays where it was.
+            skipped.append(1.0 * lost)
             rewards.append(jnp.where(lost, 0.0, reward))
-            goes_on.append(1.0 - (over | lost))
+            goes_on.append(1.0 - (over & ~lost))
             bonuses.append(bonus)
             observation = jnp.where(lost[:, None], observation, following)
         value = self.value(state, observation, jax.random.normal(key, batch.action.shape))
         targets = []
         for t in reversed(range(self.horizon + 1)):
             targets.append(rewards[t] + self.discount * goes_on[t] * value)
-            value = targets[-1] + (bonuses[t - 1] if t else 0.0)
-        weight = jnp.cumprod(jnp.stack([jnp.ones_like(batch.reward), *goes_on[:-1]]), 0)
+            value = jnp.where(skipped[t] > 0, value, targets[-1] + (bonuses[t - 1] if t else 0.0))
+        weight = jnp.cumprod(jnp.stack([jnp.ones_like(batch.reward), *goes_on[:-1]]), 0) * (1.0 - jnp.stack(skipped))
         return Expansion(jnp.stack(observations), jnp.stack(actions), jnp.stack(targets[::-1]), weight)
 
     def critic_loss(self, critics, state, batch, target, key):

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Needs
+from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
@@ -45,8 +46,9 @@ class Moments(NamedTuple):
 
     @property
     def deviation(self) -> Array:
-        """Never quite zero."""
-        return jnp.sqrt(self.variance) + 1e-6
+        """One for what hardly moves."""
+        std = jnp.sqrt(self.variance)
+        return jnp.where(std < STD_FLOOR, 1.0, std)
 
 
 class State(NamedTuple):
@@ -57,7 +59,6 @@ class State(NamedTuple):
     opt: optax.OptState
     observations: Moments
     returns: Moments
-    model: Any = None  # of agents that learn one
 
 
 class PPO(Agent):
@@ -78,7 +79,7 @@ class PPO(Agent):
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
-        """How acting and learning take turns: 2,048 steps, then ten passes over them."""
+        """How acting and learning take turns: 2,048 steps, then ten passes over them in batches of 64."""
         return {"copies": 8, "explore": 2000, "updates_per_step": PASSES / MINIBATCH, "block": 2048}
 
     def needs(self, spec):

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import create_critics
 from deadreckon.agents.modelled import ModelledSAC
+from deadreckon.dynamics import ended
 from deadreckon.nets.mlp import q_values
 from deadreckon.nets.optim import begin, copy
 from deadreckon.training.learner import static
@@ -66,14 +67,13 @@ class STEVE(ModelledSAC):
                 break
             inputs = model.standardise(jnp.concatenate([observation, action], -1))
             drawn, logit = self.model.sample(model.best(), inputs, k_draw)
-            lost = ~jnp.isfinite(drawn).all(-1)
-            drawn = jnp.where(lost[..., None], 0.0, drawn)
             following = observation + drawn[..., :-1]
-            asked = following.reshape(-1, following.shape[-1])
-            over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if self.over is None else self.over(asked)
-            so_far = so_far + discount * (drawn[..., -1] + bonus)
-            discount = discount * self.discount * (1.0 - (over.reshape(lost.shape) | lost))
-            observation = following
+            over = ended(self.over, following, logit, k_end)
+            # A step whose numbers went bad is none: the rollout stays where it was.
+            lost = ~jnp.isfinite(drawn).all(-1)
+            so_far = jnp.where(lost, so_far, so_far + discount * (drawn[..., -1] + bonus))
+            discount = jnp.where(lost, discount, discount * self.discount * (1.0 - over))
+            observation = jnp.where(lost[..., None], observation, following)
         return jnp.stack(found)
 
     def critic_loss(self, critics, state, batch, target, key):

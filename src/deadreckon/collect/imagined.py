@@ -66,7 +66,7 @@ class Imagination(Modelling):
         return self._count
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
-        """See `Experience`."""
+        """See `Experience`; new steps are learned from, and branched off from, when the model is fitted next."""
         states, _ = super().extend(learner, states, roots, step)
         return states, {"packed": self._buffer}
 
@@ -96,7 +96,7 @@ class Imagination(Modelling):
     def _refill(self, turn: int) -> None:
         """Puts what is learned from onto the device, for the turn that was the last."""
         made_up = np.concatenate([self._batches[t] for t in sorted(self._batches)], 1)
-        share, steps = self.agent.real, self.settings.explore + (turn * self._turns + 1) * self.settings.block
+        share, steps = self.agent.real, self.settings.explore + turn * self._turns * self.settings.block
         more = round(made_up.shape[1] * share / (1.0 - share))
         real = []
         for lane in range(len(self.seeds)):

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.modelled import ModelledOnline
-from deadreckon.collect.online import Exploration, Online
+from deadreckon.collect.online import Exploration, Online, unpacked
 from deadreckon.dynamics import Report
-from deadreckon.errors import UserError
+from deadreckon.errors import DivergedError, UserError
 from deadreckon.tasks.task import Task
 
 
@@ -40,34 +40,36 @@ class Modelling(Exploration):
         super().__init__(task, agent, seeds, updates, settings, paths, threads)
         if agent.model_every % settings.block:
             raise UserError(f"model_every ({agent.model_every}) must be a multiple of block ({settings.block})")
+        if agent.ends == task.name and agent.over != task.ends:
+            raise UserError(f"{task.name} is the name of another task; register this one under a name of its own")
         self.seeds, self.paths = list(seeds), list(paths)
         self._turns = agent.model_every // settings.block  # blocks between fits
         self.metrics = {name: np.full(len(seeds), np.nan) for name in ("model_error", "model_epochs")}
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
-        """See `Experience`."""
-        states, data = super().extend(learner, states, roots, step)
+        """See `Experience`; a model that is due is fitted before the policies act, for some of them plan in it."""
+        self._collect(learner, states, roots, self.settings.explore)
         turn, rest = divmod(step // self.block, self._turns)
-        return (states, data) if rest else (self._fitted(learner, states, turn), data)
+        if rest == 0:
+            states = self._fitted(learner, states, turn)
+        return super().extend(learner, states, roots, step)
 
     def _fitted(self, learner: Any, states: Any, turn: int) -> Any:
         """The states with their ensembles fitted to all real rows."""
         ensembles, reports = [], []
         for lane in range(len(self.seeds)):
             agent, state = own(learner, lane), own(states, lane)
-            real, start = self._columns(self.real(lane)), state.model if turn else None
-            ensemble, report = agent.trainer.fit(agent.model, self.spec, real, self._mixed(lane, turn), start)
+            real, start = unpacked(self.real(lane), self.columns), state.model if turn else None
+            try:
+                ensemble, report = agent.trainer.fit(agent.model, self.spec, real, self._mixed(lane, turn), start)
+            except DivergedError:  # numbers that are not finite mark the lane as failed; the others go on
+                ensemble = jax.tree.map(lambda leaf: leaf if leaf.dtype == jnp.int32 else leaf * jnp.nan, state.model)
+                report = Report(0, np.full(agent.members, np.nan), np.nan, 0)
             ensembles.append(ensemble)
             reports.append(report)
-        self.metrics |= self._told(reports)
+        self.metrics["model_error"] = np.array([report.elite_error for report in reports])
+        self.metrics["model_epochs"] = np.array([float(report.epochs) for report in reports])
         return states._replace(model=jax.tree.map(lambda *leaves: jnp.stack(leaves), *ensembles))
-
-    @staticmethod
-    def _told(reports: list[Report]) -> dict[str, np.ndarray]:
-        return {
-            "model_error": np.array([report.elite_error for report in reports]),
-            "model_epochs": np.array([float(report.epochs) for report in reports]),
-        }
 
     def real(self, lane: int) -> Float[np.ndarray, "n w"]:
         """All real rows of a lane, as they are learned from."""
@@ -76,10 +78,6 @@ class Modelling(Exploration):
     def _mixed(self, lane: int, turn: int) -> int:
         """A seed for every turn of a lane's seed."""
         return zlib.crc32(f"{self.seeds[lane]} {turn}".encode())
-
-    def _columns(self, real: Float[np.ndarray, "n w"]) -> dict[str, np.ndarray]:
-        edges = np.cumsum([0, *(int(np.prod(shape)) for shape, _ in self.fields.values())])
-        return {name: real[:, start:end] for name, start, end in zip(self.fields, edges, edges[1:])}
 
     def state(self) -> dict[str, Any]:
         """See `Experience`: also what is told of the last fit."""

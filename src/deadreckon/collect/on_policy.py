@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.ppo import PPO
-from deadreckon.collect.online import Exploration, Online
+from deadreckon.collect.online import Exploration, Online, unpacked
 from deadreckon.tasks.task import Task
 
 
@@ -36,10 +36,8 @@ class OnPolicy(Exploration):
         threads: int | None = None,
     ):
         super().__init__(task, agent, seeds, updates, settings, paths, threads)
-        shape, size = task.observation_shape, task.action_space.size
-        self._rows = {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": (),
-                      "timeout": ()}  # fmt: skip
-        columns = {"observation": shape, "action": (size,), "behavior_log_prob": (), "return_to_go": (), "advantage": ()}
+        own = "observation", "action", "behavior_log_prob", "return_to_go", "advantage"
+        columns = {name: self.columns.get(name, ()) for name in own}
         self.fields = {name: (each, np.dtype(np.float32)) for name, each in columns.items()}
 
     @property
@@ -59,15 +57,8 @@ class OnPolicy(Exploration):
 
     def _last(self, steps: int) -> dict[str, Float[Array, "l n *s"]]:
         """Columns of the last rows of all lanes."""
-        end = self.environment_steps
-        return unpacked(self.replay.buffer[:, end - steps : end], self._rows)
-
-
-def unpacked(rows: Float[Array, "*b w"], shapes: dict[str, tuple[int, ...]]) -> dict[str, Float[Array, "*b _s"]]:
-    """Columns (*b, *shape) of rows that hold them one after the other."""
-    edges = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
-    parts = zip(shapes.items(), edges, edges[1:])
-    return {name: rows[..., start:end].reshape(*rows.shape[:-1], *shape) for (name, shape), start, end in parts}
+        rows = jax.lax.dynamic_slice_in_dim(self.replay.buffer, self.environment_steps - steps, steps, 1)
+        return unpacked(rows, self.columns)
 
 
 @eqx.filter_jit

@@ -130,8 +130,10 @@ class Exploration:
         self.spec = Spec.empty(task.observation_shape, task.action_space, task.name)
         self.needs = needs = agent.needs(self.spec)
         shape, size = task.observation_shape, task.action_space.size
-        fields = {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": ()}
-        self.fields = {name: (each, np.dtype(np.float32)) for name, each in fields.items()}
+        self.columns = {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": (),
+                        "timeout": ()}  # fmt: skip
+        fields = [name for name in self.columns if name != "timeout"]
+        self.fields = {name: (self.columns[name], np.dtype(np.float32)) for name in fields}
         plain = needs.n_step == 1 and not (needs.window or needs.initial or needs.standardise)
         if not agent.online or set(needs.columns) - set(fields) or not plain:
             raise UserError(f"{type(agent).__name__} does not learn online")
@@ -217,6 +219,13 @@ class Exploration:
 def _where(which: np.ndarray, fresh: Array, now: Array) -> Array:
     """Of (lanes, copies, ...) the fresh ones where (lanes, copies) says."""
     return jnp.where(which.reshape(*which.shape, *[1] * (now.ndim - 2)), fresh, now)
+
+
+def unpacked(rows: Any, shapes: dict[str, tuple[int, ...]]) -> dict[str, Any]:
+    """Columns (*b, *shape) of rows (*b, w) that hold them one after the other."""
+    edges = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
+    parts = zip(shapes.items(), edges, edges[1:])
+    return {name: rows[..., start:end].reshape(*rows.shape[:-1], *shape) for (name, shape), start, end in parts}
 
 
 def row_width(task: Task) -> int:

@@ -94,5 +94,13 @@ def transition(
     back = jnp.argsort(order)
     drawn, logit = drawn.reshape(elites * share, -1)[back], logit.reshape(-1)[back]
     following = observation + drawn[:, :-1]
-    over = jax.random.bernoulli(k_end, jax.nn.sigmoid(logit)) if ends is None else ends(following)
-    return drawn[:, -1], following, over, ~jnp.isfinite(drawn).all(-1)
+    return drawn[:, -1], following, ended(ends, following, logit, k_end), ~jnp.isfinite(drawn).all(-1)
+
+
+def ended(
+    ends: Ends | None, following: Float[Array, "*b o"], logit: Float[Array, "*b"], key: PRNGKeyArray
+) -> Bool[Array, "*b"]:
+    """Whether episodes end where these are observed: as `ends` knows, or drawn from what the model says."""
+    if ends is None:
+        return jax.random.bernoulli(key, jax.nn.sigmoid(logit))
+    return ends(following.reshape(-1, following.shape[-1])).reshape(logit.shape)

@@ -137,7 +137,7 @@ def _kept(path: Path) -> Result:
     try:
         return _from_json(read_json(path)["result"])
     except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} is not a whole result ({error}); without it, it is computed again") from error
+        raise UserError(f"{path} is not a whole result ({error}); delete it, and it is computed again") from error
 
 
 def _nothing(asked: Any, names: tuple[str, ...], discount: float, why: str) -> Estimates:
@@ -228,7 +228,8 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
     # Of all logs or of none: a median of those that a method can do would flatter it.
     means = {m: [row[m].mean if m in row else math.nan for row in found.values()] for m in methods}
-    medians = [f"{np.median(v):.2f}" if np.isfinite(v).all() else "" for v in means.values()]
+    form = ".2f" if max((abs(m) for v in means.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
+    medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in means.values()]
     return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from deadreckon.data.batch import Rows
 from deadreckon.dynamics import AutoRegressive, Gaussian, Model
 from deadreckon.dynamics.model import Limits
+from deadreckon.errors import UserError
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
@@ -56,6 +57,8 @@ class ModelBased(Estimator):
         """Makes up episodes and averages their returns."""
         model, (params, unit), rows = self.fitted(case)
         data, members, count = case.data, self.members, self.episodes
+        if self.horizon == 0:
+            raise UserError("horizon must be 1 or more, or None")
         limits = Limits.of(data.spec)
         horizon = self.horizon or int(np.ceil(np.log(TAIL) / np.log(max(case.discount, 1e-6))))
         if self.horizon is None and np.asarray(data.terminals)[data.ends].all():

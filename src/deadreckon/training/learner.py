@@ -54,7 +54,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "warm_start": (0, math.inf), "refresh": (0, math.inf), "range": (-math.inf, math.inf), "confidence": (0.0, 1.0),
     "max_weight": (1e-30, math.inf), "decay": (0.0, math.inf), "penalty": (0.0, math.inf), "atoms": (2, math.inf),
     "logged_rows": (0, math.inf), "familiar": (0.0, 1.0), "conservatism": (0.0, math.inf),
-    "horizon": (0, math.inf), "trace": (0.0, 1.0), "clip": (0.0, math.inf), "smoothing": (0.0, 1.0),
+    "horizon": (0, math.inf), "trace": (0.0, 1.0), "clip": (0.0, math.inf), "smoothing": (0.0, 1.0), "norm": (1e-30, math.inf),
     "pretrain": (0, math.inf), "weight": (0.0, math.inf), "bins": (2, math.inf),
 }  # fmt: skip
 
