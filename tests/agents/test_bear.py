@@ -173,6 +173,7 @@ def half_support():
     return [Deployed.of(a.policy(result.lane(i)), rows.view) for i, a in enumerate((agent, free))]
 
 
+@pytest.mark.slow
 def test_a_large_multiplier_keeps_the_support_and_zero_forgets_it(half_support):
     from deadreckon.policies import Step
 

@@ -43,8 +43,8 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-# They differ from MOBILE and COMBO in what happens between updates alone, which tests/agents/test_dreaming.py looks at.
-SLOW = ("mopo", "morel")
+# Others are so like them in what this suite looks at that the slow tests are enough: MOBILE, BEAR and TD3+BC.
+SLOW = ("mopo", "morel", "combo", "bear_is", "td3")
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]
@@ -76,6 +76,7 @@ def test_same_seed_same_bits_whatever_the_chunks(trained):
     assert same(result.states, again.states)
 
 
+@pytest.mark.slow
 def test_a_lane_equals_the_single_run_within_tolerance(trained):
     agent, rows, result, _ = trained
     alone = fit([agent], rows, [1], 20, chunk=20)

@@ -146,6 +146,7 @@ def test_a_fit_ends_when_nothing_gets_better():
     assert 3 < report.epochs < 200
 
 
+@pytest.mark.slow
 def test_the_autoregressive_model_fits_the_same_way():
     model = AutoRegressive(members=2, hidden=(32, 32), lr=3e-3)
     ensemble, report = Trainer(elites=1, most_epochs=30).fit(model, SPEC, linear(2000), 0)

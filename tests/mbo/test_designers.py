@@ -101,7 +101,10 @@ def test_names():
         designer("nemo", bin=3)
 
 
-@pytest.mark.parametrize("name", ["forward", "ensemble-min", "coms", "nemo", "gp-bo", "cbas", "mins"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("nemo", "cbas", "mins")]
+
+
+@pytest.mark.parametrize("name", ["forward", "ensemble-min", "coms", "gp-bo", *SLOW])
 def test_beliefs_are_about_the_designs_that_are_proposed(mixed, name):
     """Not about the coordinates on the way there: two proposals that are the same design are believed the same."""
     found = small(name).propose(mixed, 40, seed=0)

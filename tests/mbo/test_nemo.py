@@ -129,7 +129,7 @@ def test_claims_make_what_is_searched_uncertain(bowl):
     "fields",
     [
         {"objective": "mean", "g": lambda y: y**3, "loss": "likelihood"},
-        {"objective": "confidence", "architecture": "categorical"},
+        pytest.param({"objective": "confidence", "architecture": "categorical"}, marks=pytest.mark.slow),
     ],
 )
 def test_every_form_runs(bowl, fields):

@@ -39,10 +39,18 @@ WORLDS = {
     "goes on": garnet(states=6, actions=2, noise=0.5, seed=1),  # timeouts alone
     "grid": gridworld(3, 3, slip=0.3),  # a goal far from the start
 }
-PARAMS = [pytest.param(name, marks=pytest.mark.slow if name == "grid" else ()) for name in WORLDS]
 
 
-@pytest.fixture(scope="module", params=PARAMS)
+def cases(names, everywhere=()):
+    """Every method in every world. Fast tests have one world of fitted methods, and all but the grid of those `everywhere`."""
+    slow = lambda world, name: world == "grid" or (world != "ends" and name not in everywhere)  # noqa: E731
+    return pytest.mark.parametrize(
+        ("world", "name"), indirect=["world"],
+        argvalues=[pytest.param(w, n, marks=pytest.mark.slow if slow(w, n) else ()) for w in WORLDS for n in names],
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
 def world(request):
     """A case of three policies, the first of which made the log."""
     true = WORLDS[request.param]
@@ -52,7 +60,7 @@ def world(request):
     return case, true, policies
 
 
-@pytest.mark.parametrize("name", FITTED)
+@cases(FITTED, everywhere=["fqe"])
 def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     case, _, policies = world
     seen = MDP.of(case.data)
@@ -62,7 +70,7 @@ def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     np.testing.assert_allclose(found.value, exact, atol=0.05 * scale, err_msg=name)
 
 
-@pytest.mark.parametrize("name", [name for name in FITTED if "dice" in name or name == "vpm"])
+@cases([name for name in FITTED if "dice" in name or name == "vpm"])
 def test_ratios_are_those_of_exact_occupancies(world, name):
     case, _, policies = world
     data, seen = case.data, MDP.of(case.data)
@@ -75,7 +83,7 @@ def test_ratios_are_those_of_exact_occupancies(world, name):
         assert np.abs(found - exact).mean() < 0.1 * exact.mean()
 
 
-@pytest.mark.parametrize("name", WEIGHTED)
+@cases(WEIGHTED, everywhere=WEIGHTED)
 def test_weighted_values_are_true_within_their_intervals(world, name):
     case, true, policies = world
     exact = np.array([true.value(p, DISCOUNT) for p in policies])
@@ -152,6 +160,7 @@ def test_members_of_episodes_of_different_lengths(name):
     assert any("the weights of policy 0 rest on 6." in line for line in found.warnings)
 
 
+@pytest.mark.slow
 def test_vpm_where_seldom_an_episode_ends():
     """A terminal's mass is 1 / (1 - discount): the penalty must not be a penalty of its variance."""
     transitions = np.zeros((2, 1, 2))

@@ -113,7 +113,7 @@ def test_estimates_that_speak_against_the_choice():
         assert any("the weights of a in WDR rest on 3.0 episodes" in line for line in choice.warnings) == deploy
 
 
-@pytest.mark.parametrize("kind", ["feedforward", "autoregressive"])
+@pytest.mark.parametrize("kind", ["feedforward", pytest.param("autoregressive", marks=pytest.mark.slow)])
 def test_model_based_on_lqr(kind):
     log = lqr(-0.5, 0.5, 300, 40)
     steps = {"feedforward": 2500, "autoregressive": 1500}[kind]
