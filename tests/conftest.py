@@ -39,7 +39,7 @@ def home(tmp_path, monkeypatch):
 
 
 MAPS = Path("/proc/self/maps")  # of this process, on Linux
-MANY = 30_000  # of them; a process may have 65,530, and the compiler crashes beyond
+MANY = 45_000  # of them; a process may have 65,530, and the compiler crashes beyond
 
 
 @pytest.fixture(scope="module", autouse=True)

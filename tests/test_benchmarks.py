@@ -7,7 +7,7 @@ import pytest
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
-@pytest.mark.parametrize("case", ["fqe-11", "nemo-40"])
+@pytest.mark.parametrize("case", ["fqe-11", pytest.param("nemo-40", marks=pytest.mark.slow)])
 def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
     """Of fitted Q evaluation and NEMO: the program may do a little more, never less than it is credited with."""
     monkeypatch.syspath_prepend(str(FOLDER))

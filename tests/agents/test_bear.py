@@ -238,6 +238,7 @@ def test_importance_sampled_losses_equal_numpy():
     np.testing.assert_allclose(got, (0.75 * q.min(0) + 0.25 * q.max(0)).mean(0), atol=1e-5)  # a mean, line 5
 
 
+@pytest.mark.slow
 def test_sac_base_adds_entropy():
     agent, state, batch = setup(base="sac")
     assert isinstance(state, State)

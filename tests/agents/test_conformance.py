@@ -43,8 +43,8 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-# Others are so like them in what this suite looks at that the slow tests are enough: MOBILE, BEAR and TD3+BC.
-SLOW = ("mopo", "morel", "combo", "bear_is", "td3")
+# What this suite looks at is BEAR's and TD3+BC's too, or, where there is a model, SAC's and test_dreaming.py's.
+SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3")
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]

@@ -138,6 +138,7 @@ def test_every_form_runs(bowl, fields):
     assert np.isfinite(found.predicted).all()
 
 
+@pytest.mark.slow
 def test_seeds_side_by_side_and_checkpoints(bowl, tmp_path):
     both = SMALL.propose_many(bowl, 4, seeds=[0, 1])
     alone = SMALL.propose(bowl, 4, seed=1)
