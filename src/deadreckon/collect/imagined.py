@@ -1,6 +1,5 @@
 """Experience that is mostly made up: MBPO's rollouts in a model of what has really been seen (thesis 5.3, Algorithm 3)."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,10 @@ from jaxtyping import Array, PRNGKeyArray
 
 from deadreckon.agents.mbpo import MBPO
 from deadreckon.collect.modelled import Modelling, own
-from deadreckon.collect.online import Online
 from deadreckon.dynamics import branches, packed
 from deadreckon.dynamics.ensemble import room
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.tasks.task import Task
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
 _DREAM = 6  # purpose of randomness, beside those of `training.fit`
@@ -29,24 +26,12 @@ class Imagination(Modelling):
     rollouts of the last `keep` real steps, and as many real rows, drawn with replacement when rollouts are made, as their share
     asks for.
 
-    Args:
-        task, agent, seeds, updates, settings, paths, threads: see `Exploration`.
-
     Raises:
-        UserError: a task that cannot be learned online, or turns that do not fit each other.
+        UserError: as `Exploration`, or turns that do not fit each other.
     """
 
-    def __init__(
-        self,
-        task: Task,
-        agent: MBPO,
-        seeds: Sequence[int],
-        updates: int,
-        settings: Online,
-        paths: Sequence[Path] = (),
-        threads: int | None = None,
-    ):
-        super().__init__(task, agent, seeds, updates, settings, paths, threads)
+    def _begin(self, agent: MBPO) -> None:
+        super()._begin(agent)
         self.agent = agent
         assert agent.keep is not None  # resolved
         if agent.keep % agent.model_every:
@@ -56,9 +41,9 @@ class Imagination(Modelling):
         self._batches: dict[int, np.ndarray] = {}  # by turn, (lanes, rows, width)
         self._waiting: list[int] = []  # turns that are not on disk yet
         self._needed = 0  # the first turn that the checkpoint before the next one needs
-        self._buffer = jnp.zeros((len(seeds), 0, 0))
+        self._buffer = jnp.zeros((len(self.seeds), 0, 0))
         self._count = 0
-        self.metrics["rollout_length"] = np.full(len(seeds), np.nan)
+        self.metrics["rollout_length"] = np.full(len(self.seeds), np.nan)
 
     @property
     def count(self) -> int:

@@ -1,8 +1,6 @@
 """Experience of agents with a learned model: real steps, and an ensemble that is fitted to them anew every so often."""
 
 import zlib
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,40 +9,26 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.modelled import ModelledOnline
-from deadreckon.collect.online import Exploration, Online, unpacked
+from deadreckon.collect.online import Exploration, unpacked
 from deadreckon.dynamics import Report
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.tasks.task import Task
 
 
 class Modelling(Exploration):
     """Every `model_every` real steps fits the ensembles in the agents' states to all of them, going on from the last fit.
 
-    Args:
-        task, agent, seeds, updates, settings, paths, threads: see `Exploration`.
-
     Raises:
-        UserError: a task that cannot be learned online, or turns that do not fit each other.
+        UserError: as `Exploration`, or turns that do not fit each other.
     """
 
-    def __init__(
-        self,
-        task: Task,
-        agent: ModelledOnline,
-        seeds: Sequence[int],
-        updates: int,
-        settings: Online,
-        paths: Sequence[Path] = (),
-        threads: int | None = None,
-    ):
-        super().__init__(task, agent, seeds, updates, settings, paths, threads)
-        if agent.model_every % settings.block:
-            raise UserError(f"model_every ({agent.model_every}) must be a multiple of block ({settings.block})")
-        if agent.ends == task.name and agent.over != task.ends:
-            raise UserError(f"{task.name} is the name of another task; register this one under a name of its own")
-        self.seeds, self.paths = list(seeds), list(paths)
-        self._turns = agent.model_every // settings.block  # blocks between fits
-        self.metrics = {name: np.full(len(seeds), np.nan) for name in ("model_error", "model_epochs")}
+    def _begin(self, agent: ModelledOnline) -> None:
+        block = self.settings.block
+        if agent.model_every % block:
+            raise UserError(f"model_every ({agent.model_every}) must be a multiple of block ({block})")
+        if agent.ends == self.task.name and agent.over != self.task.ends:
+            raise UserError(f"{self.task.name} is the name of another task; register this one under a name of its own")
+        self._turns = agent.model_every // block  # blocks between fits
+        self.metrics = {name: np.full(len(self.seeds), np.nan) for name in ("model_error", "model_epochs")}
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; a model that is due is fitted before the policies act, for some of them plan in it."""

@@ -1,7 +1,5 @@
 """Experience that is learned from once: the last block of steps, with advantages."""
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -11,31 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.ppo import PPO
-from deadreckon.collect.online import Exploration, Online, unpacked
-from deadreckon.tasks.task import Task
+from deadreckon.collect.online import Exploration, unpacked
 
 
 class OnPolicy(Exploration):
-    """What the policies did in the last block, as `PPO.digest` sees it.
+    """What the policies did in the last block, as `PPO.digest` sees it."""
 
-    Args:
-        task, agent, seeds, updates, settings, paths, threads: see `Exploration`.
-
-    Raises:
-        UserError: a task that cannot be learned online.
-    """
-
-    def __init__(
-        self,
-        task: Task,
-        agent: PPO,
-        seeds: Sequence[int],
-        updates: int,
-        settings: Online,
-        paths: Sequence[Path] = (),
-        threads: int | None = None,
-    ):
-        super().__init__(task, agent, seeds, updates, settings, paths, threads)
+    def _begin(self, agent: PPO) -> None:
         own = "observation", "action", "behavior_log_prob", "return_to_go", "advantage"
         columns = {name: self.columns.get(name, ()) for name in own}
         self.fields = {name: (each, np.dtype(np.float32)) for name, each in columns.items()}

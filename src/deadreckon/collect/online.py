@@ -126,12 +126,11 @@ class Exploration:
     ):
         if isinstance(task.action_space, Discrete) or len(task.observation_shape) != 1:
             raise UserError(f"{task.name}: online learning needs flat observations and continuous actions")
-        self.task, self.settings = task, settings
+        self.task, self.settings, self.seeds, self.paths = task, settings, list(seeds), list(paths)
         self.spec = Spec.empty(task.observation_shape, task.action_space, task.name)
         self.needs = needs = agent.needs(self.spec)
         shape, size = task.observation_shape, task.action_space.size
-        self.columns = {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": (),
-                        "timeout": ()}  # fmt: skip
+        self.columns = row_columns(task)
         fields = [name for name in self.columns if name != "timeout"]
         self.fields = {name: (self.columns[name], np.dtype(np.float32)) for name in fields}
         plain = needs.n_step == 1 and not (needs.window or needs.initial or needs.standardise)
@@ -152,6 +151,10 @@ class Exploration:
         self._fresh = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(seeds)), begin()) if remembers else ()
         self.carry = self._fresh
         self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths)
+        self._begin(agent)
+
+    def _begin(self, agent: Any) -> None:
+        """What a kind of experience of its own needs beside this; `agent` is one of the lanes."""
 
     def _learnable(self, rows: np.ndarray) -> np.ndarray:
         out = rows.copy()
@@ -228,26 +231,30 @@ def unpacked(rows: Any, shapes: dict[str, tuple[int, ...]]) -> dict[str, Any]:
     return {name: rows[..., start:end].reshape(*rows.shape[:-1], *shape) for (name, shape), start, end in parts}
 
 
+def row_columns(task: Task) -> dict[str, tuple[int, ...]]:
+    """What a row of a replay file holds, in this order."""
+    shape, size = task.observation_shape, task.action_space.size
+    return {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": (), "timeout": ()}
+
+
 def row_width(task: Task) -> int:
     """Numbers in a row of a replay file."""
-    return 2 * task.observation_shape[0] + task.action_space.size + 3
+    return sum(int(np.prod(shape)) for shape in row_columns(task).values())
 
 
 def replay_log(path: Path, task: Task, copies: int, steps: int, *, name: str, provenance: Provenance) -> Dataset:
     """The first `steps` rows of a replay file as a log: the copies' episodes one after the other, copy by copy."""
     rows = read_rows(path, row_width(task), steps)
     rows = np.concatenate([np.asarray(rows[copy::copies]) for copy in range(copies)])
-    size, actions = task.observation_shape[0], task.action_space.size
-    observations, action, reward, following, terminal, timeout = np.split(
-        rows, np.cumsum([size, actions, 1, size, 1]), axis=1
-    )
-    terminals, timeouts = terminal[:, 0] > 0, timeout[:, 0] > 0
+    columns = unpacked(rows, row_columns(task))
+    terminals, timeouts = columns["terminal"] > 0, columns["timeout"] > 0
     timeouts[_last_rows(steps, copies)] = True  # an episode that the recording cut
     timeouts &= ~terminals
     ends = terminals | timeouts
     return Dataset.from_arrays(
-        observations=observations, actions=action, rewards=reward[:, 0], terminals=terminals, timeouts=timeouts,
-        final_observations=following[ends], action_space=task.action_space, name=name, provenance=provenance,
+        observations=columns["observation"], actions=columns["action"], rewards=columns["reward"], terminals=terminals,
+        timeouts=timeouts, final_observations=columns["next_observation"][ends], action_space=task.action_space, name=name,
+        provenance=provenance,
     )  # fmt: skip
 
 
