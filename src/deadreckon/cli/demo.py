@@ -30,7 +30,7 @@ def demo(args: Sequence[str]) -> None:
     from deadreckon.agents import agent_class
     from deadreckon.collect import collect
     from deadreckon.data.io import read
-    from deadreckon.ope import FQE
+    from deadreckon.ope import FQE, BehaviorModel
     from deadreckon.report import headline, table, write
     from deadreckon.runs.offline import checked, judge
     from deadreckon.runs.train import train
@@ -59,8 +59,9 @@ def demo(args: Sequence[str]) -> None:
     estimator = FQE(hidden=HIDDEN, lr=1e-3, target_rate=0.02, members=3, steps=max(1, options.steps // 2))
     with Watch() as watch:
         judged = judge(
-            folders, log, [estimator], out=out / "ope", task=TASK, discount=0.99, greedy=True, seed=options.seed, watch=watch
-        )
+            folders, log, [estimator], out=out / "ope", task=TASK, discount=0.99, greedy=True, seed=options.seed,
+            model=BehaviorModel(hidden=HIDDEN, lr=1e-3, steps=max(1, options.steps // 5)), watch=watch,
+        )  # fmt: skip
     page = write(folders, out / "report.html", title="From a log to a judged policy", estimates=out / "ope")
     print(f"{table(folders)}\n\nin the simulator: {headline(folders)}")
     print(f"\nfrom the log alone: {judged.choice}\nchecked: {checked(judged.told)}\n\nreport: {page}")

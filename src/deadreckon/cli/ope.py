@@ -71,7 +71,9 @@ def ope(args: Sequence[str]) -> None:
         return None
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
-    from deadreckon.runs.offline import checked, judge
+    from deadreckon.ope.estimate import BehaviorModel
+    from deadreckon.ope.registry import with_fields
+    from deadreckon.runs.offline import checked, coverages, judge
 
     found = _estimators(options.estimators, options.fits, {})
     data = catalogue.load(options.data)
@@ -82,10 +84,11 @@ def ope(args: Sequence[str]) -> None:
     with Watch() as watch:
         judged = judge(
             options.policies, data, found, out=options.out, discount=options.discount, greedy=options.greedy, task=options.task,
-            seed=options.seed, watch=watch,
+            seed=options.seed, model=with_fields(BehaviorModel(), _changes(options.fits)), watch=watch,
         )  # fmt: skip
     for each in judged.estimates:
         print(f"{each}\n")
+    print(f"{coverages(judged.told)}\n")
     if options.select:
         print(judged.choice)
     if options.task:
@@ -122,8 +125,12 @@ def bench(args: Sequence[str]) -> None:
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
 
 
+def _changes(fits: Fits) -> dict[str, Any]:
+    return {name: value for name, value in vars(fits).items() if value is not None}
+
+
 def _estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]]) -> list[Any]:
     from deadreckon.ope.registry import estimator
 
-    changes = {name: value for name, value in vars(fits).items() if value is not None}
+    changes = _changes(fits)
     return [estimator(name, **budget.get(name, {}) | changes) for name in map(str.strip, names.split(","))]

@@ -30,9 +30,9 @@ class Imagination(Modelling):
         UserError: as `Exploration`, or turns that do not fit each other.
     """
 
-    def _begin(self, agent: MBPO) -> None:
+    def _begin(self, agent: Any) -> None:
         super()._begin(agent)
-        self.agent = agent
+        self.agent: MBPO = agent
         assert agent.keep is not None  # resolved
         if agent.keep % agent.model_every:
             raise UserError(f"keep ({agent.keep}) must be a multiple of model_every ({agent.model_every})")

@@ -1,5 +1,6 @@
 """Off-policy evaluation: what policies are worth, from a log alone (thesis chapter 8)."""
 
+from deadreckon.ope.coverage import coverage
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
@@ -14,5 +15,5 @@ from deadreckon.ope.vpm import VPM
 
 __all__ = [
     "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimates",
-    "Estimator", "ImportanceSampling", "Metrics", "ModelBased", "compare", "estimator", "select",
+    "Estimator", "ImportanceSampling", "Metrics", "ModelBased", "compare", "coverage", "estimator", "select",
 ]  # fmt: skip

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.coverage import MOSTLY
 from deadreckon.ope.estimate import LOGGED, Estimates
 from deadreckon.ope.intervals import ALPHA, percentiles, spread
 from deadreckon.ope.weights import FEW
@@ -62,13 +63,17 @@ def gain(found: Estimates, which: int, *, bonferroni: bool = True) -> tuple[floa
     return float(found.value[which] - found.value[logged]), float(low), float(high)
 
 
-def select(estimates: Sequence[Estimates]) -> Choice:
+def select(estimates: Sequence[Estimates], covered: np.ndarray | None = None) -> Choice:
     """Chooses by the first of several estimates of the same policies; the others are evidence.
 
-    Policies whose weights rest on few episodes come last. Among the others it takes the one whose gain has the highest lower
-    end (95 %, each for itself), because what the log says little about is high by chance; where the interval comes from a few
-    members, whose spread is itself a matter of chance, the highest gain. Whether to deploy it is decided by an interval that
-    holds for all policies at once.
+    Policies whose weights rest on few episodes, or of whose actions the log covers few, come last. Among the others it takes
+    the one whose gain has the highest lower end (95 %, each for itself), because what the log says little about is high by
+    chance; where the interval comes from a few members, whose spread is itself a matter of chance, the highest gain. Whether to
+    deploy it is decided by an interval that holds for all policies at once.
+
+    Args:
+        estimates: of the same policies, with the log's own.
+        covered: (policies,) share of what each does that lies within what the log shows, from `coverage`; None: not known.
 
     Raises:
         UserError: no estimates, of different policies, or without the log's own policy.
@@ -78,13 +83,18 @@ def select(estimates: Sequence[Estimates]) -> Choice:
     first = estimates[0]
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
-    best = _safest(first)
+    shown = np.ones(len(first.names)) if covered is None else np.append(np.where(np.isnan(covered), 1.0, covered), 1.0)
+    if len(shown) != len(first.names):
+        raise UserError(f"covered must have a number for each of {len(first.names) - 1} policies, got {len(shown) - 1}")
+    best = _safest(first, shown)
     name, (difference, low, high) = first.names[best], gain(first, best)
     against = [each for each in estimates[1:] if _overlaps(each, best) and gain(each, best)[2] < 0]
     unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] against the log's own policy by {first.method}"
     if not _overlaps(first, best):
         assert first.effective is not None
         deploy, reason = False, f"{unit}, but its weights rest on {first.effective[best]:.1f} episodes"
+    elif shown[best] < MOSTLY:
+        deploy, reason = False, f"{unit}, but only {shown[best]:.0%} of what it does is covered by the log"
     elif not np.isfinite(low):
         deploy, reason = False, f"{unit}, without an interval: an estimator with redraws or members gives one"
     elif against:
@@ -96,10 +106,10 @@ def select(estimates: Sequence[Estimates]) -> Choice:
     evidence = []
     for each in estimates[1:]:
         own = gain(each, best)
-        chosen = _safest(each)
+        chosen = _safest(each, shown)
         agrees = "agrees that it is best" if chosen == best else f"would choose {each.names[chosen]}"
         evidence.append(f"{each.method}: {own[0]:+.2f} [{own[1]:+.2f}, {own[2]:+.2f}], {agrees}")
-    warnings = [*first.warnings]
+    warnings = [*_uncovered(first.names, shown), *first.warnings]
     for each in estimates[1:]:
         # What concerns the choice: the overlap of others' weights, where the first knows nothing of it.
         if not _overlaps(each, best):
@@ -114,13 +124,21 @@ def _overlaps(found: Estimates, which: int) -> bool:
     return found.effective is None or bool(found.effective[which] >= FEW)
 
 
-def _safest(found: Estimates) -> int:
+def _uncovered(names: Sequence[str], shown: np.ndarray) -> list[str]:
+    """A warning where policies mostly do what the log does not show, else nothing."""
+    beyond = [f"{name} ({shown[i]:.0%})" for i, name in enumerate(names) if shown[i] < MOSTLY]
+    if not beyond:
+        return []
+    return [f"of what these do the log covers less than {MOSTLY:.0%}, and estimates of them are guesses: {', '.join(beyond)}"]
+
+
+def _safest(found: Estimates, shown: np.ndarray) -> int:
     """The policy to choose by these estimates alone; see `select`."""
     bootstrap = found.redraws is not None and len(found.redraws) >= BOOTSTRAP
 
-    def standing(i: int) -> tuple[bool, bool, float]:
+    def standing(i: int) -> tuple[bool, int, float]:
         difference, low, _ = gain(found, i, bonferroni=False)
         sure = low if bootstrap and np.isfinite(low) else difference
-        return bool(np.isfinite(difference)), _overlaps(found, i), sure
+        return bool(np.isfinite(difference)), int(_overlaps(found, i)) + int(shown[i] >= MOSTLY), sure
 
     return max((i for i, name in enumerate(found.names) if name != LOGGED), key=standing)

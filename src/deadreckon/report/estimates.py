@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from deadreckon.ope.coverage import LEVEL
 from deadreckon.ope.estimate import LOGGED
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
@@ -32,7 +33,9 @@ def section(page: Page) -> Markup | None:
     how = note(
         f"Values are discounted returns (factor {told['discount']:g}) of the policies' {manner}, with 95 % intervals. "
         "Gains are over the log's own policy, judged by the same method from the same redraws, at a level that holds for all "
-        "policies at once. The policy chosen has the gain with the highest lower end. "
+        "policies at once. Chosen, among those that mostly do what the log shows, is the gain with the highest lower end (of "
+        "few members: the highest gain). Within the log: the share of a policy's actions, in states of the log, that are no "
+        f"stranger than {LEVEL:.0%} of those taken there. "
         + (f"True values are means of {truth['episodes']} episodes." if truth else "")
     )
     drawn = tag("div", [_scatter(page, told, each) for each in told["results"]], class_="charts two") if truth else None
@@ -51,7 +54,7 @@ def _scatter(page: Page, told: dict[str, Any], result: dict[str, Any]) -> Markup
 
 def _table(told: dict[str, Any]) -> Markup:
     truth, results = told["truth"], told["results"]
-    heads = ["policy", *(["true value"] if truth else [])]
+    heads = ["policy", *(["true value"] if truth else []), "within the log"]
     for each in results:
         heads += [each["method"], "gain"]
     rows = []
@@ -61,6 +64,8 @@ def _table(told: dict[str, Any]) -> Markup:
         if truth:
             known = i < len(truth["mean"])
             cells.append(_cell(truth["mean"][i] if known else math.nan, truth["error"][i] if known else None))
+        share = told["covered"][i] if i < len(told["covered"]) else LEVEL
+        cells.append(tag("td", "not known" if share is None else f"{share:.0%}"))
         for each in results:
             cells.append(_range(each["value"][i], each["low"][i], each["high"][i]))
             cells.append(_range(*each["gain"][i]) if i < len(each["gain"]) else tag("td", number(None)))

@@ -10,7 +10,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
-from deadreckon.ope.estimate import Case, Estimates, Watcher
+from deadreckon.ope.coverage import LEVEL, coverage
+from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Watcher
 from deadreckon.ope.registry import as_estimator
 from deadreckon.ope.select import Choice, gain, select
 from deadreckon.policies import library, store
@@ -77,6 +78,7 @@ def judge(
     task: Task | str | None = None,
     episodes: int = 100,
     seed: int = 0,
+    model: BehaviorModel | None = None,
     watch: Watcher = lambda what, step, steps: None,
 ) -> Judged:
     """Estimates policies from a log, chooses one, and then looks into the simulator whether that was right.
@@ -91,6 +93,8 @@ def judge(
         task: where the estimates are checked; None checks nothing.
         episodes: of a policy there.
         seed: of everything random.
+        model: how the log's own policy is learned, to see what of the policies' actions the log covers; None: as the first
+            estimator with such a model does, or by default.
         watch: called while something is fitted.
 
     Raises:
@@ -114,7 +118,10 @@ def judge(
         out=None if out is None else Path(out) / "fits", watch=watch,
     )  # fmt: skip
     results = [each.on(case) for each in found]
-    choice = select(results)
+    if model is None:
+        model = next((m for each in found if isinstance(m := getattr(each, "model", None), BehaviorModel)), None)
+    covered = coverage(case, model)
+    choice = select(results, covered)
     truth = None
     if task is not None:
         seen = evaluate(policies, task, episodes=episodes, seed=seed, greedy=greedy, discount=discount).discounted
@@ -123,6 +130,7 @@ def judge(
     told = {
         "log": data.name, "discount": discount, "greedy": greedy, "seed": seed, "truth": truth,
         "policies": [{"name": name, "run": run, "seed": s} for name, (run, s) in zip(names, owners)],
+        "covered": [None if np.isnan(share) else float(share) for share in covered],
         "results": [
             {"method": each.method, "value": each.value.tolist(), "low": each.low.tolist(), "high": each.high.tolist(),
              "gain": [list(gain(each, i)) for i in range(len(names))], "seconds": each.seconds, "warnings": list(each.warnings),
@@ -152,6 +160,15 @@ def checked(told: dict[str, Any]) -> str:
         f"in the simulator {names[chosen]} has {means[chosen]:.2f} ± {truth['error'][chosen]:.2f} and is number {rank} of "
         f"{len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of {lost:.2f}{share}"
     )
+
+
+def coverages(told: dict[str, Any]) -> str:
+    """How much of what each policy does the log covers, a line each."""
+    names = [each["name"] for each in told["policies"]]
+    width = max(map(len, names))
+    shares = ["not known" if share is None else f"{share:.0%}" for share in told["covered"]]
+    lines = [f"  {name:<{width}}  {share}" for name, share in zip(names, shares)]
+    return "\n".join([f"actions within what the log shows ({LEVEL:.0%} of its own are)", *lines])
 
 
 def read_estimates(path: Path | str) -> dict[str, Any]:
