@@ -76,11 +76,11 @@ def test_what_the_log_does_not_cover_comes_last():
     choice = select([found], np.array([MOSTLY - 0.01, MOSTLY]))
     assert choice.name == "b"
     assert choice.deploy
-    assert choice.warnings == ("of what these do the log covers less than 67%, and estimates of them are guesses: a (66%)",)
+    assert choice.warnings == ("the log covers less than 67 % of what these do, estimates of them are guesses: a (66 %)",)
     alone = select([found], np.array([0.2, 0.1]))
     assert not alone.deploy
     assert alone.name == "a"
-    assert "but only 20% of what it does is covered by the log" in alone.reason
+    assert "but only 20 % of what it does is covered by the log" in alone.reason
     unknown = select([found], np.full(2, np.nan))
     assert (unknown.name, unknown.warnings) == ("a", ())
     with pytest.raises(UserError, match="a number for each of 2 policies, got 3"):

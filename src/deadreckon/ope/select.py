@@ -94,7 +94,7 @@ def select(estimates: Sequence[Estimates], covered: np.ndarray | None = None) ->
         assert first.effective is not None
         deploy, reason = False, f"{unit}, but its weights rest on {first.effective[best]:.1f} episodes"
     elif shown[best] < MOSTLY:
-        deploy, reason = False, f"{unit}, but only {shown[best]:.0%} of what it does is covered by the log"
+        deploy, reason = False, f"{unit}, but only {100 * shown[best]:.0f} % of what it does is covered by the log"
     elif not np.isfinite(low):
         deploy, reason = False, f"{unit}, without an interval: an estimator with redraws or members gives one"
     elif against:
@@ -126,10 +126,11 @@ def _overlaps(found: Estimates, which: int) -> bool:
 
 def _uncovered(names: Sequence[str], shown: np.ndarray) -> list[str]:
     """A warning where policies mostly do what the log does not show, else nothing."""
-    beyond = [f"{name} ({shown[i]:.0%})" for i, name in enumerate(names) if shown[i] < MOSTLY]
+    beyond = [f"{name} ({100 * shown[i]:.0f} %)" for i, name in enumerate(names) if shown[i] < MOSTLY]
     if not beyond:
         return []
-    return [f"of what these do the log covers less than {MOSTLY:.0%}, and estimates of them are guesses: {', '.join(beyond)}"]
+    few = f"less than {100 * MOSTLY:.0f} %"
+    return [f"the log covers {few} of what these do, estimates of them are guesses: {', '.join(beyond)}"]
 
 
 def _safest(found: Estimates, shown: np.ndarray) -> int:

@@ -11,7 +11,7 @@ from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
-from deadreckon.report.parts import figure, note, scroll
+from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number
 
 SHOWN = 25  # proposals in the table
@@ -90,7 +90,7 @@ def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
         cells += [tag("td", number(float(value))) for value in values]
         cells += [tag("td", number(v) if isinstance(v, float) else str(v)) for v in (table[name][k] for name in names)]
         rows.append(tag("tr", cells))
-    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in heads]))
+    head = heads_of(heads)
     left = len(table) - len(names)
     more = f" {left:,} more variables are in the CSV." if left else ""
     which = f"{len(order)} that promise most" if made.promises else f"first {len(order)}"

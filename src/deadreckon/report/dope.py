@@ -11,7 +11,7 @@ from deadreckon.ope.dope import METRICS, TRIED, Cell, Result, cells
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
-from deadreckon.report.parts import figure, note, scroll
+from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number, words
 from deadreckon.runs.evaluate import Interval
 
@@ -99,7 +99,7 @@ def _table(heading: str, found: dict[str, dict[str, Cell]], methods: list[str]) 
             small += [f"thesis {number(printed[0])} ±{number(printed[1])}"] if printed else []
             tds.append(tag("td", tag("b", number(cell.mean if cell else None)), [tag("small", line) for line in small]))
         rows.append(tag("tr", tds))
-    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in ("log", *methods)]))
+    head = heads_of(("log", *methods))
     return join(tag("h3", heading), scroll(tag("table", head, tag("tbody", rows))))
 
 
@@ -119,7 +119,7 @@ def _risks(results: Sequence[Result]) -> Markup:
         if np.isfinite(r.estimates).all():
             found = [tag("td", number(x)) for x in r.risks()]
             rows.append(tag("tr", tag("th", r.log, scope="row"), tag("td", r.method), found))
-    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in ("log", "estimator", *heads)]))
+    head = heads_of(("log", "estimator", *heads))
     text = note(
         f"SharpeRatio@{TRIED}: what the best of the {TRIED} policies with the highest estimates gains over the log's own "
         f"policy, for the deviation among the {TRIED} (Kiyohara et al. 2024). Type I: of the policies truly worse than the "
@@ -135,5 +135,5 @@ def _settings(results: Sequence[Result]) -> Markup:
         rows.append(tag("tr", tag("th", r.log, scope="row"), tag("td", r.method), tag("td", number(r.seconds)),
                         tag("td", tag("code", r.settings), said, class_="text")))  # fmt: skip
     names = "log", "estimator", "seconds", "settings, warnings"
-    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in names]))
+    head = heads_of(names)
     return scroll(tag("table", head, tag("tbody", rows)))

@@ -8,8 +8,8 @@ from deadreckon.ope.estimate import LOGGED
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.parts import figure, note, scroll
-from deadreckon.report.text import number
+from deadreckon.report.parts import figure, heads_of, note, scroll
+from deadreckon.report.text import number, percent
 from deadreckon.runs.offline import checked
 
 
@@ -35,7 +35,7 @@ def section(page: Page) -> Markup | None:
         "Gains are over the log's own policy, judged by the same method from the same redraws, at a level that holds for all "
         "policies at once. Chosen, among those that mostly do what the log shows, is the gain with the highest lower end (of "
         "few members: the highest gain). Within the log: the share of a policy's actions, in states of the log, that are no "
-        f"stranger than {LEVEL:.0%} of those taken there. "
+        f"stranger than {100 * LEVEL:.0f} % of those taken there. "
         + (f"True values are means of {truth['episodes']} episodes." if truth else "")
     )
     drawn = tag("div", [_scatter(page, told, each) for each in told["results"]], class_="charts two") if truth else None
@@ -65,12 +65,12 @@ def _table(told: dict[str, Any]) -> Markup:
             known = i < len(truth["mean"])
             cells.append(_cell(truth["mean"][i] if known else math.nan, truth["error"][i] if known else None))
         share = told["covered"][i] if i < len(told["covered"]) else LEVEL
-        cells.append(tag("td", "not known" if share is None else f"{share:.0%}"))
+        cells.append(tag("td", "not known" if share is None else percent(share)))
         for each in results:
             cells.append(_range(each["value"][i], each["low"][i], each["high"][i]))
             cells.append(_range(*each["gain"][i]) if i < len(each["gain"]) else tag("td", number(None)))
         rows.append(tag("tr", cells))
-    head = tag("thead", tag("tr", [tag("th", name, scope="col") for name in heads]))
+    head = heads_of(heads)
     return tag("table", head, tag("tbody", rows))
 
 

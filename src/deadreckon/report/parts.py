@@ -1,5 +1,6 @@
 """Pieces that several sections share."""
 
+from collections.abc import Iterable
 from typing import Any
 
 from deadreckon.report import charts
@@ -30,3 +31,8 @@ def unit_of(page: Page) -> str:
 def scroll(table: Markup) -> Markup:
     """A table that scrolls by itself where the page is narrow."""
     return tag("div", table, class_="scroll", tabindex="0", role="region", aria_label="table, scrolls sideways")
+
+
+def heads_of(names: Iterable[str]) -> Markup:
+    """A table's head; names such as MB-FF stay on one line."""
+    return tag("thead", tag("tr", [tag("th", name.replace("-", "\N{NON-BREAKING HYPHEN}"), scope="col") for name in names]))

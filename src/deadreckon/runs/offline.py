@@ -166,9 +166,9 @@ def coverages(told: dict[str, Any]) -> str:
     """How much of what each policy does the log covers, a line each."""
     names = [each["name"] for each in told["policies"]]
     width = max(map(len, names))
-    shares = ["not known" if share is None else f"{share:.0%}" for share in told["covered"]]
+    shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in told["covered"]]
     lines = [f"  {name:<{width}}  {share}" for name, share in zip(names, shares)]
-    return "\n".join([f"actions within what the log shows ({LEVEL:.0%} of its own are)", *lines])
+    return "\n".join([f"actions within what the log shows ({100 * LEVEL:.0f} % of its own are)", *lines])
 
 
 def read_estimates(path: Path | str) -> dict[str, Any]:
