@@ -6,6 +6,7 @@ import pytest
 from deadreckon.agents.bc import BC
 from deadreckon.collect import generate
 from deadreckon.errors import UserError
+from deadreckon.files import write_json
 from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
 from deadreckon.report import write
 from deadreckon.runs.offline import checked, gather, judge, read_estimates
@@ -58,6 +59,14 @@ def test_the_page_shows_it(made):
     assert 'id="estimates"' not in plain
     with pytest.raises(UserError, match="no estimates in"):
         write([folder / "bc"], folder / "page.html", estimates=folder)
+
+
+def test_estimates_from_before_coverage_was_told(made, tmp_path):
+    folder, _, (_, _, told) = made
+    assert len(told["covered"]) == 2
+    write_json(tmp_path / "estimates.json", {name: value for name, value in told.items() if name != "covered"})
+    assert read_estimates(tmp_path)["covered"] == [None, None]
+    assert "within the log" in write([folder / "bc"], tmp_path / "page.html", estimates=tmp_path).read_text()
 
 
 def test_where_policies_come_from(made):

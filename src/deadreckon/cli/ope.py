@@ -71,7 +71,7 @@ def ope(args: Sequence[str]) -> None:
         return None
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
-    from deadreckon.ope.estimate import BehaviorModel
+    from deadreckon.ope.coverage import MODEL
     from deadreckon.ope.registry import with_fields
     from deadreckon.runs.offline import checked, coverages, judge
 
@@ -84,7 +84,7 @@ def ope(args: Sequence[str]) -> None:
     with Watch() as watch:
         judged = judge(
             options.policies, data, found, out=options.out, discount=options.discount, greedy=options.greedy, task=options.task,
-            seed=options.seed, model=with_fields(BehaviorModel(), _changes(options.fits)), watch=watch,
+            seed=options.seed, model=with_fields(MODEL, _changes(options.fits)), watch=watch,
         )  # fmt: skip
     for each in judged.estimates:
         print(f"{each}\n")

@@ -289,7 +289,7 @@ class Case:
         assert self.out is not None
         columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
-            "learner": str(learner), "steps": steps, "log": self.data.fingerprint, "policies": self._manner, "columns": columns,
+            "learner": str(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self._manner, "columns": columns,
             "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)

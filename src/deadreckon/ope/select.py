@@ -110,6 +110,8 @@ def select(estimates: Sequence[Estimates], covered: np.ndarray | None = None) ->
         agrees = "agrees that it is best" if chosen == best else f"would choose {each.names[chosen]}"
         evidence.append(f"{each.method}: {own[0]:+.2f} [{own[1]:+.2f}, {own[2]:+.2f}], {agrees}")
     warnings = [*_uncovered(first.names, shown), *first.warnings]
+    if covered is not None and np.isnan(covered[best]):
+        warnings.append(f"the log is too short to tell how much of what {name} does it covers")
     for each in estimates[1:]:
         # What concerns the choice: the overlap of others' weights, where the first knows nothing of it.
         if not _overlaps(each, best):
@@ -129,8 +131,7 @@ def _uncovered(names: Sequence[str], shown: np.ndarray) -> list[str]:
     beyond = [f"{name} ({100 * shown[i]:.0f} %)" for i, name in enumerate(names) if shown[i] < MOSTLY]
     if not beyond:
         return []
-    few = f"less than {100 * MOSTLY:.0f} %"
-    return [f"the log covers {few} of what these do, estimates of them are guesses: {', '.join(beyond)}"]
+    return [f"the log covers less than half of what these do, and estimates of them are guesses: {', '.join(beyond)}"]
 
 
 def _safest(found: Estimates, shown: np.ndarray) -> int:

@@ -35,7 +35,7 @@ def section(page: Page) -> Markup | None:
         "Gains are over the log's own policy, judged by the same method from the same redraws, at a level that holds for all "
         "policies at once. Chosen, among those that mostly do what the log shows, is the gain with the highest lower end (of "
         "few members: the highest gain). Within the log: the share of a policy's actions, in states of the log, that are no "
-        f"stranger than {100 * LEVEL:.0f} % of those taken there. "
+        f"less likely there than {100 * LEVEL:.0f} % of the log's own. "
         + (f"True values are means of {truth['episodes']} episodes." if truth else "")
     )
     drawn = tag("div", [_scatter(page, told, each) for each in told["results"]], class_="charts two") if truth else None
@@ -64,8 +64,7 @@ def _table(told: dict[str, Any]) -> Markup:
         if truth:
             known = i < len(truth["mean"])
             cells.append(_cell(truth["mean"][i] if known else math.nan, truth["error"][i] if known else None))
-        share = told["covered"][i] if i < len(told["covered"]) else LEVEL
-        cells.append(tag("td", "not known" if share is None else percent(share)))
+        cells.append(tag("td", percent(told["covered"][i] if i < len(told["covered"]) else None)))
         for each in results:
             cells.append(_range(each["value"][i], each["low"][i], each["high"][i]))
             cells.append(_range(*each["gain"][i]) if i < len(each["gain"]) else tag("td", number(None)))

@@ -10,7 +10,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
-from deadreckon.ope.coverage import LEVEL, coverage
+from deadreckon.ope.coverage import LEVEL, MODEL, coverage
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Watcher
 from deadreckon.ope.registry import as_estimator
 from deadreckon.ope.select import Choice, gain, select
@@ -78,7 +78,7 @@ def judge(
     task: Task | str | None = None,
     episodes: int = 100,
     seed: int = 0,
-    model: BehaviorModel | None = None,
+    model: BehaviorModel = MODEL,
     watch: Watcher = lambda what, step, steps: None,
 ) -> Judged:
     """Estimates policies from a log, chooses one, and then looks into the simulator whether that was right.
@@ -93,8 +93,7 @@ def judge(
         task: where the estimates are checked; None checks nothing.
         episodes: of a policy there.
         seed: of everything random.
-        model: how the log's own policy is learned, to see what of the policies' actions the log covers; None: as the first
-            estimator with such a model does, or by default.
+        model: how the log's own policy is learned, to see what of the policies' actions the log covers.
         watch: called while something is fitted.
 
     Raises:
@@ -117,10 +116,8 @@ def judge(
         data, policies, discount=discount, seed=seed, greedy=greedy, names=names, logged=True,
         out=None if out is None else Path(out) / "fits", watch=watch,
     )  # fmt: skip
-    results = [each.on(case) for each in found]
-    if model is None:
-        model = next((m for each in found if isinstance(m := getattr(each, "model", None), BehaviorModel)), None)
     covered = coverage(case, model)
+    results = [each.on(case) for each in found]
     choice = select(results, covered)
     truth = None
     if task is not None:
@@ -181,6 +178,9 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
     path = path / NAME if path.is_dir() else path
     if not path.exists():
         raise UserError(f"no estimates in {path}; `deadreckon ope --out FOLDER` writes them")
-    return read_json(path)
+    told = read_json(path)
+    # Files from before coverage was told.
+    told.setdefault("covered", [None] * len(told["policies"]))
+    return told
 
 
