@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 import deadreckon as dr
-from deadreckon.agents import MBPO, MVE, PETS, PPO, SAC, STEVE
+from deadreckon.agents import MBPO, MVE, PETS, PPO, SAC, SLBO, STEVE
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.modelled import PRESETS
 from deadreckon.cli.main import cache_compiled_programs
@@ -51,7 +51,7 @@ def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
         # SAC with as many updates a step as MBPO, and as it usually is.
         "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
         "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting)),
-                   "ppo": (PPO(), Online(**PPO.acting(task)))},
+                   "slbo": (SLBO(), Online(**SLBO.acting(task))), "ppo": (PPO(), Online(**PPO.acting(task)))},
         "pets": {"pets": (PETS(), Online(**PETS.acting(task))), "pets-small": (PETS.small(), Online(**PETS.acting(task)))},
         "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (3, 5)},
         "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},

@@ -17,6 +17,7 @@ UPDATES = SETTINGS.updates(100)
 MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "model_epochs": 2, "model_every": 20}
 OWN = {
     "mbpo": {"rollouts": 3, "keep": 40},
+    "slbo": {"members": 1, "elites": 1, "rollouts": 2, "length": 10},
     "pets": {"horizon": 3, "population": 10, "chosen": 2, "iterations": 2, "particles": 2},
 }
 ONLINE = [name for name in AGENTS if agent_class(name).online and not agent_class(name).discrete]
@@ -39,7 +40,7 @@ def job(name, seeds, bad=None, **fields):
 
 
 def test_all_are_looked_at():
-    assert set(ONLINE) == {"sac", "ppo", "mbpo", "pets", "mve", "steve"}
+    assert set(ONLINE) == {"sac", "ppo", "mbpo", "pets", "slbo", "mve", "steve"}
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.pets import PETS
     from deadreckon.agents.ppo import PPO
     from deadreckon.agents.sac import SAC
+    from deadreckon.agents.slbo import SLBO
     from deadreckon.agents.steve import STEVE
     from deadreckon.agents.td3 import TD3
     from deadreckon.agents.td3_bc import TD3BC
@@ -32,6 +33,7 @@ AGENTS = {
     "ppo": ("ppo", "PPO", "clipped policy gradients on the last block of steps, --online only (Schulman et al. 2017)"),
     "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
     "pets": ("pets", "PETS", "actions planned in an ensemble at every step, --online only (Chua et al. 2018)"),
+    "slbo": ("slbo", "SLBO", "PPO on whole episodes made up by a model, --online only (Luo et al. 2019)"),
     "mve": ("mve", "MVE", "SAC with targets after some steps in a model, --online only (Feinberg et al. 2018; thesis 5.4)"),
     "steve": ("steve", "STEVE", "SAC with targets of all horizons, weighted by certainty, --online only (Buckman et al. 2018)"),
     "mopo": ("mopo", "MOPO", "SAC on rollouts in a model of the log, rewards lowered by its deviation (Yu et al. 2020)"),
@@ -54,6 +56,7 @@ __all__ = [
     "PETS",
     "PPO",
     "SAC",
+    "SLBO",
     "STEVE",
     "TD3",
     "TD3BC",

@@ -4,12 +4,14 @@ from deadreckon.agents.agent import Agent
 from deadreckon.agents.mbpo import MBPO
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.agents.ppo import PPO
+from deadreckon.agents.slbo import SLBO
 from deadreckon.collect.imagined import Imagination
 from deadreckon.collect.modelled import Modelling
 from deadreckon.collect.on_policy import OnPolicy
 from deadreckon.collect.online import Exploration
+from deadreckon.collect.virtual import Virtual
 
-_KINDS: dict[type[Agent], type[Exploration]] = {MBPO: Imagination, ModelledOnline: Modelling, PPO: OnPolicy}
+_KINDS: dict[type[Agent], type[Exploration]] = {MBPO: Imagination, SLBO: Virtual, ModelledOnline: Modelling, PPO: OnPolicy}
 
 
 def experience_of(agent: Agent) -> type[Exploration]:

@@ -9,16 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.ppo import PPO
-from deadreckon.collect.online import Exploration, unpacked
+from deadreckon.collect.online import Exploration
 
 
 class OnPolicy(Exploration):
     """What the policies did in the last block, as `PPO.digest` sees it."""
 
     def _begin(self, agent: PPO) -> None:
-        own = "observation", "action", "behavior_log_prob", "return_to_go", "advantage"
-        columns = {name: self.columns.get(name, ()) for name in own}
-        self.fields = {name: (each, np.dtype(np.float32)) for name, each in columns.items()}
+        self.fields = learned_fields(self.columns)
 
     @property
     def count(self) -> int:
@@ -29,25 +27,27 @@ class OnPolicy(Exploration):
         """See `Experience`; observations of the block before, at first the random ones, are standardised with from here on."""
         self._collect(learner, states, roots, self.settings.explore)
         known = self.settings.explore if self.environment_steps == self.settings.explore else self.settings.block
-        states = _observing(learner, states, self._last(known)["observation"])
+        states = observing(learner, states, self.last(known)["observation"])
         self._collect(learner, states, roots, self.settings.steps(step + self.block))
-        rows = self._last(self.settings.block)
+        rows = self.last(self.settings.block)
         by_copy = {name: column.reshape(len(roots), -1, self.copies, *column.shape[2:]) for name, column in rows.items()}
-        return _digest(tuple(self.fields), learner, states, by_copy)
+        return digested(tuple(self.fields), learner, states, by_copy)
 
-    def _last(self, steps: int) -> dict[str, Float[Array, "l n *s"]]:
-        """Columns of the last rows of all lanes."""
-        rows = jax.lax.dynamic_slice_in_dim(self.replay.buffer, self.environment_steps - steps, steps, 1)
-        return unpacked(rows, self.columns)
+
+def learned_fields(columns: dict[str, tuple[int, ...]]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """What `PPO.digest` makes of rows with these columns."""
+    own = "observation", "action", "behavior_log_prob", "return_to_go", "advantage"
+    return {name: (columns.get(name, ()), np.dtype(np.float32)) for name in own}
 
 
 @eqx.filter_jit
-def _observing(learner: Any, states: Any, observation: Float[Array, "l n o"]) -> Any:
+def observing(learner: Any, states: Any, observation: Float[Array, "l n o"]) -> Any:
+    """The states, which have seen some more observations."""
     return jax.vmap(lambda agent, state, seen: agent.observing(state, seen))(learner, states, observation)
 
 
 @eqx.filter_jit
-def _digest(names: tuple[str, ...], learner: Any, states: Any, rows: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
+def digested(names: tuple[str, ...], learner: Any, states: Any, rows: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
     """The states, and the columns of all rows, in the order of `names`, in one matrix a lane."""
     states, columns = jax.vmap(lambda agent, state, own: agent.digest(state, own))(learner, states, rows)
     lanes = len(rows["reward"])

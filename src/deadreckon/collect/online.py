@@ -176,6 +176,11 @@ class Exploration:
         self._collect(learner, states, roots, self.settings.steps(step + self.block))
         return states, {"packed": self.replay.buffer}
 
+    def last(self, steps: int) -> dict[str, Float[Array, "l n *s"]]:
+        """Columns of the last rows of all lanes."""
+        rows = jax.lax.dynamic_slice_in_dim(self.replay.buffer, self.environment_steps - steps, steps, 1)
+        return unpacked(rows, self.columns)
+
     def _collect(self, learner: Any, states: Any, roots: PRNGKeyArray, due: int) -> None:
         """Acts until there are so many rows."""
         rows = [self._step(learner, states, roots, at) for at in range(self.replay.count, due, self.copies)]

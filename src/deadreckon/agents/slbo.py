@@ -1,0 +1,60 @@
+"""SLBO (Luo et al. 2019): a policy that improves on whole episodes made up by a model, from initial states (thesis 5.4).
+
+By turns a model is fitted to all real steps and the policy learns from what it does in the model, in long rollouts that begin
+where real episodes do: Algorithm 2 there, with PPO in the place of TRPO and the model's squared errors of one step in the place
+of a norm over two. `collect.virtual` makes the episodes.
+"""
+
+import dataclasses
+from typing import Any, ClassVar, NamedTuple
+
+import optax
+from jaxtyping import PRNGKeyArray
+
+from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.agents.ppo import PPO, Moments
+from deadreckon.data.spec import Spec
+from deadreckon.dynamics import Ensemble, Gaussian
+from deadreckon.nets.mlp import MLP
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """PPO's, and the model."""
+
+    actor: MLP
+    critic: MLP
+    opt: optax.OptState
+    observations: Moments
+    returns: Moments
+    model: Ensemble
+
+
+class SLBO(ModelledOnline, PPO):
+    """PPO on episodes in a deterministic model."""
+
+    online: ClassVar[bool] = True
+    offline: ClassVar[bool] = False
+
+    members: int = static(1)  # networks of the model
+    elites: int = static(1)  # of them are believed
+    model_hidden: tuple[int, ...] | None = static((500, 500))  # width of each hidden layer of the model
+    model_decay: tuple[float, ...] = static((1e-5, 1e-5, 1e-5))  # of half the squared weights, layer by layer
+    hidden: tuple[int, ...] = static((32, 32))  # width of each hidden layer, tanh
+    entropy_weight: float = 0.005  # of the policy's entropy
+    rollouts: int = static(4)  # made up side by side for each block of updates
+    length: int = static(1000)  # steps of each; where an episode ends another begins
+
+    @classmethod
+    def acting(cls, task: str) -> dict[str, Any]:
+        """25 real steps, then ten passes over 4,000 made-up ones in batches of 64: 250 times as many as real ones in all."""
+        return {"copies": 5, "explore": 5000, "updates_per_step": 25, "block": 25}
+
+    @property
+    def model(self) -> Gaussian:
+        """One network that says what follows, without chance."""
+        return dataclasses.replace(super().model, deterministic=True)
+
+    def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
+        """PPO's state, and the model."""
+        return State(*PPO.init(self, spec, key), self.unfitted(spec, key))

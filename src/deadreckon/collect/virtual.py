@@ -1,0 +1,80 @@
+"""Experience in a model from beginning to end: whole episodes that SLBO's policy makes up, learned from once."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.agents.slbo import SLBO
+from deadreckon.collect.modelled import Modelling
+from deadreckon.collect.on_policy import digested, learned_fields, observing
+from deadreckon.dynamics import transition
+from deadreckon.policies.policy import Step
+
+_VIRTUAL = 7  # purpose of randomness, beside those of `training.fit` and `collect.imagined`
+STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model
+
+
+class Virtual(Modelling):
+    """Real steps, a model fitted to them, and what the policy has just done in that model, as `PPO.digest` sees it."""
+
+    def _begin(self, agent: Any) -> None:
+        super()._begin(agent)
+        self.agent: SLBO = agent
+        self.fields = learned_fields(self.columns)
+        self._starts, self._turn = jnp.zeros((0, 0, 0)), -1
+
+    @property
+    def count(self) -> int:
+        """See `Experience`."""
+        return self.agent.rollouts * self.agent.length
+
+    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+        """See `Experience`; real observations are standardised with once they are seen."""
+        before = self.environment_steps
+        states, _ = super().extend(learner, states, roots, step)
+        states = observing(learner, states, self.last(self.environment_steps - before)["observation"])
+        turn = step // self.block // self._turns
+        if turn != self._turn:
+            self._starts, self._turn = jnp.asarray(np.stack([self._begun(lane, turn) for lane in range(len(self.seeds))])), turn
+        rows = _lived(learner, states, self._starts, roots, jnp.int32(step), self.agent.rollouts, self.agent.length)
+        return digested(tuple(self.fields), learner, states, rows)
+
+    def _begun(self, lane: int, turn: int) -> Float[np.ndarray, "n o"]:
+        """Initial states of real episodes, of those that were there when the model was fitted."""
+        steps = self.settings.explore + turn * self._turns * self.settings.block
+        rows = self.real(lane)[:steps]
+        over = (rows[: steps - self.copies, -2:] > 0).any(1)  # terminal or timeout; a copy's next row is a start
+        first = np.concatenate([np.arange(self.copies), np.flatnonzero(over) + self.copies])
+        rng = np.random.default_rng([self.seeds[lane], _VIRTUAL, turn])
+        return rows[rng.choice(first, STARTS), : self.spec.observation_size]
+
+
+@eqx.filter_jit
+def _lived(
+    learner: Any, states: Any, starts: Float[Array, "l s o"], roots: PRNGKeyArray, step: Array, rollouts: int, length: int
+) -> dict[str, Array]:
+    """Steps (lanes, length, rollouts, ...) of the policies in their models."""
+
+    def one(agent: SLBO, state: Any, starts: Array, root: PRNGKeyArray) -> dict[str, Array]:
+        policy = agent.policy(state)
+        key = jax.random.fold_in(jax.random.fold_in(root, _VIRTUAL), step)
+        some = lambda k: starts[jax.random.randint(k, (rollouts,), 0, len(starts))]  # noqa: E731
+
+        def ahead(seen: Array, t: Array) -> tuple[Array, dict[str, Array]]:
+            k_act, k_next, k_new = jax.random.split(jax.random.fold_in(key, t), 3)
+            here = Step(seen, jnp.zeros(rollouts), jnp.zeros(rollouts, bool))
+            action = policy.act(here, policy.start(rollouts), k_act, greedy=False)[0]
+            reward, following, over, lost = transition(agent.model, state.model, agent.over, seen, action, k_next)
+            # A step whose numbers went bad is none: the episode is cut off where it was.
+            following = jnp.where(lost[:, None], seen, following)
+            row = {"observation": seen, "action": action, "reward": jnp.where(lost, 0.0, reward), "next_observation": following,
+                   "terminal": 1.0 * (over & ~lost), "timeout": 1.0 * lost}  # fmt: skip
+            return jnp.where((over | lost)[:, None], some(k_new), following), row
+
+        return jax.lax.scan(ahead, some(key), jnp.arange(length))[1]
+
+    return jax.vmap(one)(learner, states, starts, roots)
