@@ -1,0 +1,153 @@
+"""1,000 environment steps of MBPO on Hopper without the simulator, beside a loop in PyTorch: fitting, rollouts, updates apart.
+
+    python benchmarks/mbpo.py            # two cores, five repeats, about ten minutes
+
+Both do the same arithmetic on the same numbers of rows: an epoch of seven networks of 4 x 200 on 16,000 rows in batches of
+256, and their errors on 4,000; 100,000 steps of the policy in the model, each by one of five networks; an update of SAC with
+2 x 256 units on 256 rows. Per 1,000 environment steps there are 4 fits of 10 epochs (`EPOCHS`; how many it takes depends on the
+data), 4 times 100,000 made-up steps, and 20,000 updates. The two processes take turns.
+"""
+
+import argparse
+import os
+import statistics
+import sys
+from pathlib import Path
+from typing import Any
+
+import peers
+import protocol
+
+ROWS, HELD, MADE_UP, OBSERVATION, ACTION = 20_000, 4_000, 100_000, 11, 3
+EPOCHS, FITS, UPDATES, SLICE = 10, 4, 20_000, 500
+PARTS = {"fit": FITS * EPOCHS, "rollout": FITS, "update": UPDATES}  # units of each in 1,000 environment steps
+UNITS = {"fit": "an epoch", "rollout": "100,000 steps", "update": "an update"}
+PROMISE = 3.0
+
+
+def rows(seed: int = 0) -> dict[str, Any]:
+    """Transitions of a smooth made-up system; only their shapes matter for speed."""
+    import numpy as np
+
+    rng = np.random.default_rng(seed)
+    seen, action = rng.standard_normal((ROWS, OBSERVATION)), rng.uniform(-1, 1, (ROWS, ACTION))
+    moved = seen + 0.1 * np.tanh(seen) + 0.1 * action @ rng.standard_normal((ACTION, OBSERVATION))
+    columns = {"observation": seen, "action": action, "reward": seen[:, 0], "next_observation": moved}
+    columns["terminal"] = np.zeros(ROWS)
+    return {name: column.astype(np.float32) for name, column in columns.items()}
+
+
+def ours() -> dict[str, Any]:
+    """What a unit of each part is, by this package."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from deadreckon.agents import MBPO
+    from deadreckon.data.batch import Rows
+    from deadreckon.data.dataset import Dataset
+    from deadreckon.data.spec import Box, Spec
+    from deadreckon.dynamics import branches, packed
+    from deadreckon.training.fit import Fit
+
+    space = Box([-1.0] * ACTION, [1.0] * ACTION)
+    agent = MBPO(ends="learned").resolve(Spec.empty((OBSERVATION,), space, "hopper"), 1)
+    spec = Spec.empty((OBSERVATION,), space, "hopper")
+    columns = rows()
+    # All epochs are done: patience never ends.
+    trainer = agent.trainer.__class__(elites=agent.elites, patience=10**6, most_epochs=EPOCHS)
+    held: dict[str, Any] = {}
+    never = lambda seen: jnp.zeros(len(seen), bool)  # noqa: E731
+
+    def fit() -> int:
+        held["model"], _ = trainer.fit(agent.model, spec, columns, 0, held.get("model"))
+        return EPOCHS
+
+    def rollout() -> int:
+        starts = jnp.asarray(columns["observation"][np.random.default_rng(0).integers(ROWS, size=MADE_UP)])
+        found = packed(branches(agent.model, held["model"], agent.policy(held["state"]), starts, 1, jax.random.key(0), never))
+        assert found.shape == (MADE_UP, 2 * OBSERVATION + ACTION + 2)
+        return 1
+
+    log = Dataset.from_arrays(
+        observations=columns["observation"], actions=columns["action"], rewards=columns["reward"],
+        terminals=columns["terminal"] > 0, final_observations=columns["next_observation"][-1:],
+        timeouts=np.arange(ROWS) == ROWS - 1, action_space=space, name="noise",
+    )  # fmt: skip
+    walk = Fit([agent], Rows(log, agent.needs(log.spec)), [0], 10**9, chunk=SLICE).chunks()
+    held["state"] = agent.init(spec, jax.random.key(0))
+
+    def update() -> int:
+        jax.block_until_ready(next(walk).states)
+        return SLICE
+
+    return {"fit": fit, "rollout": rollout, "update": update}
+
+
+def serve(parts: dict[str, Any]) -> None:
+    """Answers how many seconds a unit takes."""
+    import time
+
+    def timed(request: dict[str, Any]) -> dict[str, Any]:
+        start = time.perf_counter()
+        made = parts[request["part"]]()
+        return {"seconds": (time.perf_counter() - start) / made}
+
+    protocol.serve({"time": timed})
+
+
+def report(arguments: argparse.Namespace) -> int:
+    """Measures by turns, and prints."""
+    peer = arguments.peer_python or peers.setup(sys.executable)
+    here, threads = Path(__file__), str(arguments.threads)
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "OMP_NUM_THREADS": threads}
+    workers = {
+        "deadreckon": protocol.Worker("deadreckon", [sys.executable, str(here), "--serve"], environment, 600),
+        "pytorch": protocol.Worker("pytorch", [str(peer), str(here.with_name("peer_mbpo.py")), threads], environment, 600),
+    }
+    found: dict[str, dict[str, list[float]]] = {part: {name: [] for name in workers} for part in PARTS}
+    try:
+        for i in range(arguments.repeats + 1):
+            for part, times in found.items():
+                for name, worker in workers.items():
+                    seconds = worker.ask("time", part=part)["seconds"]
+                    if i:  # the first compiles, or warms up
+                        times[name].append(seconds)
+    finally:
+        for worker in workers.values():
+            worker.close()
+    total: dict[str, list[float]] = {name: [0.0] * arguments.repeats for name in workers}
+    print("| part | deadreckon | PyTorch | ratio | deadreckon, in 1,000 environment steps |\n|---|---:|---:|---:|---:|")
+    for part, times in found.items():
+        own, other = (1e3 * statistics.median(times[name]) for name in workers)
+        ratio = statistics.median(b / a for a, b in zip(*times.values()))
+        unit = f"{part}: {UNITS[part]}"
+        print(f"| {unit} | {own:,.2f} ms | {other:,.2f} ms | {ratio:.2f} | {own * PARTS[part] / 1e3:,.1f} s |")
+        for name in workers:
+            total[name] = [t + PARTS[part] * s for t, s in zip(total[name], times[name])]
+    ratios = sorted(b / a for a, b in zip(*total.values()))
+    own, other = (statistics.median(seconds) for seconds in total.values())
+    ratio = statistics.median(ratios)
+    print(f"| all | {own:,.1f} s | {other:,.1f} s | {ratio:.2f} [{ratios[0]:.2f}, {ratios[-1]:.2f}] | {own:,.1f} s |")
+    return 0 if ratio >= PROMISE else 1
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peer-python", type=Path, help="Python with torch (default: .cache/peer, made if absent)")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--serve", action="store_true", help="what the driver starts")
+    arguments = parser.parse_args()
+    if arguments.serve:
+        serve(ours())
+        return 0
+    try:
+        return report(arguments)
+    except protocol.BenchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
