@@ -101,8 +101,11 @@ def test_a_linear_world_is_found(fitted):
     np.testing.assert_allclose(slopes[:2, :2], A, atol=0.04)
     np.testing.assert_allclose(slopes[:2, 2:], B, atol=0.04)
     np.testing.assert_allclose(slopes[2], [1.0, 0.0, -1.0], atol=0.05)
-    deviation = jnp.exp(0.5 * jax.vmap(model._heads)(ensemble.best()["nets"], ensemble.best()["bounds"], seen)[1])
-    np.testing.assert_allclose(np.asarray(deviation).mean((0, 1))[:2], NOISE, rtol=0.25)
+    # The noise where the data is: at its edge, where few rows are, networks differ from machine to machine.
+    fresh = linear(500, seed=1)
+    inputs = ensemble.standardise(np.concatenate([fresh["observation"], fresh["action"]], 1))
+    _, log_variance, _ = model.heads(ensemble.best(), jnp.broadcast_to(inputs, (3, 500, 3)))
+    np.testing.assert_allclose(np.exp(0.5 * log_variance).mean((0, 1))[:2], NOISE, rtol=0.2)
 
 
 def test_intervals_are_calibrated_on_rows_held_out(fitted):

@@ -50,21 +50,27 @@ def picture(
         raise UserError(f"{path}: there is nothing to draw")
     if not any(len(e.curve(quantity)[0]) for entries in runs.values() for e in entries):
         raise UserError(f"{path}: none of the runs has a column {quantity!r}")
-    columns = min(columns, len(runs))
-    width, height = PANEL
-    keys = _legend([(names or {}).get(label, label) for label in labels], columns * width)
-    below = keys[1]
-    drawn = []
-    for i, (title, entries) in enumerate(runs.items()):
+    drawn = {}
+    for title, entries in runs.items():
         series = [_series(e, labels.index(e.folder.path.name), quantity) for e in entries if len(e.curve(quantity)[0])]
         lines = list((references or {}).get(title, {}).items())
-        chart = charts.lines(series, title=title, unit=quantity, size=PANEL, references=lines, symlog=symlog)
+        drawn[title] = charts.lines(series, title=title, unit=quantity, size=PANEL, references=lines, symlog=symlog)
+    return sheet(path, drawn, [(names or {}).get(label, label) for label in labels], columns)
+
+
+def sheet(path: Path | str, panels: Mapping[str, Markup], names: Sequence[str], columns: int = 2) -> Path:
+    """Charts of the size `PANEL` side by side in an SVG file, under a legend; the colour of `names[i]` is slot i."""
+    columns = min(columns, len(panels))
+    width, height = PANEL
+    keys, below = _legend(names, columns * width)
+    drawn = []
+    for i, (title, chart) in enumerate(panels.items()):
         x, y = i % columns * width, below + i // columns * (height + HEAD)
         placed = Markup(re.sub(r"^<svg ", f'<svg x="{x}" y="{y + HEAD}" width="{width}" height="{height}" ', chart))
         drawn.append(join(tag("text", title, x=x + 8, y=y + 18, class_="title"), placed))
-    full = columns * width, below + math.ceil(len(runs) / columns) * (height + HEAD)
+    full = columns * width, below + math.ceil(len(panels) / columns) * (height + HEAD)
     whole = tag(
-        "svg", tag("style", _style()), tag("rect", width="100%", height="100%", class_="back"), keys[0], drawn,
+        "svg", tag("style", _style()), tag("rect", width="100%", height="100%", class_="back"), keys, drawn,
         xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {full[0]} {full[1]}", width=full[0], height=full[1],
     )  # fmt: skip
     text = re.sub(r' data-hover="[^"]*"', "", whole)
@@ -77,7 +83,7 @@ def _series(entry: Entry, slot: int, quantity: str) -> charts.Series:
     return charts.Series.over_seeds(entry.label, slot % COLOURS, *entry.curve(quantity), dashed=slot >= COLOURS)
 
 
-def _legend(names: list[str], width: int) -> tuple[Markup, int]:
+def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
     """Names with their lines, as many a row as fit, and the height that they take."""
     parts, x, y = [], 12, 20
     for slot, name in enumerate(names):
