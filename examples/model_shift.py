@@ -8,6 +8,7 @@ divergence from the first policy, where the other one comes; the error is the sq
 of what is predicted, so that a model that always says the mean has an error of 1.
 """
 
+import dataclasses
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,17 +40,17 @@ class Options:
     policy: str = "medium"  # whose data the model learns from
     shares: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)  # of the later policy in what is judged
     near: int = 4  # so many of the first shares give the slope at no distance
-    rows: tuple[int, ...] = (2_500, 10_000, 40_000, 160_000)  # of data to learn from
+    rows: tuple[int, ...] = (2_500, 10_000, 40_000)  # of data to learn from
     judged: int = 10_000  # rows of each policy to judge with
     seeds: int = 3  # of data and models
-    epochs: int = 200  # of a fit, at most
+    epochs: int = 100  # of a fit, at most
     picture: str | None = None  # SVG file
 
 
 def towards(first: Deployed, later: Deployed, share: float) -> Any:
     """The first policy with its network moved a share of the way to the later one's."""
     inner = jax.tree.map(lambda a, b: a + share * (b - a), first.inner, later.inner)
-    return Deployed(inner, first.view)
+    return dataclasses.replace(first, inner=inner)
 
 
 def log_of(options: Options, policy: Deployed, rows: int, seed: int) -> Dataset:
