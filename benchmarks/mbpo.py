@@ -1,11 +1,12 @@
-"""1,000 environment steps of MBPO on Hopper without the simulator, beside a loop in PyTorch: fitting, rollouts, updates apart.
+"""The arithmetic of 1,000 environment steps of MBPO on Hopper, beside a loop in PyTorch: fitting, rollouts and updates apart.
 
     python benchmarks/mbpo.py            # two cores, five repeats, about ten minutes
 
 Both do the same arithmetic on the same numbers of rows: an epoch of seven networks of 4 x 200 on 16,000 rows in batches of
 256, and their errors on 4,000; 100,000 steps of the policy in the model, each by one of five networks; an update of SAC with
 2 x 256 units on 256 rows. Per 1,000 environment steps there are 4 fits of 10 epochs (`EPOCHS`; how many it takes depends on the
-data), 4 times 100,000 made-up steps, and 20,000 updates. The two processes take turns.
+data), 4 times 100,000 made-up steps, and 20,000 updates. Neither the simulator, nor acting, nor the shuffling of rows into the
+buffer is counted, on either side. The two processes take turns.
 """
 
 import argparse
@@ -100,6 +101,8 @@ def report(arguments: argparse.Namespace) -> int:
     """Measures by turns, and prints."""
     peer = arguments.peer_python or peers.setup(sys.executable)
     here, threads = Path(__file__), str(arguments.threads)
+    # XLA takes all cores that it may use, whatever OMP_NUM_THREADS says.
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: arguments.threads])
     environment = {**os.environ, "JAX_PLATFORMS": "cpu", "OMP_NUM_THREADS": threads}
     workers = {
         "deadreckon": protocol.Worker("deadreckon", [sys.executable, str(here), "--serve"], environment, 600),

@@ -5,7 +5,7 @@
 A model is fitted to more or less data of one policy of the library, and judged, without being fitted again, on what policies
 do that lie on the way to the next snapshot of the same training: their networks are mixtures of both. Distance is the mean KL
 divergence from the first policy, where the other one comes; the error is the squared error of the elites' means, in variances
-of what is predicted, so that a model that always says the mean has an error of 1.
+of what is predicted in the first policy's data, where a model that always says the mean has an error of 1.
 """
 
 import dataclasses
@@ -24,6 +24,7 @@ from deadreckon.collect.rollouts import Act, perform
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.dynamics import Gaussian, Trainer
 from deadreckon.dynamics.ensemble import rows_of
+from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.policies import library
 from deadreckon.policies.policy import Deployed
@@ -82,8 +83,10 @@ def error_of(model: Gaussian, ensemble: Any, columns: dict[str, np.ndarray], var
 def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Divergences (shares,) and errors (rows, shares)."""
     own = library.snapshot(options.task, options.policy)
-    later = next(s for s in library.library(options.task) if s.name.startswith("snapshot-") and s.updates > own.updates)
-    first, second = own.policy(), later.policy()
+    later = [s for s in library.library(options.task) if s.name.startswith("snapshot-") and s.updates > own.updates]
+    if not later:
+        raise UserError(f"{options.policy} is the last policy of {options.task}; name an earlier one")
+    first, second = own.policy(), later[0].policy()
     data = log_of(options, first, max(options.rows), 1000 + seed)
     policies = [towards(first, second, share) for share in options.shares]
     logs = [log_of(options, policy, options.judged, 2000 + 100 * seed + i) for i, policy in enumerate(policies)]
@@ -108,7 +111,7 @@ def main(options: Options) -> None:
     found = []
     for seed in range(options.seeds):
         found.append(measured(options, seed))
-        print(f"seed {seed} of {options.seeds} done", flush=True)
+        print(f"{seed + 1} of {options.seeds} seeds done", flush=True)
     apart, errors = (np.stack(part) for part in zip(*found))  # (seeds, shares), (seeds, rows, shares)
     heads = " | ".join(f"{kl:.3f}" for kl in apart.mean(0))
     print(f"\n| rows | error at a KL of {heads} | slope at 0 (least to greatest seed) |")

@@ -1,13 +1,16 @@
 """SLBO: episodes made up in the model from real starts, and a run that goes on where it stopped."""
 
+import dataclasses
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import deadreckon as dr
 from deadreckon.agents import SLBO
 from deadreckon.collect.online import Online
-from deadreckon.collect.virtual import Virtual
+from deadreckon.collect.virtual import Virtual, _lived
 from deadreckon.data.spec import Spec
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
@@ -59,6 +62,18 @@ def test_real_observations_are_standardised_with_and_probabilities_told(made):
     told = agent.policy(state).log_prob(rows[..., :4].reshape(-1, 4), rows[..., 4:5].reshape(-1, 1))
     np.testing.assert_allclose(rows[..., 5].reshape(-1), told, rtol=1e-3, atol=1e-4)
     assert experience.count == 36
+
+
+def test_what_goes_out_of_all_bounds_is_cut_off(made):
+    experience, agent, state, _ = made
+    last = state.model.params["nets"].biases[-1].at[..., 0].set(1e8)
+    nets = dataclasses.replace(state.model.params["nets"], biases=(*state.model.params["nets"].biases[:-1], last))
+    wild = state._replace(model=state.model._replace(params=state.model.params | {"nets": nets}))
+    lane = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (agent, wild))
+    rows = _lived(*lane, experience._starts, jax.random.split(jax.random.key(0), 1), 0, 3, 5)
+    assert (np.asarray(rows["timeout"]) == 1).all()
+    np.testing.assert_array_equal(rows["next_observation"], rows["observation"])
+    assert not np.asarray(rows["reward"]).any()
 
 
 @pytest.mark.slow

@@ -94,6 +94,23 @@ def test_short_logs_tell_nothing(episodes, length):
     assert np.isnan(coverage(Case(log(episodes, length), [bent(0.0, STD)]))).all()
 
 
+def test_a_long_episode_among_short_ones_is_learned_from():
+    """Held out it would leave the model too few rows."""
+    short, rng = log(60, 20), np.random.default_rng(1)
+    seen = rng.standard_normal((9000, 1))
+    actions = 2 * np.tanh(0.5 * seen + STD * rng.standard_normal(seen.shape))
+    long = Dataset.from_arrays(
+        observations=np.concatenate([short.observations, seen]), actions=np.concatenate([short.actions, actions]),
+        rewards=np.zeros(10_200), timeouts=np.concatenate([short.timeouts, np.arange(9000) == 8999]),
+        final_observations=np.zeros((61, 1)), action_space=Box([-2.0], [2.0]), name="long",
+    )  # fmt: skip
+    model, policies = BehaviorModel(hidden=(), steps=2000, lr=3e-3), [bent(0.0, STD), bent(6 * STD, 0.0)]
+    for seed in range(3):
+        same, far = coverage(Case(long, policies, seed=seed), model)
+        assert same > 0.9
+        assert far < 0.2
+
+
 def test_what_the_log_does_not_cover_comes_last():
     draws = np.random.default_rng(0).standard_normal((200, 2)) * 0.1 + [18.0, 3.0]
     found = estimates("FQE-L2", [18.0, 3.0], draws)

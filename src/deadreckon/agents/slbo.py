@@ -47,7 +47,7 @@ class SLBO(ModelledOnline, PPO):
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
-        """25 real steps, then ten passes over 4,000 made-up ones in batches of 64: 250 times as many as real ones in all."""
+        """25 real steps, then ten passes over 4,000 made-up ones in batches of 64."""
         return {"copies": 5, "explore": 5000, "updates_per_step": 25, "block": 25}
 
     @property

@@ -81,7 +81,7 @@ class Imagination(Modelling):
     def _refill(self, turn: int) -> None:
         """Puts what is learned from onto the device, for the turn that was the last."""
         made_up = np.concatenate([self._batches[t] for t in sorted(self._batches)], 1)
-        share, steps = self.agent.real, self.settings.explore + turn * self._turns * self.settings.block
+        share, steps = self.agent.real, self.known(turn)
         more = round(made_up.shape[1] * share / (1.0 - share))
         real = []
         for lane in range(len(self.seeds)):

@@ -33,7 +33,7 @@ class Modelling(Exploration):
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; a model that is due is fitted before the policies act, for some of them plan in it."""
         self._collect(learner, states, roots, self.settings.explore)
-        turn, rest = divmod(step // self.block, self._turns)
+        turn, rest = self.turn(step)
         if rest == 0:
             states = self._fitted(learner, states, turn)
         return super().extend(learner, states, roots, step)
@@ -54,6 +54,14 @@ class Modelling(Exploration):
         self.metrics["model_error"] = np.array([report.elite_error for report in reports])
         self.metrics["model_epochs"] = np.array([float(report.epochs) for report in reports])
         return states._replace(model=jax.tree.map(lambda *leaves: jnp.stack(leaves), *ensembles))
+
+    def turn(self, step: int) -> tuple[int, int]:
+        """Which fit of the model the block of updates from `step` on uses, and how many blocks came since."""
+        return divmod(step // self.block, self._turns)
+
+    def known(self, turn: int) -> int:
+        """Real steps that a fit knew."""
+        return self.settings.explore + turn * self._turns * self.settings.block
 
     def real(self, lane: int) -> Float[np.ndarray, "n w"]:
         """All real rows of a lane, as they are learned from."""

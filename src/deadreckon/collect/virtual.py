@@ -16,6 +16,7 @@ from deadreckon.policies.policy import Step
 
 _VIRTUAL = 7  # purpose of randomness, beside those of `training.fit` and `collect.imagined`
 STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model
+FAR = 100.0  # deviations of what was really seen, beyond which nothing is made up
 
 
 class Virtual(Modelling):
@@ -34,10 +35,12 @@ class Virtual(Modelling):
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; real observations are standardised with once they are seen."""
-        before = self.environment_steps
+        self._collect(learner, states, roots, self.settings.explore)
+        if self.environment_steps == self.settings.explore:
+            states = observing(learner, states, self.last(self.settings.explore)["observation"])
         states, _ = super().extend(learner, states, roots, step)
-        states = observing(learner, states, self.last(self.environment_steps - before)["observation"])
-        turn = step // self.block // self._turns
+        states = observing(learner, states, self.last(self.settings.block)["observation"])
+        turn, _ = self.turn(step)
         if turn != self._turn:
             self._starts, self._turn = jnp.asarray(np.stack([self._begun(lane, turn) for lane in range(len(self.seeds))])), turn
         rows = _lived(learner, states, self._starts, roots, jnp.int32(step), self.agent.rollouts, self.agent.length)
@@ -45,7 +48,7 @@ class Virtual(Modelling):
 
     def _begun(self, lane: int, turn: int) -> Float[np.ndarray, "n o"]:
         """Initial states of real episodes, of those that were there when the model was fitted."""
-        steps = self.settings.explore + turn * self._turns * self.settings.block
+        steps = self.known(turn)
         rows = self.real(lane)[:steps]
         over = (rows[: steps - self.copies, -2:] > 0).any(1)  # terminal or timeout; a copy's next row is a start
         first = np.concatenate([np.arange(self.copies), np.flatnonzero(over) + self.copies])
@@ -60,7 +63,7 @@ def _lived(
     """Steps (lanes, length, rollouts, ...) of the policies in their models."""
 
     def one(agent: SLBO, state: Any, starts: Array, root: PRNGKeyArray) -> dict[str, Array]:
-        policy = agent.policy(state)
+        policy, model, size = agent.policy(state), state.model, starts.shape[-1]
         key = jax.random.fold_in(jax.random.fold_in(root, _VIRTUAL), step)
         some = lambda k: starts[jax.random.randint(k, (rollouts,), 0, len(starts))]  # noqa: E731
 
@@ -68,8 +71,9 @@ def _lived(
             k_act, k_next, k_new = jax.random.split(jax.random.fold_in(key, t), 3)
             here = Step(seen, jnp.zeros(rollouts), jnp.zeros(rollouts, bool))
             action = policy.act(here, policy.start(rollouts), k_act, greedy=False)[0]
-            reward, following, over, lost = transition(agent.model, state.model, agent.over, seen, action, k_next)
-            # A step whose numbers went bad is none: the episode is cut off where it was.
+            reward, following, over, lost = transition(agent.model, model, agent.over, seen, action, k_next)
+            # A step out of all bounds leads nowhere and earns nothing, and the episode is cut off there.
+            lost |= (jnp.abs(following - model.mean[:size]) > FAR * model.std[:size]).any(-1)
             following = jnp.where(lost[:, None], seen, following)
             row = {"observation": seen, "action": action, "reward": jnp.where(lost, 0.0, reward), "next_observation": following,
                    "terminal": 1.0 * (over & ~lost), "timeout": 1.0 * lost}  # fmt: skip

@@ -1,9 +1,9 @@
 """How much of what a policy does lies within what the log shows; of the rest an estimate is extrapolation.
 
-A model of the policy that made the log tells how likely an action is where it is taken. An action is covered where that is no
-less than what 99 % of the log's own actions have. This bound comes from episodes that the model has not seen, and so holds for
-new ones of the log's own policy however well the model fits (split conformal prediction: Vovk et al. 2005, Lei et al. 2018);
-exactly if rows were independent, roughly where they come in episodes, of which it takes more than a few.
+A model of the policy that made the log tells how likely an action is where it is taken. An action is covered unless that is
+less than for all but the least likely 1 % of the log's own actions. This bound comes from episodes that the model has not seen,
+and so holds for new ones of the log's own policy however well the model fits (split conformal prediction: Vovk et al. 2005, Lei
+et al. 2018); exactly if rows were independent, roughly where they come in episodes, of which it takes more than a few.
 
 Actions are looked at in states of the log alone: a policy that is covered may still lead to states that the log never saw.
 """
@@ -24,8 +24,9 @@ from deadreckon.ope.estimate import BehaviorModel, Case
 
 LEVEL = 0.99  # of the log's own actions are covered
 MOSTLY = 0.5  # of what a policy does is to be covered; below, one is warned
-HELD = 0.1  # of the log's rows the bound comes from, but not fewer or more than so many:
-FEWEST, MOST = 200, 8192
+# The bound comes from this share of the log's rows, or more, to have so many rows and episodes; never from more than half.
+HELD, FEWEST_ROWS, FEWEST_EPISODES = 0.1, 200, 5
+MOST = 8192  # of these rows are looked at
 FITTED = 1_000_000  # rows are enough for the model
 # Actions nearer to a bound count as this: a tanh's density has no limit there, and its distances none.
 EDGE = 0.95
@@ -41,8 +42,8 @@ def coverage(case: Case, model: BehaviorModel = MODEL) -> Float[np.ndarray, "pol
         model: how the policy that made the log is learned.
 
     Returns:
-        (policies,) of 0 .. 1, without the log's own policy, which has 0.99; NaN where the log is too short to tell: it takes
-        two episodes, and a hundred rows in those that the bound comes from.
+        (policies,) of 0 .. 1, without the log's own policy, which has 0.99; NaN where the log is too short to tell: the
+        bound takes a hundred rows of five episodes, which must not be more than half of all rows.
     """
     return case.once(("coverage", model), lambda: _coverage(case, model))
 
@@ -50,21 +51,24 @@ def coverage(case: Case, model: BehaviorModel = MODEL) -> Float[np.ndarray, "pol
 def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
     data, actor = case.data, case.actor
     rng = np.random.default_rng([case.seed, PURPOSE, 1])
-    order = rng.permutation(data.episodes)
-    rows = np.cumsum(data.lengths[order])
-    wanted = min(max(HELD * len(data), FEWEST), MOST, 0.5 * len(data))
-    held = min(int(np.searchsorted(rows, wanted)) + 1, data.episodes - 1)
-    if held < 1 or np.ceil(LEVEL * (rows[held - 1] + 1)) > rows[held - 1]:
+    held, others, rows = [], [], 0
+    for episode, length in zip(order := rng.permutation(data.episodes), data.lengths[order]):
+        enough = rows >= max(HELD * len(data), FEWEST_ROWS) and len(held) >= FEWEST_EPISODES
+        if enough or rows + length > 0.5 * len(data):
+            others.append(episode)
+        else:
+            held.append(episode)
+            rows += length
+    if len(held) < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
         return np.full(len(actor.names), np.nan)
-    enough = int(np.searchsorted(rows, rows[held - 1] + FITTED)) + 1
-    part = data.select(order[held:enough])
+    part = data.select(others[: int(np.searchsorted(np.cumsum(data.lengths[others]), FITTED)) + 1])
     view = View.of(data.spec)
     if not data.spec.discrete:
         part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -EDGE, EDGE)))
     learned = Rows(part, model.needs(data.spec))
     net, _ = case.train(model, learned, model.steps, "coverage")
 
-    kept = data.select(order[:held])
+    kept = data.select(held)
     pick = np.sort(rng.choice(len(kept), min(len(kept), MOST), replace=False))
     seen, taken = np.asarray(kept.observations[pick]), np.asarray(kept.actions[pick])
     told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model's network says

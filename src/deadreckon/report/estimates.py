@@ -34,8 +34,8 @@ def section(page: Page) -> Markup | None:
         f"Values are discounted returns (factor {told['discount']:g}) of the policies' {manner}, with 95 % intervals. "
         "Gains are over the log's own policy, judged by the same method from the same redraws, at a level that holds for all "
         "policies at once. Chosen, among those that mostly do what the log shows, is the gain with the highest lower end (of "
-        "few members: the highest gain). Within the log: the share of a policy's actions, in states of the log, that are no "
-        f"less likely there than {100 * LEVEL:.0f} % of the log's own. "
+        "few members: the highest gain). Within the log: the share of a policy's actions, in states of the log, that are "
+        f"as likely there as all but the least likely {100 - 100 * LEVEL:.0f} % of the log's own. "
         + (f"True values are means of {truth['episodes']} episodes." if truth else "")
     )
     drawn = tag("div", [_scatter(page, told, each) for each in told["results"]], class_="charts two") if truth else None
