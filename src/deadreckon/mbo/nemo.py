@@ -243,7 +243,7 @@ class NEMO(Designer):
     objective: Literal["internal", "mean", "confidence"] = static("internal")  # mu (Alg. 6), or E[g] under p_NML (Alg. 4)
     g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of a score, for objective="mean"; None: the score
     confidence: float = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
-    steps: int = static(2000)  # updates of the models after pretraining
+    steps: int = static(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
     pretrain: int = static(2000)  # updates of the models before
     ratio: int = static(1)  # updates of the models for each of the designs
     batch_size: int = static(128)  # designs of the data an update (missing in Algorithm 6)
