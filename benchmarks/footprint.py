@@ -49,11 +49,7 @@ def main() -> int:
     if arguments.memory_only:
         print(*memory(arguments.rows))
         return 0
-    try:
-        return report(arguments)
-    except protocol.BenchError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return protocol.told(lambda: report(arguments))
 
 
 def said(command: list[str]) -> list[str]:

@@ -85,6 +85,15 @@ def synthetic_designs(opts: dict[str, Any]) -> tuple[Any, Any]:
     return rng.standard_normal((opts["rows"], NEMO["size"]), dtype=np.float32), rng.uniform(size=opts["rows"])
 
 
+def told(report: Callable[[], int]) -> int:
+    """A report's exit code; what the person at the terminal can put right is said in one line, with code 2."""
+    try:
+        return report()
+    except BenchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
 def product_rate(multiply: Callable[[], Any], flops: float, seconds: float) -> float:
     """FLOP/s of a blocking call: the median of calls made for `seconds`."""
     multiply()

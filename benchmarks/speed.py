@@ -447,11 +447,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def main() -> int:
-    try:
-        return compare(parse())
-    except BenchError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return protocol.told(lambda: compare(parse()))
 
 
 if __name__ == "__main__":

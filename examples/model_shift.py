@@ -68,7 +68,7 @@ def columns_of(log: Dataset) -> dict[str, np.ndarray]:
     """As a model learns from them."""
     return {
         "observation": np.asarray(log.observations), "action": np.asarray(log.actions), "reward": np.asarray(log.rewards),
-        "next_observation": log.next_observations_at(np.arange(len(log))), "terminal": np.asarray(log.terminals),
+        "next_observation": log.next_observations, "terminal": np.asarray(log.terminals),
     }  # fmt: skip
 
 
@@ -97,11 +97,11 @@ def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
         apart.append(float(dist.kl(*heads).mean()))
     errors = []
     model, trainer = Gaussian(7, layer_decay=(2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)), Trainer(most_epochs=options.epochs)
+    known, judged = columns_of(data), [columns_of(log) for log in logs]
+    variance = rows_of(known)[1].var(0)
     for rows in options.rows:
-        columns = {name: column[:rows] for name, column in columns_of(data).items()}
-        ensemble, _ = trainer.fit(model, data.spec, columns, seed)
-        variance = rows_of(columns_of(data))[1].var(0)
-        errors.append([error_of(model, ensemble, columns_of(log), variance) for log in logs])
+        ensemble, _ = trainer.fit(model, data.spec, {name: column[:rows] for name, column in known.items()}, seed)
+        errors.append([error_of(model, ensemble, columns, variance) for columns in judged])
     return np.array(apart), np.array(errors)
 
 

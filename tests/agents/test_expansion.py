@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import deadreckon as dr
 from deadreckon.agents import MVE, SAC, STEVE
 from deadreckon.agents.agent import bellman_loss
 from deadreckon.collect.online import Online
@@ -13,6 +12,7 @@ from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import Ensemble, Model
 from deadreckon.nets.mlp import MLP
+from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((2,), Box(-np.ones(1, np.float32), np.ones(1, np.float32)), "nowhere")
 KEY = jax.random.key(0)
@@ -146,13 +146,7 @@ def test_a_run_online_and_its_resume(kind, tmp_path):
     fields = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2,
               "model_epochs": 2, "model_every": 20}  # fmt: skip
     agent = (MVE if kind == "mve" else STEVE)(**fields)
-    train = lambda out, steps, **more: dr.train_online(  # noqa: E731
-        agent, "inverted-pendulum", steps=steps, settings=settings, out=tmp_path / out, evaluate_every=40, episodes=1,
-        chunk=10, threads=1, **more,
-    )  # fmt: skip
-    whole = train("whole", 120)
-    train("part", 80)
-    again = train("part", 120, resume=True)
+    whole, again = whole_and_resumed(agent, settings, tmp_path, 80, 120, 10)
     metrics = whole.metrics.to_pydict()
     assert metrics["environment_steps"][-1] == 120
     assert np.isfinite(metrics["model_error"]).all()

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import deadreckon as dr
 from deadreckon.agents import PETS
 from deadreckon.collect.modelled import Modelling
 from deadreckon.collect.online import Online
@@ -18,6 +17,7 @@ from deadreckon.policies.policy import Step
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
+from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((2,), Box((-1.0,), (1.0,)), "line")
 SMALL = {"members": 2, "elites": 2, "model_hidden": (4,), "model_decay": (), "particles": 2, "ends": "learned"}
@@ -111,13 +111,7 @@ def test_plans_begin_with_episodes_and_in_a_model_that_was_fitted():
 @pytest.mark.slow
 def test_a_run_goes_on_where_it_stopped(tmp_path):
     agent = PETS.small(**SMALL | FIELDS)
-    train = lambda out, steps, **more: dr.train_online(  # noqa: E731
-        agent, "inverted-pendulum", steps=steps, settings=SETTINGS, out=tmp_path / out, evaluate_every=40, episodes=1,
-        chunk=1, threads=1, **more,
-    )  # fmt: skip
-    whole = train("whole", 90)
-    train("part", 60)
-    again = train("part", 90, resume=True)
+    whole, again = whole_and_resumed(agent, SETTINGS, tmp_path, 60, 90, 1)
     read = lambda run: np.fromfile(next((run.path / "replay").glob("*.bin")), np.float32)  # noqa: E731
     np.testing.assert_array_equal(read(whole), read(again))
     assert set(whole.metrics.to_pydict()) >= {"model_error", "model_epochs", "environment_steps"}

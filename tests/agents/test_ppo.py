@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import deadreckon as dr
 from deadreckon.agents import PPO
 from deadreckon.agents.ppo import Moments, folded
 from deadreckon.collect.on_policy import OnPolicy
@@ -14,6 +13,7 @@ from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Spec
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
+from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "nowhere")
 AGENT = PPO(hidden=(8,), batch_size=16, discount=0.9, trace=0.8).resolve(SPEC, 10)
@@ -111,13 +111,7 @@ def test_it_learns_from_the_last_block_alone():
 
 @pytest.mark.slow
 def test_a_run_goes_on_where_it_stopped(tmp_path):
-    train = lambda out, steps, **more: dr.train_online(  # noqa: E731
-        PPO(hidden=(8,), batch_size=16), "inverted-pendulum", steps=steps, settings=SETTINGS, out=tmp_path / out,
-        evaluate_every=40, episodes=1, chunk=10, threads=1, **more,
-    )  # fmt: skip
-    whole = train("whole", 110)
-    train("part", 70)
-    again = train("part", 110, resume=True)
+    whole, again = whole_and_resumed(PPO(hidden=(8,), batch_size=16), SETTINGS, tmp_path, 70, 110, 10)
     seen = np.ones((1, 4), np.float32)
     np.testing.assert_array_equal(whole.policy(seen), again.policy(seen))
     assert set(whole.metrics.to_pydict()) >= {"actor_loss", "critic_loss", "entropy", "kl", "clipped"}

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import deadreckon as dr
 from deadreckon.agents import SLBO
 from deadreckon.collect.online import Online
 from deadreckon.collect.virtual import Virtual, _lived
 from deadreckon.data.spec import Spec
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
+from tests.agents.resumed import whole_and_resumed
 
 PENDULUM = task("inverted-pendulum")
 SETTINGS = Online(copies=2, explore=60, updates_per_step=0.5, block=20)
@@ -78,12 +78,6 @@ def test_what_goes_out_of_all_bounds_is_cut_off(made):
 
 @pytest.mark.slow
 def test_a_run_goes_on_where_it_stopped(tmp_path):
-    train = lambda out, steps, **more: dr.train_online(  # noqa: E731
-        SMALL, "inverted-pendulum", steps=steps, settings=SETTINGS, out=tmp_path / out, evaluate_every=40, episodes=1,
-        chunk=10, threads=1, **more,
-    )  # fmt: skip
-    whole = train("whole", 160)
-    train("part", 120)
-    again = train("part", 160, resume=True)
+    whole, again = whole_and_resumed(SMALL, SETTINGS, tmp_path, 120, 160, 10)
     for a, b in zip(jax.tree.leaves(whole.policy), jax.tree.leaves(again.policy)):
         np.testing.assert_array_equal(a, b)

@@ -93,10 +93,10 @@ class ModelledOnline(Modelled):
         updates = PRESETS.get(task, {}).get("updates_per_step", 20)
         return {"copies": 5, "explore": 5000, "updates_per_step": updates, "block": 25}
 
+    def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
+        """The state of the agent that it is without a model, and the ensemble."""
+        return super().init(spec, key)._replace(model=self.unfitted(spec, key))
+
 
 class ModelledSAC(ModelledOnline, SAC):
     """SAC, online, with an ensemble in its state."""
-
-    def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
-        """SAC's state, and the ensemble."""
-        return super().init(spec, key)._replace(model=self.unfitted(spec, key))

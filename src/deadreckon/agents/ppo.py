@@ -59,6 +59,7 @@ class State(NamedTuple):
     opt: optax.OptState
     observations: Moments
     returns: Moments
+    model: Any = None  # of agents that learn one
 
 
 class PPO(Agent):
@@ -86,7 +87,7 @@ class PPO(Agent):
         """Transitions."""
         return Needs(batch_size=self.batch_size)
 
-    def init(self, spec, key):
+    def init(self, spec, key) -> Any:
         """Fresh networks; the actor's last layer is small, so that it begins without preferences."""
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka, activation="tanh")

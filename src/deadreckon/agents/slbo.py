@@ -6,28 +6,12 @@ of a norm over two. `collect.virtual` makes the episodes.
 """
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
-
-import optax
-from jaxtyping import PRNGKeyArray
+from typing import Any, ClassVar
 
 from deadreckon.agents.modelled import ModelledOnline
-from deadreckon.agents.ppo import PPO, Moments
-from deadreckon.data.spec import Spec
-from deadreckon.dynamics import Ensemble, Gaussian
-from deadreckon.nets.mlp import MLP
+from deadreckon.agents.ppo import PPO
+from deadreckon.dynamics import Gaussian
 from deadreckon.training.learner import static
-
-
-class State(NamedTuple):
-    """PPO's, and the model."""
-
-    actor: MLP
-    critic: MLP
-    opt: optax.OptState
-    observations: Moments
-    returns: Moments
-    model: Ensemble
 
 
 class SLBO(ModelledOnline, PPO):
@@ -54,7 +38,3 @@ class SLBO(ModelledOnline, PPO):
     def model(self) -> Gaussian:
         """One network that says what follows, without chance."""
         return dataclasses.replace(super().model, deterministic=True)
-
-    def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
-        """PPO's state, and the model."""
-        return State(*PPO.init(self, spec, key), self.unfitted(spec, key))

@@ -35,4 +35,4 @@ def scroll(table: Markup) -> Markup:
 
 def heads_of(names: Iterable[str]) -> Markup:
     """A table's head; names such as MB-FF stay on one line."""
-    return tag("thead", tag("tr", [tag("th", name.replace("-", "\N{NON-BREAKING HYPHEN}"), scope="col") for name in names]))
+    return tag("thead", tag("tr", [tag("th", name, scope="col", class_="whole") for name in names]))
