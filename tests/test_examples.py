@@ -141,3 +141,33 @@ def test_mbpo_curves_run_resume_and_are_drawn(tmp_path, monkeypatch, capsys, hom
     assert "<svg" in Path(drawn).read_text()
     example.main(options)
     assert capsys.readouterr().out == first
+
+
+@pytest.mark.slow
+def test_model_returns_measures_and_draws(tmp_path, monkeypatch, capsys, home):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import model_returns as example
+
+    import deadreckon as dr
+    from deadreckon.collect.online import Online
+    from deadreckon.errors import UserError
+
+    small = {"hidden": (8,), "batch_size": 16}
+    model = {"model_hidden": (16,), "model_decay": (), "members": 2, "elites": 2, "model_epochs": 3, "model_every": 50}
+    settings = Online(copies=2, explore=200, updates_per_step=0.2, block=50)
+    plan = {"steps": 300, "settings": settings, "evaluate_every": 50, "episodes": 1}
+    agent = dr.agents.MBPO(**small, **model, rollouts=2, keep=50)
+    run = dr.train_online(agent, "hopper", out=tmp_path / "run", **plan)
+    options = example.Options(
+        str(run.path), policies=2, rows=300, episodes=20, horizon=30, sequence=10, picture=str(tmp_path / "fan.svg")
+    )
+    example.main(options)
+    said = capsys.readouterr().out
+    assert "| 0 | " in said
+    assert "| 300 | " in said
+    assert "| 10 | " in said
+    assert "correlation over the policies" in said
+    assert "<svg" in (tmp_path / "fan.svg").read_text()
+    plain = dr.train_online(dr.agents.SAC(**small), "hopper", out=tmp_path / "sac", **plan)
+    with pytest.raises(UserError, match="a run of SAC, which has no model"):
+        example.main(example.Options(str(plain.path)))

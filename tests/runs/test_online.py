@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import asdict, replace
 
+import jax
 import numpy as np
 import pytest
 
@@ -284,6 +285,22 @@ def test_what_does_not_fit_is_told_before_anything_is_written(agent, change, wor
     with pytest.raises(dr.UserError, match=words):
         train(tmp_path / "no", agent, **change)
     assert not (tmp_path / "no").exists()
+
+
+def test_a_run_is_opened_again_to_look_into(run, tmp_path):
+    lanes = [dr.agents.SAC(hidden=(8,), batch_size=16, actor_lr=lr) for lr in (1e-3, 1e-4)]
+    trained = train(tmp_path / "run", lanes, seeds=2)
+    job = module.reopened(trained.path)
+    assert job.step == UPDATES
+    assert [(agent.actor_lr, agent.hidden) for agent in job.learners] == [(1e-3, (8,)), (1e-4, (8,))]
+    seen = np.random.default_rng(0).normal(size=(5, 11)).astype(np.float32)
+    for lane, policy in enumerate(trained.policies):
+        state = jax.tree.map(lambda leaf, lane=lane: leaf[lane], job.states)
+        mean = np.asarray(job.learners[lane].policy(state).pre_actions(seen, jax.random.key(0), greedy=True))
+        np.testing.assert_allclose(np.tanh(mean), policy(seen), atol=1e-6)
+    assert job.experience.replay.buffer[:, :STEPS].shape == (2, STEPS, row_width(HOPPER))
+    with pytest.raises(UserError, match="is not the folder of an online run"):
+        module.reopened(tmp_path)
 
 
 def test_by_default_a_run_has_its_name_from_agent_and_task(tmp_path, monkeypatch):

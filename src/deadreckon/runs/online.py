@@ -11,9 +11,11 @@ from deadreckon.agents.agent import Agent
 from deadreckon.collect.experience import experience_of
 from deadreckon.collect.online import Online
 from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
-from deadreckon.runs.train import Run, check_plan, fields_of, lanes_of, load
+from deadreckon.runs.train import Run, agents_of, check_plan, fields_of, lanes_of, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -62,18 +64,14 @@ def train_online(
     lanes = lanes_of(agent, seeds)
     settings = settings or Online(**type(lanes[0]).acting(task.name))
     updates = settings.updates(steps)
-    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
-    lanes = [lane.resolve(spec, updates) for lane in lanes]
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
     folder = Folder(Path(out) if out is not None else Path("runs") / f"{name}-{task.name}-online")
     every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
     if evaluate_every is None:
         every = folder.period(resume) or every
-    around = numbers, updates, settings, [folder.replay(s) for s in numbers], threads
-    first = lanes[0]
-    experience = experience_of(first)(task, first, *around)
-    job = Fit(lanes, experience, numbers, updates, chunk, folder.checkpoints, stops=every)
+    job = _job(lanes, task, numbers, updates, settings, folder, chunk, every, threads)
+    lanes = job.learners
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},
         "online": dataclasses.asdict(settings),
@@ -101,3 +99,34 @@ def train_online(
     finally:
         recorder.close()
     return load(folder.path)
+
+
+def reopened(path: Path | str) -> Fit:
+    """An online run as it is at its newest checkpoint, to look into: its `learners`, their whole `states`, a learned model
+    among them, its real steps in `experience`, and its task there.
+
+    Raises:
+        UserError: `path` is no online run, or its checkpoint cannot be read.
+    """
+    folder = Folder(Path(path))
+    config = read_json(folder.config) if folder.config.exists() else {}
+    if "online" not in config:
+        raise UserError(f"{path} is not the folder of an online run")
+    lanes = agents_of(config)
+    settings = Online(**config["online"])
+    every = config["evaluation"]["every"]
+    job = _job(lanes, find_task(config["task"]), config["seeds"], config["steps"], settings, folder, every, every, None)
+    job.resume()
+    return job
+
+
+def _job(
+    lanes: Sequence[Agent], task: Task, seeds: list[int], updates: int, settings: Online, folder: Folder, chunk: int,
+    stops: int, threads: int | None,
+) -> Fit:  # fmt: skip
+    """The fit of agents that are resolved for the task here."""
+    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+    lanes = [lane.resolve(spec, updates) for lane in lanes]
+    replays = [folder.replay(s) for s in seeds]
+    experience = experience_of(lanes[0])(task, lanes[0], seeds, updates, settings, replays, threads)
+    return Fit(lanes, experience, seeds, updates, chunk, folder.checkpoints, stops=stops)

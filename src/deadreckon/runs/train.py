@@ -214,3 +214,16 @@ def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
         out[f.name] = values[0] if all(v == values[0] for v in values) else values
     return out
 
+
+def agents_of(config: dict[str, Any]) -> list[Agent]:
+    """The agents of a run's `config`, one a seed: what `fields_of` wrote down."""
+    kind, written = agent_class(config["agent"]["name"]), config["agent"]["fields"]
+    fixed = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}
+    tuples = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
+
+    def of_lane(name: str, lane: int) -> Any:
+        # JSON knows lists alone: of a field that lanes may differ in it is one value a lane.
+        return tuples(written[name]) if name in fixed or not isinstance(written[name], list) else written[name][lane]
+
+    return [kind(**{name: of_lane(name, lane) for name in written}) for lane in range(len(config["seeds"]))]
+
