@@ -17,6 +17,7 @@ from deadreckon.dynamics import Branch
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.training.fit import fit
 from tests.agents.test_conformance import MODEL
 
 TINY = MODEL | {"hidden": (8,), "batch_size": 16, "logged_rows": 6, "rollouts": 8, "keep": 2}
@@ -145,6 +146,13 @@ def test_combo_holds_critics_down():
     assert metrics["gap"] == pytest.approx(float((high - logged).mean()), rel=1e-5)
     squares = np.square(np.asarray(q_values(critics, batch.observation, batch.action))).mean(1).sum()
     assert without == pytest.approx(squares, rel=1e-5)
+
+
+def test_a_lane_whose_model_goes_bad_fails_alone():
+    lanes = [MOPO(**TINY | {"model_lr": lr}).resolve(LOG.spec, 4) for lr in (1e-3, 1e30)]
+    fitted = fit(lanes, Rows(LOG, lanes[0].needs(LOG.spec)), [0, 1], 4)
+    assert fitted.failures == (None, ("model (while preparing)", 0))
+    assert np.isfinite(fitted.lane(0).critics.weights[0]).all()
 
 
 def test_targets_without_the_entropy_bonus():

@@ -161,6 +161,22 @@ def test_seeds_side_by_side_and_checkpoints(bowl, tmp_path):
     np.testing.assert_array_equal(again.x, alone.x)
 
 
+def test_a_longer_fit_begins_where_a_shorter_one_ended(bowl, tmp_path):
+    longer = SMALL.replace(steps=SMALL.steps + 20)
+    alone, seen = longer.propose(bowl, 4, seed=1), []
+    SMALL.propose(bowl, 4, seed=1, out=tmp_path)
+    again = longer.propose(bowl, 4, seed=1, out=tmp_path, watch=lambda what, step, steps: seen.append(step))
+    assert seen[0] > SMALL.pretrain + SMALL.steps
+    np.testing.assert_array_equal(again.x, alone.x)
+    # A shorter one does not begin beyond its own end, nor does another setting begin with this one's.
+    shorter = SMALL.replace(steps=SMALL.steps - 20)
+    ended = shorter.propose(bowl, 4, seed=1, out=tmp_path)
+    np.testing.assert_array_equal(ended.x, shorter.propose(bowl, 4, seed=1).x)
+    seen.clear()
+    SMALL.replace(lr=0.001).propose(bowl, 4, seed=1, out=tmp_path, watch=lambda what, step, steps: seen.append(step))
+    assert seen[0] < SMALL.pretrain
+
+
 def test_a_killed_fit_goes_on_in_another_process_too():
     """The folder's name holds bounds by their digest, not by Python's hash, which every process salts anew."""
     assert repr(Fixed(np.array([1.0, 2.0]))) == "Fixed(0a108fd7267a5566)"

@@ -19,7 +19,7 @@ from deadreckon.data.designs import Designs
 from deadreckon.data.points import Points
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import begin, descend
-from deadreckon.training.checkpoint import folder_of
+from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.learner import check_fields
 
@@ -91,7 +91,9 @@ class Setting(NamedTuple):
         for column in points.columns.values():
             data.update(np.ascontiguousarray(column).tobytes())
         asked = {"learner": str(learner), "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
-        return folder_of(self.out, what, asked)
+        folder = folder_of(self.out, what, asked)
+        inherit(folder, what, asked)
+        return folder
 
 
 class Designer(eqx.Module):

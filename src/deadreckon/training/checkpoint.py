@@ -1,6 +1,7 @@
 """Pytrees of arrays on disk, without pickle, in files that are either whole or absent."""
 
 import json
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import jax
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.files import digest, replacing, write_json
+from deadreckon.files import digest, read_json, replacing, write_json
 
 _META = "meta.json"
 
@@ -20,6 +21,27 @@ def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
     if not (folder / "asked.json").exists():
         write_json(folder / "asked.json", asked)
     return folder
+
+
+def inherit(folder: Path, what: str, asked: dict[str, Any]) -> None:
+    """Lets a fit of more `steps` begin where a shorter one of the same ended, whose newest checkpoint is copied.
+
+    For learners whose updates do not depend on how many are still to come.
+
+    Args:
+        folder: of the fit, from `folder_of`; nothing is done where it has a checkpoint.
+        what, asked: as `folder_of` got them.
+    """
+    if any(folder.glob("[0-9]*.npz")):
+        return
+    found = []
+    for note in folder.parent.glob(f"{what}-*/asked.json"):
+        if read_json(note) | {"steps": asked["steps"]} == asked:
+            found += [(int(path.stem), path) for path in note.parent.glob("[0-9]*.npz") if int(path.stem) <= asked["steps"]]
+    if found:
+        path = max(found)[1]
+        with replacing(folder / path.name) as temporary:
+            shutil.copyfile(path, temporary)
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:

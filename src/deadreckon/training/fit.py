@@ -39,10 +39,6 @@ class Failure(NamedTuple):
     step: int
 
 
-class _PhaseFailed(Exception):
-    """A learner trained in another's `prepare` met bad numbers; the argument is the metric."""
-
-
 class Progress(NamedTuple):
     """What `fit` tells after every chunk.
 
@@ -464,7 +460,7 @@ class Fit:
             rows = Rows(log, learner.needs(spec))
             result = fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream)
             if result.failures[0] is not None:
-                raise _PhaseFailed(result.failures[0].metric)
+                raise DivergedError(f"{result.failures[0].metric}: not finite")
             return result.lane(0)
 
         lanes, failures = [], list(self.failures)
@@ -474,8 +470,8 @@ class Fit:
             if failures[i] is None:
                 try:
                     state = learner.prepare(state, self.rows, key, inner)
-                except _PhaseFailed as error:
-                    failures[i] = Failure(f"{error} (while preparing)", self.step)
+                except DivergedError as error:  # what went bad stands before the colon
+                    failures[i] = Failure(f"{str(error).partition(':')[0]} (while preparing)", self.step)
             lanes.append(state)
         self.failures = tuple(failures)
         self.states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
