@@ -1,5 +1,7 @@
 """Tables of scored designs: what comes in, what is refused in one line, and the coordinates that methods search in."""
 
+from datetime import datetime
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -67,12 +69,49 @@ def test_a_csv_goes_round(tmp_path):
         (table(), {"kinds": {"temperature": "integer"}}, "whole numbers are needed"),
         (table(), {"levels": {"solvent": ["water"]}}, "unknown level 'ethanol' in row 1; known are water"),
         ({"y": list(range(12))}, {}, "no column beside the target 'y'"),
+        (table(solvent=[f"S{i}" for i in range(12)]), {}, "column solvent holds another text in every row"),
+        (table(temperature=[1.7e9 + i for i in range(12)]), {}, "reaches 1.7e.09 .* which 32 bits hold in steps of 128 only"),
+        (table(layers=[2**40 + i for i in range(12)]), {}, "beyond 16,777,216, .* take a constant off it"),
+        (table(temperature=[datetime(2024, 1, 1)] * 12), {}, "column temperature holds times; make numbers of them"),
+        (table(**{" z": [1.0] * 12}), {"target": "z"}, "unknown column 'z': did you mean ' z'"),
     ],
 )
 def test_refusals_name_what_is_wrong(columns, options, words):
     with pytest.raises(UserError, match=words) as told:
         Designs.from_frame(columns, **{"target": "y"} | options)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_separators_points_and_row_numbers_of_files(tmp_path, separator):
+    point = "," if separator == ";" else "."
+    rows = [f"{i}{separator}{1.5 * i:g}{separator}{i - 0.25:g}".replace(".", point) for i in range(12)]
+    (tmp_path / "mine.csv").write_text("\n".join([separator.join(["", "a", "y"]), *rows]))
+    with pytest.warns(UserWarning, match="column '' looks like a row number and is left out"):
+        found = Designs.from_csv(tmp_path / "mine.csv", "y")
+    assert [v.name for v in found.variables] == ["a"]
+    np.testing.assert_allclose(found.x[:, 0], 1.5 * np.arange(12))
+    np.testing.assert_allclose(found.y, np.arange(12) - 0.25)
+
+
+def test_a_file_in_another_encoding_is_refused(tmp_path):
+    (tmp_path / "mine.csv").write_bytes("größe,y\n1,2\n".encode("latin-1"))
+    with pytest.raises(UserError, match=r"its text is not UTF-8 \(.* at byte 2\)"):
+        Designs.from_csv(tmp_path / "mine.csv", "y")
+
+
+def test_levels_as_texts_are_those_of_the_column():
+    columns = table(hot=[True, False] * 6, layers=[0.5, 1.0] * 6)
+    told = {"hot": ["false", "True"], "layers": ["0.5", "1", "2"]}
+    found = Designs.from_frame(columns, "y", levels=told)
+    by_name = {v.name: v.levels for v in found.variables}
+    assert by_name["hot"] == (False, True)
+    assert by_name["layers"] == (0.5, 1.0, 2.0)
+
+
+def test_numbers_come_out_as_they_went_in():
+    found = Designs.from_frame(table(temperature=[0.1 * i + 2.7 for i in range(12)]), "y")
+    assert found.decode(found.x[:2])["temperature"] == [2.7, 2.8]
 
 
 def test_proposals_of_people_are_checked():

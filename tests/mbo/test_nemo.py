@@ -4,13 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.special import expit
 
 from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
-from deadreckon.mbo.nemo import Fixed, Net, bin_log_probs, cross_entropy, exceed, middles, nll, p_nml, quantise, reached
-from deadreckon.nets.mlp import ensemble
+from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.nemo import Fixed, Net, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
+from deadreckon.nets.mlp import ensemble, joined
 
 K = 8
 SMALL = NEMO(bins=K, hidden=(16, 16), steps=60, pretrain=40, lr=0.01, design_lr=0.01, batch_size=32)
@@ -30,10 +32,10 @@ def test_discretised_logistic_equals_numpy(s):
     np.testing.assert_allclose(found.sum(-1), 1.0, atol=1e-5)
     # The mean is g_0 + sum_k (g_k - g_{k-1}) o_k.
     g = np.asarray(middles(K))
-    o = np.asarray(exceed(jnp.asarray(mus, jnp.float32), jnp.log(s), K))
+    o = 1.0 - np.cumsum(found, -1)[:, :-1]
+    np.testing.assert_allclose(o, expit((mus[:, None] - np.arange(1, K) / K) / s), atol=2e-6)
     np.testing.assert_allclose(g[0] + o @ np.diff(g), exact @ g, atol=1e-5)
-    assert (np.diff(o, axis=-1) <= 0).all()
-    assert (o[:, 0] > o[:, -1]).any()  # falls in k, as labels do; the printed sign would rise
+    assert (np.diff(o, axis=-1) < 1e-6).all()  # falls in k, as labels do; the printed sign would rise
 
 
 def test_probabilities_far_out_stay_finite():
@@ -161,6 +163,36 @@ def test_seeds_side_by_side_and_checkpoints(bowl, tmp_path):
     np.testing.assert_array_equal(again.x, alone.x)
 
 
+def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
+    """Four straight lines under a logistic, against scipy's maximum likelihood on the data and each claim."""
+    bins, rows = 4, 12
+    rng = np.random.default_rng(0)
+    x = np.sort(rng.uniform(-1, 1, rows))
+    data = Designs.from_arrays(x[:, None], x + 0.3 * rng.standard_normal(rows))
+    still = NEMO(bins=bins, hidden=(), loss="likelihood", pretrain=0, lr=0.003, design_lr=0.0, batch_size=256, target_rate=0.01)
+    setting = Setting(data, 1, [0], None, lambda what, step, steps: None)
+    state = setting.train(still.training(setting), 6000, "nemo")[0]
+    found = np.exp(np.asarray(p_nml(joined(state.targets), state.search.x)))[0]
+
+    view = data.coordinates
+    z, at = view.encode(data.x)[:, 0], float(state.search.x[0, 0])
+    label = np.asarray(quantise((data.y - data.y.min()) / np.ptp(data.y), bins))
+    log_probs = lambda line, z: np.log(numpy_probs(line[0] * z + line[1], np.exp(line[2]), bins) + 1e-300)  # noqa: E731
+
+    def likely(claims):
+        """The line most likely under the data, and a claim counted as a row more."""
+        seen = [*zip(z, label), *((at, k) for k in claims)]
+        cost = lambda line: -sum(log_probs(line, a)[k] for a, k in seen)  # noqa: E731
+        begun = [(0.2, 0.5, log_scale) for log_scale in (-3.0, -1.5)]
+        return min((minimize(cost, b, method="Nelder-Mead", options={"maxiter": 2000}) for b in begun), key=lambda r: r.fun).x
+
+    own = np.array([np.exp(log_probs(likely([k]), at)[k]) for k in range(bins)])
+    np.testing.assert_allclose(found, own / own.sum(), atol=0.005)
+    # Which is not what maximum likelihood says: that is sure of the last bin.
+    assert np.exp(log_probs(likely([]), at))[-1] > 0.999
+    assert found[-1] < 0.95
+
+
 def test_a_longer_fit_begins_where_a_shorter_one_ended(bowl, tmp_path):
     longer = SMALL.replace(steps=SMALL.steps + 20)
     alone, seen = longer.propose(bowl, 4, seed=1), []
@@ -175,6 +207,30 @@ def test_a_longer_fit_begins_where_a_shorter_one_ended(bowl, tmp_path):
     seen.clear()
     SMALL.replace(lr=0.001).propose(bowl, 4, seed=1, out=tmp_path, watch=lambda what, step, steps: seen.append(step))
     assert seen[0] < SMALL.pretrain
+
+
+def test_a_longer_fit_passes_over_a_broken_checkpoint(bowl, tmp_path):
+    shorter = SMALL.replace(steps=SMALL.steps - 20)
+    shorter.propose(bowl, 4, seed=1, out=tmp_path)
+    newest = max(next(tmp_path.glob("nemo-*")).glob("*.npz"))
+    newest.write_bytes(newest.read_bytes()[:100])
+    again = SMALL.propose(bowl, 4, seed=1, out=tmp_path)
+    np.testing.assert_array_equal(again.x, SMALL.propose(bowl, 4, seed=1).x)
+
+
+def test_functions_of_the_score_are_told_apart_by_what_they_give(bowl):
+    one, other = (SMALL.replace(objective="mean", g=g) for g in (lambda y: y, lambda y: -y))
+    assert str(one) == str(other)
+    assert one.asked(bowl) != other.asked(bowl)
+    assert one.asked(bowl) == SMALL.replace(objective="mean", g=lambda y: y + 0.0).asked(bowl)
+
+
+def test_functions_of_the_score_see_it_as_the_table_has_it():
+    rng = np.random.default_rng(0)
+    costs = Designs.from_frame({"a": rng.normal(size=20), "cost": np.linspace(5.0, 9.0, 20)}, "cost", minimise=True)
+    seen = []
+    NEMO(bins=4, objective="mean", g=lambda y: seen.append(y) or -y).asked(costs)
+    np.testing.assert_allclose(seen[0], [8.5, 7.5, 6.5, 5.5])
 
 
 def test_a_killed_fit_goes_on_in_another_process_too():

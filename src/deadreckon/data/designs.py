@@ -1,6 +1,7 @@
 """Scored designs: inputs x with one score y each, what every variable may be, and the coordinates that methods see."""
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from deadreckon.data.encode import category_codes, is_category, is_number, numbers
+from deadreckon.data.encode import category_codes, is_category, is_number, numbers, row_numbers
 from deadreckon.data.frame import check_column, to_arrow
 from deadreckon.data.layout import reading
 from deadreckon.errors import UserError, unknown
@@ -19,6 +20,7 @@ from deadreckon.files import replacing
 
 KINDS = ("continuous", "integer", "categorical")
 FEWEST = 10  # rows below which no model is worth fitting
+FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
 
 
 @dataclass(frozen=True)
@@ -100,11 +102,12 @@ class Designs:
 
     @classmethod
     def from_csv(cls, path: Path | str, target: str, **options: Any) -> "Designs":
-        """Designs of a CSV file with a line of names; options as for `from_frame`."""
+        """Designs of a CSV file with a line of names, separated by commas, semicolons or tabs; options as for `from_frame`."""
         with reading(path, "CSV", pa.ArrowException):
+            separator, point = _dialect(Path(path))
             # An empty cell is none, also of texts; what else cannot be read as a number is told with its row.
-            empty = csv.ConvertOptions(strings_can_be_null=True, null_values=[""])
-            table = csv.read_csv(path, convert_options=empty)
+            convert = csv.ConvertOptions(strings_can_be_null=True, null_values=[""], decimal_point=point)
+            table = csv.read_csv(path, parse_options=csv.ParseOptions(delimiter=separator), convert_options=convert)
         options.setdefault("name", Path(path).stem)
         return cls.from_frame(table, target, **options)
 
@@ -127,7 +130,7 @@ class Designs:
             frame: a pandas, polars or pyarrow table, or a mapping of column names to values.
             target: the column to make large.
             kinds: among `KINDS` by column. Otherwise texts, categories and truth values are categorical, whole numbers
-                integer, and all else continuous.
+                integer, and all else continuous. Row numbers that a table library wrote, without a name, are left out.
             bounds: lowest and highest value by column, both allowed. Otherwise those of the data: nothing beyond what has been
                 seen is proposed unless one says that it exists.
             levels: all levels of a categorical column, where the data lacks some.
@@ -148,6 +151,9 @@ class Designs:
             raise UserError(f"{name}: the table has no rows")
         y = numbers(name, table, target)
         inputs = [column for column in table.column_names if column != target and column not in ignore]
+        if index := row_numbers(inputs):
+            warnings.warn(f"{name}: column {index[0]!r} looks like a row number and is left out", stacklevel=2)
+            inputs = [column for column in inputs if column not in index]
         if not inputs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
         columns, variables = [], []
@@ -223,7 +229,9 @@ class Designs:
             if v.kind == "categorical":
                 out[v.name] = [v.levels[int(i)] for i in column]
             else:
-                out[v.name] = [int(i) for i in column] if v.kind == "integer" else [float(i) for i in column]
+                # The shortest number that float32 cannot tell from it: 2.7 rather than 2.700000047683716.
+                shortest = lambda i: float(str(np.float32(i)))  # noqa: E731
+                out[v.name] = [int(i) if v.kind == "integer" else shortest(i) for i in column]
         return out
 
     def write(self, path: Path | str, x: np.ndarray, more: Mapping[str, Sequence[float]] | None = None) -> Path:
@@ -238,6 +246,8 @@ def _variable(
 ) -> tuple[np.ndarray, Variable]:
     """A column's numbers, and what it may be."""
     stored, given = table.column(column).type, kind
+    if pa.types.is_temporal(stored):
+        raise UserError(f"{name}: column {column} holds times; make numbers of them, or ignore the column")
     if kind is None:
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
@@ -247,9 +257,12 @@ def _variable(
             raise UserError(f"{name}: column {column} is categorical and has levels, not bounds")
         if given is None and not levels:
             _not_numbers(name, table, column)
-        known = tuple(levels) if levels else _levels(name, table, column)
-        if pa.types.is_integer(stored):  # levels that came as texts
-            known = tuple(int(level) if isinstance(level, str) and level.lstrip("-").isdigit() else level for level in known)
+        known = _typed(levels, stored) if levels else _levels(name, table, column)
+        if given is None and not levels and len(known) == table.num_rows >= FEWEST:
+            raise UserError(
+                f"{name}: column {column} holds another text in every row, from which nothing is learned; ignore it, or say "
+                "kind categorical"
+            )
         return _codes(name, table, column, known), Variable(column, "categorical", levels=known)
     values = numbers(name, table, column)
     low, high = bounds if bounds is not None else (values.min(), values.max())
@@ -260,16 +273,53 @@ def _variable(
     if kind == "integer" and max(abs(low), abs(high)) > 2**24:
         raise UserError(
             f"{name}: column {column} reaches beyond 16,777,216, where 32 bits do not hold every whole number; "
-            f"say kind continuous, or ignore it"
+            f"take a constant off it, or ignore it"
         )
     if kind == "integer" and (values != np.round(values)).any():
         row = int(np.argmax(values != np.round(values)))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, whole numbers are needed")
+    spread, fineness = values.std(), float(np.spacing(np.float32(np.abs(values).max())))
+    if kind == "continuous" and fineness > FINE * spread > 0:
+        raise UserError(
+            f"{name}: column {column} reaches {np.abs(values).max():g} with a deviation of {spread:.3g}, which 32 bits hold in "
+            f"steps of {fineness:g} only; take a constant off it, or ignore it"
+        )
     outside = (values < low) | (values > high)
     if outside.any():
         row = int(np.argmax(outside))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, outside the bounds [{low:g}, {high:g}]")
     return values, Variable(column, kind, float(low), float(high))  # type: ignore[arg-type]
+
+
+def _dialect(path: Path) -> tuple[str, str]:
+    """What separates a file's columns, by its first line, and the point of its numbers.
+
+    Raises:
+        UserError: its text is not UTF-8.
+    """
+    with open(path, encoding="utf-8") as file:
+        try:
+            first, rest = file.readline(), file.read(65_536)
+        except UnicodeDecodeError as error:
+            raise UserError(f"{path}: its text is not UTF-8 ({error.reason} at byte {error.start}); save it as such") from error
+    separator = max(",;\t", key=first.count)  # of none, the comma
+    return separator, "," if separator != "," and "," in rest and "." not in rest else "."
+
+
+def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:
+    """Levels that came as texts, as a column of other values holds them."""
+    truths = {"true": True, "false": False}
+
+    def typed(level: Any) -> Any:
+        if not isinstance(level, str):
+            return level
+        if pa.types.is_boolean(stored):
+            return truths.get(level.lower(), level)
+        if not (pa.types.is_integer(stored) or pa.types.is_floating(stored)) or not is_number(level):
+            return level
+        return int(level) if level.strip().lstrip("-").isdigit() else float(level)
+
+    return tuple(map(typed, levels))
 
 
 def _not_numbers(name: str, table: pa.Table, column: str) -> None:

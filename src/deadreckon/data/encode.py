@@ -32,7 +32,7 @@ class Encoder:
 
     def plausible(self, names: list[str]) -> list[str]:
         """`names` less a leading row number that a table library wrote into the file, and less timestamps."""
-        index = [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
+        index = row_numbers(names)
         if index:
             self.warnings.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
         moments = [column for column in names if pa.types.is_temporal(self.table.column(column).type)]
@@ -115,6 +115,11 @@ def encode_action(encoder: Encoder, names: list[str]) -> np.ndarray:
     text = f"actions are {len(levels)} integers from {levels[0]} to {levels[-1]}"
     encoder.warnings.append(f"{text}; they are numbered 0 .. {len(levels) - 1}")
     return index
+
+
+def row_numbers(names: list[str]) -> list[str]:
+    """Those of `names` that a table library gives to the row numbers that it writes."""
+    return [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
 
 
 def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:

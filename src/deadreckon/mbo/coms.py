@@ -19,6 +19,11 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.training.learner import static
 
+# Margin in deviations of the score, and learning rate of the designs, of the public code (2.0 there for standardised logits,
+# whose scale ours has a quarter of).
+CONTINUOUS, DISCRETE = (0.5, 0.05), (2.0, 0.5)
+FIRST = 0.1  # weight of the penalty at first
+
 
 class State(NamedTuple):
     """The model and the logarithm of the penalty's weight, each with its optimiser."""
@@ -45,9 +50,9 @@ class Conservative(eqx.Module):
         return Needs(columns=(), batch_size=self.batch_size)
 
     def init(self, spec, key):
-        """A fresh model; the penalty counts as much as the error at first."""
+        """A fresh model, and little penalty."""
         net = MLP.create(spec.size, self.hidden, 1, key, activation="relu")
-        log_alpha = jnp.float32(0.0)
+        log_alpha = jnp.log(jnp.float32(FIRST))
         return State(net, begin(net), log_alpha, begin(log_alpha))
 
     def update(self, state: State, batch: Batch, *, step, key):
@@ -90,13 +95,14 @@ class COMs(Designer):
     alpha_lr: float = 0.01  # of the penalty's weight, on its logarithm
     margin: float | None = None  # difference allowed, in deviations of the score; None: 0.5, or 2.0 for discrete designs
     ascent: int = static(50)  # steps of the designs, in training and after it
-    design_lr: float = 0.05  # of the designs, times sqrt(coordinates)
+    design_lr: float | None = None  # of the designs, times sqrt(coordinates); None: 0.05, or 0.5 for discrete designs
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """From the best designs of the data, up the gradient."""
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
-        rate = self.design_lr * view.size**0.5
-        margin = (2.0 if view.discrete else 0.5) if self.margin is None else self.margin
+        margin, rate = DISCRETE if view.discrete else CONTINUOUS
+        margin = margin if self.margin is None else self.margin
+        rate = (rate if self.design_lr is None else self.design_lr) * view.size**0.5
         learner = Conservative(self.lr, self.alpha_lr, margin, rate, self.ascent, self.hidden, self.batch_size)
         found: list[Any] = []
         for seed, state in zip(setting.seeds, setting.train(learner, self.steps, "coms")):

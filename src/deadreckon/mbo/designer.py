@@ -92,12 +92,16 @@ class Setting(NamedTuple):
             data.update(np.ascontiguousarray(column).tobytes())
         asked = {"learner": str(learner), "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
         folder = folder_of(self.out, what, asked)
-        inherit(folder, what, asked)
+        inherit(folder)
         return folder
 
 
 class Designer(eqx.Module):
     """Hyperparameters in, proposals out."""
+
+    def asked(self, data: Designs) -> str:
+        """All settings that proposals for some data depend on, as text."""
+        return str(self)
 
     def propose(
         self,

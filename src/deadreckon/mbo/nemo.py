@@ -26,6 +26,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.designs import Designs
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
 from deadreckon.nets.optim import begin, copy, descend, track
@@ -73,12 +74,8 @@ def middles(bins: int) -> Float[Array, "k"]:
     return (jnp.arange(bins) + 0.5) / bins
 
 
-def exceed(mu: Array, log_scale: Array, bins: int) -> Float[Array, "b k1"]:
-    """o_k, the probabilities of bin >= k, for k = 1 .. K - 1."""
-    return jax.nn.sigmoid(_arguments(mu, log_scale, bins))
-
-
-def _arguments(mu: Array, log_scale: Array, bins: int) -> Array:
+def _arguments(mu: Array, log_scale: Array, bins: int) -> Float[Array, "b k1"]:
+    """Of the sigmoids o_k, k = 1 .. K - 1."""
     return (mu[..., None] - jnp.arange(1, bins) / bins) / jnp.exp(log_scale)
 
 
@@ -241,13 +238,13 @@ class NEMO(Designer):
     architecture: Literal["logistic", "categorical"] = static("logistic")  # discretised logistic (6.3), or K logits
     loss: Literal["bce", "likelihood"] = static("bce")  # of the logistic: as printed, or the likelihood of the bins
     objective: Literal["internal", "mean", "confidence"] = static("internal")  # mu (Alg. 6), or E[g] under p_NML (Alg. 4)
-    g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of a score, for objective="mean"; None: the score
+    g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of the table's scores, for "mean"; None: the score
     confidence: float = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
     steps: int = static(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
     pretrain: int = static(2000)  # updates of the models before
     ratio: int = static(1)  # updates of the models for each of the designs
     batch_size: int = static(128)  # designs of the data an update (missing in Algorithm 6)
-    lr: float = 0.05  # of the models, alpha_theta
+    lr: float = 0.005  # of the models, alpha_theta; with the 0.05 of some presets wide networks learn little
     search_lr: float | None = None  # of the models while designs rise; None: the same; 0: they stay, and nothing is NML
     design_lr: float = 0.1  # of the designs, alpha_x, in standardised coordinates
     target_rate: float = 0.05  # tau
@@ -264,9 +261,7 @@ class NEMO(Designer):
         data, view = setting.data, setting.data.coordinates
         y = (data.y - view.y_mean) / view.y_std
         low, high = float(y.min()), float(y.max())
-        g = None
-        if self.g is not None:
-            g = Fixed(np.asarray(self.g(view.score(low + (high - low) * np.asarray(middles(self.bins))))))
+        g = None if self.g is None else Fixed(self._worths(data))
         return Training(
             self.lr, self.lr if self.search_lr is None else self.search_lr, self.design_lr, self.target_rate,
             1.0 / len(data) if self.weight is None else self.weight, self.confidence,
@@ -274,6 +269,15 @@ class NEMO(Designer):
             self.architecture == "logistic",
             self.loss == "bce" and self.architecture == "logistic", self.objective, self.pretrain, self.ratio, self.batch_size,
         )  # fmt: skip
+
+    def _worths(self, data: Designs) -> np.ndarray:
+        """(bins,) what g makes of the middle of each bin."""
+        assert self.g is not None
+        return np.asarray(self.g(data.shown(data.y.min() + np.ptp(data.y) * np.asarray(middles(self.bins)))), np.float64)
+
+    def asked(self, data: Designs) -> str:
+        """See `Designer`; a function is known by what it makes of the scores."""
+        return super().asked(data) if self.g is None else f"{self.replace(g=None)}, g {self._worths(data).tolist()}"
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """The designs at the end of their search, with mean and deviation under p_NML of the target models."""

@@ -123,10 +123,13 @@ def judge(
         watch: called while something is fitted.
         told: called with every result.
     """
-    data = hashlib.blake2b(problem.visible.x.tobytes() + problem.visible.y.tobytes(), digest_size=8).hexdigest()
+    visible = problem.visible
+    known = visible.x.tobytes() + visible.y.tobytes() + repr(visible.variables).encode()
+    data = hashlib.blake2b(known, digest_size=8).hexdigest()
     results = []
     for name, designer in designers:
-        asked = {"name": name, "settings": str(designer), "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
+        settings = designer.asked(visible)
+        asked = {"name": name, "settings": settings, "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
         folder = None if out is None else Path(out) / problem.name
         path = None if folder is None else folder / f"{name}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
@@ -136,13 +139,13 @@ def judge(
             for at in range(0, len(seeds), together or len(seeds)):
                 some = list(seeds[at : at + (together or len(seeds))])
                 fits = None if folder is None else folder / "fits"
-                found.append(designer.propose_many(problem.visible, n, seeds=some, out=fits, watch=watch))
+                found.append(designer.propose_many(visible, n, seeds=some, out=fits, watch=watch))
             made = [each for part in found for each in part]
             scores = [problem.score(each) for each in made]
             result = Result(
                 problem.name, name, tuple(seeds), np.stack([s.true for s in scores]), np.stack([s.predicted for s in scores]),
-                np.stack([each.doubt for each in made]), np.stack([reach(problem.visible, each.x) for each in made]),
-                problem.low, problem.high, float(problem.visible.y.max()), problem.about, str(designer),
+                np.stack([each.doubt for each in made]), np.stack([reach(visible, each.x) for each in made]),
+                problem.low, problem.high, float(visible.y.max()), problem.about, settings,
                 sum(part[0].seconds for part in found),
             )  # fmt: skip
             if path is not None:
@@ -226,7 +229,8 @@ def tables(results: Sequence[Result]) -> str:
         parts += [f"{words}, normalised: 0 and 1 are the least and the greatest of all data", normalised]
     for what, words in COLUMNS.items():
         parts += [words, trust(results, what)]
-    return "\n\n".join(parts)
+    settings = dict.fromkeys(f"- {r.method}: `{r.settings}`" for r in results)
+    return "\n\n".join([*parts, "Settings", "\n".join(settings)])
 
 
 def _by_method(results: Sequence[Result]) -> dict[str, Result]:

@@ -1,7 +1,6 @@
 """Pytrees of arrays on disk, without pickle, in files that are either whole or absent."""
 
 import json
-import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from deadreckon._version import __version__
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, replacing, write_json
 
@@ -16,32 +16,37 @@ _META = "meta.json"
 
 
 def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
-    """Where the checkpoints of a fit lie: a folder of its own for everything that was asked for, with a note that says it."""
+    """Where the checkpoints of a fit lie: a folder of its own for everything that was asked for, with a note that says it.
+
+    Another version of the package has its own, for its updates may be others.
+    """
+    asked = asked | {"version": __version__}
     folder = out / f"{what}-{digest(asked, 6)}"
     if not (folder / "asked.json").exists():
         write_json(folder / "asked.json", asked)
     return folder
 
 
-def inherit(folder: Path, what: str, asked: dict[str, Any]) -> None:
+def inherit(folder: Path) -> None:
     """Lets a fit of more `steps` begin where a shorter one of the same ended, whose newest checkpoint is copied.
 
     For learners whose updates do not depend on how many are still to come.
 
     Args:
         folder: of the fit, from `folder_of`; nothing is done where it has a checkpoint.
-        what, asked: as `folder_of` got them.
     """
     if any(folder.glob("[0-9]*.npz")):
         return
-    found = []
-    for note in folder.parent.glob(f"{what}-*/asked.json"):
+    found, asked = [], read_json(folder / "asked.json")
+    for note in folder.parent.glob(f"{folder.name.rpartition('-')[0]}-*/asked.json"):
         if read_json(note) | {"steps": asked["steps"]} == asked:
             found += [(int(path.stem), path) for path in note.parent.glob("[0-9]*.npz") if int(path.stem) <= asked["steps"]]
-    if found:
-        path = max(found)[1]
-        with replacing(folder / path.name) as temporary:
-            shutil.copyfile(path, temporary)
+    for _, path in sorted(found, reverse=True):
+        try:
+            arrays, meta = load_arrays(path)
+        except UserError:  # broken, or gone since; an older one will do
+            continue
+        return save_arrays(folder / path.name, arrays, meta)
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
