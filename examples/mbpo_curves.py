@@ -55,8 +55,15 @@ def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
         "pets": {"pets": (PETS(), Online(**PETS.acting(task))), "pets-small": (PETS.small(), Online(**PETS.acting(task)))},
         "expansion": {f"mve-h{h}": (MVE(horizon=h), Online(**acting)) for h in (3, 5)},
         "ratio": {f"sac-{ratio}": sac(ratio) for ratio in (1, 5, 10, 20, 40)},
-        "length": {"mbpo": mbpo(), **{f"mbpo-k{k}": mbpo(k, k, 1, 2) for k in (1, 200, 500)}},
+        "length": {name: mbpo(*length) for name, length in lengths(task).items()},
     }[group]
+
+
+def lengths(task: str) -> dict[str, tuple[int, ...]]:
+    """Rollout lengths to compare: 1, a schedule (the task's own where it has one), 200 and 500."""
+    own = PRESETS.get(task, {}).get("length", (1, 1))
+    schedule = {"mbpo": ()} if own[0] < own[1] else {"mbpo-k1-15": (1, 15, 1, 5)}
+    return schedule | {f"mbpo-k{k}": (k, k, 1, 2) for k in (1, 200, 500)}
 
 
 def main(options: Options) -> None:

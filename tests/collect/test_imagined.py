@@ -40,7 +40,7 @@ def test_what_is_learned_from():
     fit, experience = job(real=0.2)
     walk(fit)
     assert experience.environment_steps == 120
-    assert sorted(experience._batches) == [2, 3]  # of fits after 50, 70, 90 and 110 steps the last two are kept
+    assert sorted(experience._batches) == [2, 3]  # of fits to 40, 60, 80 and 100 steps the last two are kept
     made_up = [len(rows[0]) for rows in experience._batches.values()]
     # 3 rollouts a step, 20 steps; 1 step long at first, 3 after a thousand.
     assert made_up == [60, 60]
@@ -61,13 +61,25 @@ def test_what_is_learned_from():
 def test_lengths_of_rollouts():
     agent = MBPO().resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1)
     assert agent.target_entropy == -1.0
-    assert [agent.rollout_length(e) for e in (0, 20, 60, 99.9, 100, 500)] == [1, 1, 8, 14, 15, 15]
+    assert [agent.rollout_length(e) for e in (0, 20, 25, 26, 60, 99, 100, 500)] == [1, 1, 1, 2, 8, 14, 15, 15]
     assert MBPO(length=(3, 3, 1, 2)).resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1).rollout_length(7) == 3
     assert MBPO.acting("halfcheetah")["updates_per_step"] == 40
     fit, experience = job(length=(2, 2, 1, 2))
     walk(fit, 5)
     # Rollouts that ended after a step are made up for by others.
     assert len(experience._batches[0][0]) == 2 * 60
+
+
+def test_of_long_rollouts_no_more_is_kept_than_asked_for():
+    fit, experience = job(length=(5, 5, 1, 2), most=100)
+    walk(fit)
+    assert [rows.shape[1] for rows in experience._batches.values()] == [50, 50]
+    real = fit.learners[0].real
+    assert experience._buffer.shape[1] >= experience.count == 100 + round(100 * real / (1 - real))
+    for rows in experience._batches.values():
+        assert len(np.unique(rows[0], axis=0)) == 50  # drawn without replacement
+    with pytest.raises(UserError, match=r"most \(1\) must leave a row to each of the 2 fits"):
+        job(most=1)
 
 
 @pytest.mark.slow
@@ -109,7 +121,8 @@ def leaves(fit):
 @pytest.mark.parametrize(("changes", "words"), [
     ({"model_every": 25}, r"model_every \(25\) must be a multiple of block \(10\)"),
     ({"keep": 50}, r"keep \(50\) must be a multiple of model_every \(20\)"),
-    ({"length": (1, 2, 3, 3)}, r"MBPO.length takes first, last, from epoch, to a later epoch, got \(1, 2, 3, 3\)"),
+    ({"length": (1, 2, 3, 3)}, r"MBPO.length takes first, last >= first, .* got \(1, 2, 3, 3\)"),
+    ({"length": (15, 1, 20, 100)}, r"MBPO.length takes first, last >= first, .* got \(15, 1, 20, 100\)"),
     ({"real": 1.0}, "MBPO.real must be 0 .. 1 without 1, got 1"),
     ({"elites": 4}, "MBPO.elites are members at most, got 4 of 3"),
     ({"model_decay": (0.1, 0.1, 0.1)}, "MBPO.model_decay needs 2 numbers, one a layer of the model, got 3"),

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 from scipy import stats
 
 from deadreckon.data.batch import Rows
@@ -52,6 +53,24 @@ def test_soft_bounds_hold_and_have_slopes():
     np.testing.assert_allclose(soft_bounds(jnp.array([[2.0]]), bounds)[0, 0], -10 + np.logaddexp(upper + 10.0, 0.0), rtol=1e-6)
     slope = jax.grad(lambda b: soft_bounds(jnp.array([[50.0]]), b).sum())(bounds)
     assert slope[1, 0] == pytest.approx(1.0, abs=1e-3)  # what is above is held by the upper bound, which learns
+
+
+def test_gradients_equal_differences():
+    """Of the whole loss, in float64: likelihood, bounds and chance of an end."""
+    rng = np.random.default_rng(0)
+    with jax.enable_x64(True):
+        model = Gaussian(members=2, hidden=(4,))
+        params = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.create(SPEC, jax.random.key(0)))
+        inputs, target = (jnp.asarray(rng.standard_normal((2, 5, 3))) for _ in range(2))
+        terminal = jnp.asarray(rng.integers(0, 2, (2, 5)), float)
+        flat, back = ravel_pytree(params)
+        loss = jax.jit(lambda flat: model.losses(back(flat), inputs, target, terminal, None).mean(-1).sum())
+        moved = np.eye(len(flat)) * 1e-6
+        differences = [(loss(flat + step) - loss(flat - step)) / 2e-6 for step in moved]
+        found = jax.grad(loss)(flat)
+        assert found.dtype == np.float64
+        np.testing.assert_allclose(found, differences, atol=1e-8)
+        assert np.abs(found).max() > 0.1
 
 
 def test_losses_equal_numpy_for_each_member_on_its_own_rows():

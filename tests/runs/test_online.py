@@ -280,6 +280,7 @@ def test_evaluations_are_at_least_a_block_apart(tmp_path):
     (None, {"task": "hoper"}, "unknown task 'hoper': did you mean hopper"),
     ([Little()], {"seeds": 2}, "one agent a seed is needed, got 1 agents and 2 seeds"),
     (Little(lr=-1.0), {}, "Little.lr takes a finite number >= 0, got -1"),
+    ("mbpo", {"settings": replace(SETTINGS, explore=8)}, "explore must be 10 or more, what a model is first fitted to, got 8"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_told_before_anything_is_written(agent, change, words, tmp_path):
     with pytest.raises(dr.UserError, match=words):
@@ -301,6 +302,9 @@ def test_a_run_is_opened_again_to_look_into(run, tmp_path):
     assert job.experience.replay.buffer[:, :STEPS].shape == (2, STEPS, row_width(HOPPER))
     with pytest.raises(UserError, match="is not the folder of an online run"):
         module.reopened(tmp_path)
+    shutil.rmtree(trained.path / "checkpoints")
+    with pytest.raises(UserError, match="has no checkpoint yet in which something was learned"):
+        module.reopened(trained.path)
 
 
 def test_by_default_a_run_has_its_name_from_agent_and_task(tmp_path, monkeypatch):

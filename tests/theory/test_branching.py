@@ -97,6 +97,7 @@ def test_best_length():
         values = [generalising_bound(k, model, policy, discount) for k in range(int(found) + 50)]
         assert values[int(found)] == pytest.approx(min(values))
     assert best_length(0.25, 0.5, 0.5) == 1
+    assert best_length(0.5 * (1 - 1e-12), 0.5, 0.99) == 1  # however little better
     assert best_length(0.0, 0.5, 0.9) == math.inf
     assert best_length(0.0, 0.0, 0.9) == 0
     assert best_length(0.1, 0.2, 0.0) == 1

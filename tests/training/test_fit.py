@@ -123,6 +123,30 @@ def test_phases_run_first_and_at_every_refresh_however_chunks_fall(stream):
     np.testing.assert_array_equal(result.states["prepared"], [3.0, 3.0])  # before updates 0, 10 and 20
 
 
+def test_a_kill_while_preparing_loses_one_lane_alone(tmp_path, monkeypatch):
+    rows, asked = Rows(LOG, Needs()), []
+
+    def prepare(self, state, rows, key, fit, patience=[3]):  # noqa: B006 -- counts calls
+        asked.append(float(self.scale))
+        patience[0] -= 1
+        if patience[0] == 0:
+            raise KeyboardInterrupt
+        return {**state, "prepared": state["prepared"] + jax.random.uniform(key)}
+
+    lanes = [Phased(scale=s, refresh=10) for s in (1.0, 2.0, 3.0)]
+    monkeypatch.setattr(Phased, "prepare", prepare)
+    job = lambda: Fit(lanes, rows, [0, 1, 2], 15, chunk=5, folder=tmp_path)  # noqa: E731
+    with pytest.raises(KeyboardInterrupt):
+        list(job().chunks())
+    again = job()
+    again.resume()
+    list(again.chunks())
+    assert asked == [1.0, 2.0, 3.0, 3.0, 1.0, 2.0, 3.0]  # the killed one again, and all of them before update 10
+    whole = fit(lanes, rows, [0, 1, 2], 15, chunk=5)
+    np.testing.assert_array_equal(again.states["prepared"], whole.states["prepared"])
+    assert not list(tmp_path.glob("prepared-*"))
+
+
 def test_stops_end_chunks_without_changing_bits():
     rows = Rows(LOG, Needs())
     plain = fit([Collector()], rows, [3], 40, chunk=40).states["seen"]

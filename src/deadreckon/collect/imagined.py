@@ -38,6 +38,9 @@ class Imagination(Modelling):
             raise UserError(f"keep ({agent.keep}) must be a multiple of model_every ({agent.model_every})")
         self._width = 2 * self.spec.observation_size + self.spec.action_size + 2  # numbers in a row that is learned from
         self._kept = agent.keep // agent.model_every  # batches of rollouts
+        self._share = agent.most // self._kept  # rows of each, at most
+        if self._share < 1:
+            raise UserError(f"most ({agent.most}) must leave a row to each of the {self._kept} fits that are learned from")
         self._batches: dict[int, np.ndarray] = {}  # by turn, (lanes, rows, width)
         self._waiting: list[int] = []  # turns that are not on disk yet
         self._needed = 0  # the first turn that the checkpoint before the next one needs
@@ -58,7 +61,7 @@ class Imagination(Modelling):
     def _fitted(self, learner: Any, states: Any, turn: int) -> Any:
         """Also makes rollouts in the ensembles."""
         states = super()._fitted(learner, states, turn)
-        length = self.agent.rollout_length((self.environment_steps - self.settings.explore) / EPOCH)
+        length = self.agent.rollout_length((self.environment_steps - self.settings.explore) // EPOCH)
         found = []
         for lane, seed in enumerate(self.seeds):
             agent, state = own(learner, lane), own(states, lane)
@@ -70,7 +73,7 @@ class Imagination(Modelling):
             if not len(rows):  # a lane whose numbers went bad, which it is told after its updates
                 rows = real[:, : self._width]
             # Lanes have equally many rows; those of rollouts that ended early are made up for by others.
-            found.append(rows[np.resize(rng.permutation(len(rows)), n * length)])
+            found.append(rows[np.resize(rng.permutation(len(rows)), min(n * length, self._share))])
         self._batches[turn] = np.stack(found)
         self._waiting.append(turn)
         self._batches = {t: rows for t, rows in self._batches.items() if t > turn - self._kept}
@@ -80,17 +83,18 @@ class Imagination(Modelling):
 
     def _refill(self, turn: int) -> None:
         """Puts what is learned from onto the device, for the turn that was the last."""
-        made_up = np.concatenate([self._batches[t] for t in sorted(self._batches)], 1)
-        share, steps = self.agent.real, self.known(turn)
-        more = round(made_up.shape[1] * share / (1.0 - share))
-        real = []
-        for lane in range(len(self.seeds)):
-            rows = np.random.default_rng([self.seeds[lane], _DREAM, turn, 1]).integers(steps, size=more)
-            real.append(np.asarray(self.replay.buffer[lane, :steps, : self._width])[rows])
-        rows = np.concatenate([made_up, np.stack(real)], 1)
-        self._count = rows.shape[1]
+        self._buffer = jnp.zeros((len(self.seeds), 0, 0))  # what was learned from makes room first
+        kept = [self._batches[t] for t in sorted(self._batches)]
+        made_up, share, steps = sum(rows.shape[1] for rows in kept), self.agent.real, self.known(turn)
+        more = round(made_up * share / (1.0 - share))
+        self._count = made_up + more
         # With room for growth, so that few programs serve all lengths of rollouts.
-        self._buffer = jnp.asarray(np.pad(rows, ((0, 0), (0, room(self._count) - self._count), (0, 0))))
+        rows = np.zeros((len(self.seeds), room(self._count), self._width), np.float32)
+        np.concatenate(kept, 1, out=rows[:, :made_up])
+        for lane, seed in enumerate(self.seeds):
+            drawn = np.random.default_rng([seed, _DREAM, turn, 1]).integers(steps, size=more)
+            rows[lane, made_up : self._count] = np.asarray(self.replay.buffer[lane, :steps, : self._width])[drawn]
+        self._buffer = jnp.asarray(rows)
 
     # ---- checkpoints ------------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.collect.online import Exploration, unpacked
 from deadreckon.dynamics import Report
+from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
 
 
@@ -23,6 +24,8 @@ class Modelling(Exploration):
 
     def _begin(self, agent: ModelledOnline) -> None:
         block = self.settings.block
+        if self.settings.explore < FEWEST:
+            raise UserError(f"explore must be {FEWEST} or more, what a model is first fitted to, got {self.settings.explore}")
         if agent.model_every % block:
             raise UserError(f"model_every ({agent.model_every}) must be a multiple of block ({block})")
         if agent.ends == self.task.name and agent.over != self.task.ends:

@@ -117,6 +117,8 @@ def reopened(path: Path | str) -> Fit:
     every = config["evaluation"]["every"]
     job = _job(lanes, find_task(config["task"]), config["seeds"], config["steps"], settings, folder, every, every, None)
     job.resume()
+    if job.step == 0:
+        raise UserError(f"{path} has no checkpoint yet in which something was learned")
     return job
 
 

@@ -3,7 +3,8 @@
 A k-branched rollout starts at states that the old policy comes to in the true world and takes k steps of the new policy in the
 model. All bounds are on J(pi) - J_branch(pi) from below, in units of a return: a promise of the model minus the bound is kept.
 Errors are total variations: `model` of the next state, under the policy that is said; `policy` between the two policies at the
-worst state. `r_max` is the greatest |reward|.
+worst state. `r_max` is the greatest |reward|. Rewards are known: where the model learns these too, and their error counts in
+`model`, 2 r_max model / (1 - discount) comes to every bound.
 """
 
 import math
@@ -65,7 +66,7 @@ def best_length(model: float, policy: float, discount: float) -> float:
         return math.inf
     if discount == 0.0:
         return 1
-    return max(0, math.ceil(math.log(model / policy) / math.log(discount) - 1e-9))
+    return max(1, math.ceil(math.log(model / policy) / math.log(discount) - 1e-9))
 
 
 def branched_occupancy(

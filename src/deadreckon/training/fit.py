@@ -467,9 +467,16 @@ class Fit:
         for i, learner in enumerate(self.learners):
             key = jax.random.fold_in(jax.random.fold_in(self.roots[i], PREPARE), self.step)
             state = jax.tree.map(lambda leaf, i=i: leaf[i], self.states)
+            # The first preparation may take hours: a kill loses that of one lane only.
+            kept = self.folder / f"prepared-{i}.npz" if self.folder is not None and self.step == 0 else None
             if failures[i] is None:
                 try:
-                    state = learner.prepare(state, self.rows, key, inner)
+                    if kept is not None and kept.exists():
+                        state = load_tree(kept, state)[0]
+                    else:
+                        state = learner.prepare(state, self.rows, key, inner)
+                        if kept is not None:
+                            save_tree(kept, state, {})
                 except DivergedError as error:  # what went bad stands before the colon
                     failures[i] = Failure(f"{str(error).partition(':')[0]} (while preparing)", self.step)
             lanes.append(state)
@@ -483,6 +490,8 @@ class Fit:
             self.experience.flush()  # first the rows, then the checkpoint that counts them
         save_tree(self.folder / f"{self.step:010d}.npz", self._tree(), {"step": self.step, "failures": self.failures})
         for _, path in _checkpoints(self.folder)[:-KEPT]:
+            path.unlink()
+        for path in self.folder.glob("prepared-*.npz") if self.step else ():
             path.unlink()
 
 
