@@ -64,7 +64,7 @@ def test_with_a_judge(table, capsys):
 @pytest.mark.parametrize(
     ("args", "line"),
     [
-        ([], "missing --method, one of nemo, "),
+        ([], "design needs --data FILE --target COLUMN, or --problem NAME"),
         (["--method", "nimo"], "unknown designer 'nimo': did you mean nemo?"),
         (["--method", "best"], "design needs --data FILE --target COLUMN, or --problem NAME"),
         (["--method", "best", "--data", "alloys.csv"], "missing --target, the column of the scores"),

@@ -13,12 +13,13 @@ from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
 
+USUAL = "ensemble"  # the method where none is named
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 
 @dataclass
 class Design:
-    """Propose designs that should score high; --method NAME chooses how. See also `design problems|get|methods|bench`."""
+    """Propose designs that should score high, by an ensemble or --method NAME. See also `design problems|get|methods|bench`."""
 
     data: str | None = None  # CSV of scored designs, a row each
     target: str | None = None  # its column to make large
@@ -28,6 +29,7 @@ class Design:
     ignore: tuple[str, ...] = ()  # columns that are no inputs
     minimise: bool = False  # make the target small instead
     problem: str | None = None  # instead of --data: a problem with a judge
+    budget: Literal["full", "cpu"] | None = None  # sizes of what is fitted; None: full for a problem, cpu (minutes) for --data
     path: str | None = None  # the problem's file, where it has one
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # designs to propose
     seed: int = 0  # of everything random
@@ -53,19 +55,17 @@ def design(args: Sequence[str]) -> None:
     """Proposes, writes and prints."""
     if args and args[0] in _MORE:
         return _MORE[args[0]](args[1:])
-    from deadreckon.mbo.registry import DESIGNERS, designer
+    from deadreckon.mbo.registry import DESIGNERS, sized
 
     name, rest = chosen("method", args)
+    asked, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
+    method = sized(name or USUAL, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
     fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")])]
-    if name is not None:
-        method = designer(name, chosen("problem", rest)[0])  # with the settings published for it
-        fields.append(("method", type(method), dataclasses.field(default_factory=lambda: method)))
+    fields.append(("method", type(method), dataclasses.field(default_factory=lambda: method)))
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
-    if name is None:
-        raise UserError(f"missing --method, one of {', '.join(DESIGNERS)}")
-    return _propose(name, parsed.method, parsed.design)
+    return _propose(name or USUAL, parsed.method, parsed.design)
 
 
 def _propose(name: str, method: Any, options: Design) -> None:
