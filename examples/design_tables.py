@@ -21,7 +21,7 @@ from deadreckon.mbo.registry import DESIGNERS, sized
 PROBLEMS = ("hopper-controller", "superconductor", "tfbind8", "gfp", "molecule", "ant-morphology", "dkitty-morphology")
 RISES = (100, 300, 1000)  # steps of the designs, of which ablations show the progress
 SEARCHED = (0.0005, 0.005, 0.05), (0.01, 0.1)  # learning rates of the models and of the designs
-WEIGHTS = {"1/rows": None, "1/batch": 1 / 128, "1": 1.0}  # of the claim beside the data's mean
+WEIGHTS = {"a row of the data": None, "a row of the batch": 1 / 128, "the batch": 1.0}  # what a claim counts as much as
 RATIOS, RATES = (1, 5, 20), (0.0005, 0.05)  # updates of the models for each of the designs; their learning rates
 
 
@@ -50,7 +50,7 @@ def variants(group: str, problem: str, options: Options) -> list[tuple[str, Any]
         "nml": {"NML": {"start": "worst"}, "none": {"start": "worst", "search_lr": 0.0}},
         "architecture": {"logistic": {}, "categorical": {"architecture": "categorical"}},
         "search": {f"{lr:g}, designs {rise:g}": {"lr": lr, "design_lr": rise} for lr in SEARCHED[0] for rise in SEARCHED[1]},
-        "weight": {f"w = {name}, designs {rise:g}": {"lr": 0.005, "design_lr": rise, "weight": weight}
+        "weight": {f"{name}, designs {rise:g}": {"lr": 0.005, "design_lr": rise, "weight": weight}
                    for name, weight in WEIGHTS.items() for rise in SEARCHED[1]},
         "ratio": {f"{ratio}:1, {lr:g}": {"ratio": ratio, "lr": lr} for lr in RATES for ratio in RATIOS},
     }[group]  # fmt: skip

@@ -11,7 +11,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.training.checkpoint import load_arrays, load_tree, save_tree
 from deadreckon.training.fit import Fit, fit
-from deadreckon.training.learner import check_fields, lift, static
+from deadreckon.training.learner import check_fields, described, lift, static
 from tests.agents.worlds import corridor
 
 LOG = corridor(400)
@@ -153,6 +153,12 @@ def test_stops_end_chunks_without_changing_bits():
     job = Fit([Collector()], rows, [3], 40, chunk=40, stops=15)
     assert [p.step for p in job.chunks()] == [15, 30, 40]
     np.testing.assert_array_equal(job.states["seen"], plain)
+
+
+def test_learners_are_told_apart_by_all_their_fields():
+    assert str(Collector()) == str(Collector(scale=1.0))
+    assert described(Collector()) == f"Collector(scale=1.0, asks={Needs()!r}, refresh=0)"
+    assert described(Collector(scale=2.0)) != described(Collector())
 
 
 def test_lanes_take_floats_and_refuse_shapes():

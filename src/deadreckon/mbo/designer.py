@@ -21,7 +21,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets.optim import begin, descend
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
-from deadreckon.training.learner import check_fields
+from deadreckon.training.learner import check_fields, described
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 # Standardised means and deviations of coordinates (n, size); either may be None.
@@ -90,7 +90,7 @@ class Setting(NamedTuple):
         data = hashlib.blake2b(digest_size=16)
         for column in points.columns.values():
             data.update(np.ascontiguousarray(column).tobytes())
-        asked = {"learner": str(learner), "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
+        asked = {"learner": described(learner), "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
         folder = folder_of(self.out, what, asked)
         inherit(folder)
         return folder
@@ -101,7 +101,7 @@ class Designer(eqx.Module):
 
     def asked(self, data: Designs) -> str:
         """All settings that proposals for some data depend on, as text."""
-        return str(self)
+        return described(self)
 
     def propose(
         self,

@@ -277,7 +277,9 @@ class NEMO(Designer):
 
     def asked(self, data: Designs) -> str:
         """See `Designer`; a function is known by what it makes of the scores."""
-        return super().asked(data) if self.g is None else f"{self.replace(g=None)}, g {self._worths(data).tolist()}"
+        if self.g is None:
+            return super().asked(data)
+        return f"{self.replace(g=None).asked(data)}, g {self._worths(data).tolist()}"
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """The designs at the end of their search, with mean and deviation under p_NML of the target models."""

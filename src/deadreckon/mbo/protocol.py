@@ -131,7 +131,7 @@ def judge(
         settings = designer.asked(visible)
         asked = {"name": name, "settings": settings, "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
         folder = None if out is None else Path(out) / problem.name
-        path = None if folder is None else folder / f"{name}-{digest(asked, 4)}.json"
+        path = None if folder is None else folder / f"{name.replace('/', '-')}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
             result = _from_json(read_json(path)["result"])
         else:

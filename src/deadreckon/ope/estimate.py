@@ -30,7 +30,7 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Deployed, Policy, TanhGaussian
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Fit, Progress, complete
-from deadreckon.training.learner import check_fields, static
+from deadreckon.training.learner import check_fields, described, static
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
@@ -289,8 +289,8 @@ class Case:
         assert self.out is not None
         columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
-            "learner": str(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self._manner, "columns": columns,
-            "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
+            "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self._manner,
+            "columns": columns, "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
 

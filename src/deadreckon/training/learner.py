@@ -45,6 +45,13 @@ def static(default: Any) -> Any:
     return eqx.field(static=True, default=default)
 
 
+def described(learner: eqx.Module) -> str:
+    """All hyperparameters as text, by which results are told apart; `str` leaves out those that have their default's value."""
+    values = ((f.name, getattr(learner, f.name)) for f in dataclasses.fields(learner))
+    parts = (f"{name}={described(value) if isinstance(value, eqx.Module) else repr(value)}" for name, value in values)
+    return f"{type(learner).__name__}({', '.join(parts)})"
+
+
 # What hyperparameters may be, by name or by the end of it: names are the field's own, so one table serves every learner.
 _RANGES: dict[str, tuple[float, float]] = {
     "lr": (0.0, math.inf), "discount": (0.0, 1.0), "target_rate": (0.0, 1.0), "min_weight": (0.0, 1.0),
