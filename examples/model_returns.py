@@ -81,13 +81,14 @@ def made_up(
 def fan(
     agent: ModelledOnline, ensemble: Ensemble, start: Float[Array, "o"], actions: Float[Array, "t a"], n: int, key: PRNGKeyArray
 ) -> Float[Array, "t n o"]:
-    """Observations that follow the same actions, without an end."""
+    """Observations that follow the same actions, without an end; one that is not finite stays where it was."""
 
     def ahead(observation: Array, at: Any) -> tuple[Array, Array]:
         action, t = at
         repeated = jnp.broadcast_to(action, (n, len(action)))
-        known = transition(agent.model, ensemble, agent.over, observation, repeated, jax.random.fold_in(key, t))
-        return known[1], known[1]
+        _, following, _, _ = transition(agent.model, ensemble, agent.over, observation, repeated, jax.random.fold_in(key, t))
+        following = jnp.where(jnp.isfinite(following).all(-1, keepdims=True), following, observation)
+        return following, following
 
     begun = jnp.broadcast_to(start, (n, len(start)))
     return jax.lax.scan(ahead, begun, (actions, jnp.arange(len(actions))))[1]
