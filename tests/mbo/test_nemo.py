@@ -105,8 +105,9 @@ def score(proposals):
     return -np.square(proposals.x - 0.5).sum(1)
 
 
-def test_designs_improve_and_stay_within_bounds(bowl):
-    found = NEMO(bins=12, hidden=(32, 32), steps=400, pretrain=400, lr=0.005, design_lr=0.02).propose(bowl, 16)
+@pytest.mark.parametrize("fields", [{}, {"weight": None, "steps": 400, "design_lr": 0.02}])
+def test_designs_improve_and_stay_within_bounds(bowl, fields):
+    found = NEMO(**{"bins": 12, "hidden": (32, 32), "pretrain": 400} | fields).propose(bowl, 16)
     assert np.median(score(found)) > bowl.y.max()
     assert found.x.min() >= -2
     assert found.x.max() <= 2
@@ -169,7 +170,7 @@ def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
     rng = np.random.default_rng(0)
     x = np.sort(rng.uniform(-1, 1, rows))
     data = Designs.from_arrays(x[:, None], x + 0.3 * rng.standard_normal(rows))
-    still = NEMO(bins=bins, hidden=(), loss="likelihood", pretrain=0, lr=0.003, design_lr=0.0, batch_size=256, target_rate=0.01)
+    still = NEMO(bins=bins, hidden=(), loss="likelihood", pretrain=0, lr=0.003, design_lr=0.0, weight=None, batch_size=256)
     setting = Setting(data, 1, [0], None, lambda what, step, steps: None)
     state = setting.train(still.training(setting), 6000, "nemo")[0]
     found = np.exp(np.asarray(p_nml(joined(state.targets), state.search.x)))[0]

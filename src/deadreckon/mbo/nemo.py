@@ -246,9 +246,9 @@ class NEMO(Designer):
     batch_size: int = static(128)  # designs of the data an update (missing in Algorithm 6)
     lr: float = 0.005  # of the models, alpha_theta; with the 0.05 of some presets wide networks learn little
     search_lr: float | None = None  # of the models while designs rise; None: the same; 0: they stay, and nothing is NML
-    design_lr: float = 0.1  # of the designs, alpha_x, in standardised coordinates
+    design_lr: float | None = None  # of the designs, alpha_x, standardised; None: 0.01, or 0.1 for discrete designs
     target_rate: float = 0.05  # tau
-    weight: float | None = None  # of the claim beside the data's mean; None: 1 / rows (6.3)
+    weight: float | None = 1.0  # of the claim beside the data's mean; None: 1 / rows, as printed, which models hardly follow
     start: Literal["best", "worst"] = static("best")  # designs of the data to begin with
 
     @property
@@ -262,8 +262,9 @@ class NEMO(Designer):
         y = (data.y - view.y_mean) / view.y_std
         low, high = float(y.min()), float(y.max())
         g = None if self.g is None else Fixed(self._worths(data))
+        rate = self.design_lr if self.design_lr is not None else 0.1 if view.discrete else 0.01
         return Training(
-            self.lr, self.lr if self.search_lr is None else self.search_lr, self.design_lr, self.target_rate,
+            self.lr, self.lr if self.search_lr is None else self.search_lr, rate, self.target_rate,
             1.0 / len(data) if self.weight is None else self.weight, self.confidence,
             Fixed(view.low), Fixed(view.high), setting.n, self.start == "worst", (low, high), g, self.bins, self.hidden,
             self.architecture == "logistic",
