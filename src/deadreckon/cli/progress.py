@@ -67,7 +67,7 @@ class Watch:
     """A bar for each thing that is done, one after the other; use it as a context manager and call it."""
 
     def __init__(self):
-        self.what = ""
+        self.what = "", 0
         self.bar: Bar | None = None
 
     def __enter__(self) -> Self:
@@ -75,9 +75,9 @@ class Watch:
 
     def __call__(self, what: str, step: int, steps: int, unit: str = "updates") -> None:
         """Tells how far `what` is."""
-        if what != self.what or self.bar is None:
+        if (what, steps) != self.what or self.bar is None:
             self._end()
-            self.what, self.bar = what, Bar(what, steps, unit).__enter__()
+            self.what, self.bar = (what, steps), Bar(what, steps, unit).__enter__()
         self.bar(step)
 
     def _end(self) -> None:
