@@ -20,7 +20,7 @@ from deadreckon.mbo.registry import DESIGNERS, sized
 
 PROBLEMS = ("hopper-controller", "superconductor", "tfbind8", "gfp", "molecule", "ant-morphology", "dkitty-morphology")
 RISES = (100, 300, 1000)  # steps of the designs, of which ablations show the progress
-SEARCHED = (0.0005, 0.005, 0.05), (0.01, 0.1)  # learning rates of the models and of the designs
+DESIGN_RATES = 0.01, 0.1  # learning rates of the designs
 WEIGHTS = {"a row of the data": None, "a row of the batch": 1 / 128, "the batch": 1.0}  # what a claim counts as much as
 RATIOS, RATES = (1, 5, 20), (0.0005, 0.05)  # updates of the models for each of the designs; their learning rates
 
@@ -29,7 +29,7 @@ RATIOS, RATES = (1, 5, 20), (0.0005, 0.05)  # updates of the models for each of 
 class Options:
     """Tables and ablations of chapter 6."""
 
-    groups: tuple[Literal["table", "nml", "architecture", "ratio", "search", "weight"], ...] = ("table",)  # of runs
+    groups: tuple[Literal["table", "nml", "architecture", "ratio", "weight"], ...] = ("table",)  # of runs
     problems: tuple[str, ...] = PROBLEMS  # of these
     paths: dict[str, str] = dataclasses.field(default_factory=dict)  # PROBLEM FILE, ...; else the package's folder of designs
     only: tuple[str, ...] = tuple(DESIGNERS)  # methods of the group table
@@ -53,9 +53,8 @@ def variants(group: str, problem: str, options: Options) -> list[tuple[str, Any]
     changes: dict[str, dict[str, Any]] = {
         "nml": {"NML": {"start": "worst"}, "none": {"start": "worst", "search_lr": 0.0}},
         "architecture": {"logistic": {}, "categorical": {"architecture": "categorical"}},
-        "search": {f"{lr:g}, designs {rise:g}": {"lr": lr, "design_lr": rise} for lr in SEARCHED[0] for rise in SEARCHED[1]},
         "weight": {f"{name}, designs {rise:g}": {"lr": 0.005, "design_lr": rise, "weight": weight}
-                   for name, weight in WEIGHTS.items() for rise in SEARCHED[1]},
+                   for name, weight in WEIGHTS.items() for rise in DESIGN_RATES},
         "ratio": {f"{ratio}:1, {lr:g}": {"ratio": ratio, "lr": lr} for lr in RATES for ratio in RATIOS},
     }[group]  # fmt: skip
     return [

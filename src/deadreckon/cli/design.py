@@ -60,8 +60,8 @@ def design(args: Sequence[str]) -> None:
     name, rest = chosen("method", args)
     asked, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
     method = sized(name or USUAL, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
-    fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")])]
-    fields.append(("method", type(method), dataclasses.field(default_factory=lambda: method)))
+    own = "method", type(method), dataclasses.field(default_factory=lambda: method)
+    fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")]), own]
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
