@@ -1,5 +1,6 @@
 """Tables of scored designs: what comes in, what is refused in one line, and the coordinates that methods search in."""
 
+import gzip
 from datetime import datetime
 
 import numpy as np
@@ -92,6 +93,13 @@ def test_separators_points_and_row_numbers_of_files(tmp_path, separator):
     assert [v.name for v in found.variables] == ["a"]
     np.testing.assert_allclose(found.x[:, 0], 1.5 * np.arange(12))
     np.testing.assert_allclose(found.y, np.arange(12) - 0.25)
+
+
+def test_a_compressed_file_is_read(tmp_path):
+    text = "a;y\n" + "".join(f"{i};{i / 2}\n" for i in range(20_000))  # longer than what the separator is looked for in
+    with gzip.open(tmp_path / "mine.csv.gz", "wt") as file:
+        file.write(text)
+    assert len(Designs.from_csv(tmp_path / "mine.csv.gz", "y")) == 20_000
 
 
 def test_a_file_in_another_encoding_is_refused(tmp_path):

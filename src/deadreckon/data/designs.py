@@ -297,11 +297,14 @@ def _dialect(path: Path) -> tuple[str, str]:
     Raises:
         UserError: its text is not UTF-8.
     """
-    with open(path, encoding="utf-8") as file:
-        try:
-            first, rest = file.readline(), file.read(65_536)
-        except UnicodeDecodeError as error:
-            raise UserError(f"{path}: its text is not UTF-8 ({error.reason} at byte {error.start}); save it as such") from error
+    with pa.input_stream(path) as file:  # which unpacks what is compressed, as the reader does
+        head = file.read(65_536)
+    if len(head) == 65_536:
+        head = head[: head.rfind(b"\n") + 1] or head  # a letter may have been cut in two
+    try:
+        first, _, rest = head.decode().partition("\n")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: its text is not UTF-8 ({error.reason} at byte {error.start}); save it as such") from error
     separator = max(",;\t", key=first.count)  # of none, the comma
     return separator, "," if separator != "," and "," in rest and "." not in rest else "."
 
