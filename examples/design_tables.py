@@ -37,19 +37,20 @@ class Options:
     seeds: int = 8  # how many
     together: int | None = None  # seeds of one program; None: all
     n: int = 128  # designs a method proposes
-    settings: Literal["printed", "own"] = "printed"  # of NEMO in ablations: the thesis's, or those of a table of one's own
+    settings: Literal["printed", "own"] = "printed"  # of NEMO: the thesis's, or those of a table of one's own
     rises: tuple[int, ...] = RISES  # steps of the designs in ablations
     out: str = "runs/mbo"  # folder of results
 
 
 def variants(group: str, problem: str, options: Options) -> list[tuple[str, Any]]:
     """Labels and designers."""
-    if group == "table":
-        return [(name, sized(name, problem, options.budget)) for name in options.only]
-    nemo = sized("nemo", problem, options.budget)
+    nemo: Any = sized("nemo", problem, options.budget)
     if options.settings == "own":
-        own = sized("nemo", None, options.budget)
+        own: Any = sized("nemo", None, options.budget)
         nemo = nemo.replace(lr=own.lr, design_lr=own.design_lr, weight=own.weight)
+    if group == "table":
+        of = lambda name: nemo if name == "nemo" else sized(name, problem, options.budget)  # noqa: E731
+        return [("nemo-own" if name == "nemo" and options.settings == "own" else name, of(name)) for name in options.only]
     changes: dict[str, dict[str, Any]] = {
         "nml": {"NML": {"start": "worst"}, "none": {"start": "worst", "search_lr": 0.0}},
         "architecture": {"logistic": {}, "categorical": {"architecture": "categorical"}},

@@ -1,5 +1,7 @@
 """NEMO's parts against numpy, and that it finds good designs where they are to be found."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -248,3 +250,14 @@ def test_refusals(bowl):
         SMALL.replace(architecture="tree").propose(bowl)
     with pytest.raises(UserError, match="nemo: .* was not finite at update .*; a lower learning rate may help"):
         SMALL.replace(lr=1e30).propose(bowl, 2)
+
+
+def test_models_that_went_blind_are_told_of(bowl):
+    setting = Setting(bowl, 4, [0], None, lambda what, step, steps: None)
+    learner = SMALL.training(setting)
+    state = setting.train(learner, 10, "nemo")[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        SMALL._warn_of_blindness(learner, state, bowl)
+    with pytest.warns(UserWarning, match=r"NEMO: its models say the same of every design.* lower lr \(now 0.01\)"):
+        SMALL._warn_of_blindness(learner, state._replace(targets=jax.tree.map(jnp.zeros_like, state.targets)), bowl)

@@ -15,6 +15,7 @@ deviations on the method's page.
 """
 
 import hashlib
+import warnings
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
@@ -122,6 +123,7 @@ def reached(probs: Float[Array, "b k"], confidence: float) -> Float[Array, "b"]:
 
 
 STACKS = 4  # of models, see `split`
+SAMPLE = 1000  # rows of the data on which models are asked whether they tell designs apart
 
 
 class State(NamedTuple):
@@ -291,6 +293,7 @@ class NEMO(Designer):
         for seed, state in zip(setting.seeds, states):
             middle = low + (high - low) * (np.arange(self.bins) + 0.5) / self.bins
 
+            self._warn_of_blindness(learner, state, setting.data)
             nets = joined(state.targets)
 
             def believed(x: Array, nets: Net = nets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
@@ -300,3 +303,10 @@ class NEMO(Designer):
 
             found.append(self.decoded(setting, seed, state.search.x, believed))
         return found
+
+    def _warn_of_blindness(self, learner: Training, state: State, data: Designs) -> None:
+        """Tells where models say the same of all data: a large learning rate can leave them no unit that still answers."""
+        some = np.linspace(0, len(data) - 1, min(len(data), SAMPLE)).astype(int)
+        if np.ptp(np.asarray(learner.worth(state.targets, jnp.asarray(data.coordinates.encode(data.x[some]))))) < 1e-6:
+            text = f"NEMO: its models say the same of every design, so no search led anywhere; lower lr (now {self.lr:g})"
+            warnings.warn(text, stacklevel=2)
