@@ -7,7 +7,6 @@ Policies that the run kept act in the simulator and in the run's last model, dra
 kind of first observation. Then actions of a real episode are done again in the model, many times over: its draws are the fan.
 """
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.collect.modelled import own
-from deadreckon.collect.rollouts import Act, perform
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.collect.rollouts import played
+from deadreckon.data.dataset import Dataset
 from deadreckon.dynamics import Ensemble, transition
 from deadreckon.errors import UserError
 from deadreckon.policies import store
@@ -94,15 +93,10 @@ def fan(
     return jax.lax.scan(ahead, begun, (actions, jnp.arange(len(actions))))[1]
 
 
-def log_of(task: Any, policy: Deployed, rows: int, seed: int) -> Dataset:
-    """Whole episodes of a policy."""
-    with tempfile.TemporaryDirectory() as scratch:
-        log = perform(task, [Act(policy, rows)], name="returns", seed=seed, provenance=Provenance("collected", seed=seed),
-                      scratch=Path(scratch) / "rows")  # fmt: skip
-        whole = np.arange(log.episodes)
-        if log.episodes > 1 and log.lengths[-1] < log.lengths[:-1].max() and not log.terminals[-1]:
-            whole = whole[:-1]  # cut off where the rows were full
-        return log.select(whole)  # in memory, not where the scratch was
+def whole(log: Dataset) -> Dataset:
+    """A log without a last episode that was cut off where its rows were full."""
+    cut = log.episodes > 1 and log.lengths[-1] < log.lengths[:-1].max() and not log.terminals[-1]
+    return log.select(np.arange(log.episodes - cut))
 
 
 def so_far(log: Dataset, horizon: int) -> Float[np.ndarray, "t n"]:
@@ -134,7 +128,7 @@ def main(options: Options) -> None:
     asked = [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, options.policies).astype(int))]
 
     key, real, dreamed = jax.random.key(options.seed), [], []
-    logs = [log_of(task, store.load(folder.policy(options.seed, step)), options.rows, 3000 + step) for step in asked]
+    logs = [whole(played(task, store.load(folder.policy(options.seed, step)), options.rows, 3000 + step)) for step in asked]
     first = np.concatenate([np.asarray(log.observations)[log.starts] for log in logs])
     starts = jnp.asarray(np.random.default_rng(options.seed).choice(first, options.episodes), jnp.float32)
     for i, (step, log) in enumerate(zip(asked, logs)):

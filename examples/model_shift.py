@@ -9,9 +9,7 @@ of what is predicted in the first policy's data, where a model that always says 
 """
 
 import dataclasses
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,8 +18,8 @@ import numpy as np
 import tyro
 
 from deadreckon.cli.main import cache_compiled_programs
-from deadreckon.collect.rollouts import Act, perform
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.collect.rollouts import played
+from deadreckon.data.dataset import Dataset
 from deadreckon.dynamics import Gaussian, Trainer
 from deadreckon.dynamics.ensemble import rows_of
 from deadreckon.errors import UserError
@@ -54,16 +52,6 @@ def towards(first: Deployed, later: Deployed, share: float) -> Any:
     return dataclasses.replace(first, inner=inner)
 
 
-def log_of(options: Options, policy: Deployed, rows: int, seed: int) -> Dataset:
-    """What the policy does."""
-    with tempfile.TemporaryDirectory() as scratch:
-        log = perform(
-            find_task(options.task), [Act(policy, rows)], name="shift", seed=seed,
-            provenance=Provenance("collected", seed=seed), scratch=Path(scratch) / "rows",
-        )  # fmt: skip
-        return log.select(np.arange(log.episodes))  # in memory, not where the scratch was
-
-
 def columns_of(log: Dataset) -> dict[str, np.ndarray]:
     """As a model learns from them."""
     return {
@@ -87,9 +75,10 @@ def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
     if not later:
         raise UserError(f"{options.policy} is the last policy of {options.task}; name an earlier one")
     first, second = own.policy(), later[0].policy()
-    data = log_of(options, first, max(options.rows), 1000 + seed)
+    task = find_task(options.task)
+    data = played(task, first, max(options.rows), 1000 + seed)
     policies = [towards(first, second, share) for share in options.shares]
-    logs = [log_of(options, policy, options.judged, 2000 + 100 * seed + i) for i, policy in enumerate(policies)]
+    logs = [played(task, policy, options.judged, 2000 + 100 * seed + i) for i, policy in enumerate(policies)]
     apart = []
     for policy, log in zip(policies, logs):
         seen = first.view.observe(np.asarray(log.observations))

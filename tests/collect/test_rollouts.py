@@ -11,7 +11,7 @@ import pytest
 from deadreckon import tasks
 from deadreckon.collect import rollouts
 from deadreckon.collect.gym import collect_gym
-from deadreckon.collect.rollouts import Act, perform
+from deadreckon.collect.rollouts import Act, perform, played
 from deadreckon.data.dataset import Provenance
 from deadreckon.data.spec import Box, Spec
 from deadreckon.data.view import View
@@ -306,3 +306,12 @@ def test_kinds_of_log_are_acts_in_equal_parts(tmp_path, monkeypatch):
     np.testing.assert_allclose(log_probs[30:], density(POLICY, made.observations[30:], made.actions[30:]), rtol=1e-4, atol=1e-4)
     with pytest.raises(UserError, match="hopper-x-v2: steps must be 2 or more, got 1"):
         collect_gym(HOPPER, "medium-expert", name="hopper-x-v2", steps=1, scratch=tmp_path)
+
+
+def test_played_is_the_same_log_in_memory(tmp_path):
+    made = perform(HOPPER, [Act(POLICY, 300)], name="x", seed=5, provenance=Provenance("collected", seed=5), scratch=tmp_path)
+    found = played(HOPPER, POLICY, 300, 5)
+    assert len(found) == 300
+    for name in ("observations", "actions", "rewards", "terminals", "timeouts"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(made, name))
+        assert not isinstance(getattr(found, name), np.memmap)

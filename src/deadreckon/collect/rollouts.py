@@ -6,6 +6,7 @@ on neither cores nor interruptions: what was on disk when a collection was kille
 
 import itertools
 import json
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,6 +78,16 @@ def perform(
     stage = _Stage(scratch, task, asked_for(name, seed, [act.rows for act in acts], provenance))
     _perform(task, acts, stage, seed, threads, progress)
     return stage.log(name, provenance)
+
+
+def played(task: Task, policy: Deployed | None, rows: int, seed: int) -> Dataset:
+    """What a policy does in so many rows, as a log in memory; see `perform`."""
+    provenance = Provenance("collected", seed=seed)
+    with tempfile.TemporaryDirectory() as scratch:
+        log = perform(
+            task, [Act(policy, rows)], name=task.name, seed=seed, provenance=provenance, scratch=Path(scratch) / "rows"
+        )
+        return log.select(np.arange(log.episodes))  # in memory, not where the scratch was
 
 
 def _perform(
