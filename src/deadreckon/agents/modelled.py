@@ -62,7 +62,9 @@ class Modelled(Agent):
     def model(self) -> Gaussian:
         """What the ensemble consists of."""
         assert self.model_hidden is not None  # resolved
-        return Gaussian(self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_decay)
+        return Gaussian(
+            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_decay, per_number=True
+        )
 
     @property
     def trainer(self) -> Trainer:

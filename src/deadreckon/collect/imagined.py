@@ -16,6 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import replacing
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
+SPARE = 10  # times as many rows are made up as are kept of a fit, at most
 _DREAM = 6  # purpose of randomness, beside those of `training.fit`
 
 
@@ -67,7 +68,9 @@ class Imagination(Modelling):
             agent, state = own(learner, lane), own(states, lane)
             rng = np.random.default_rng([seed, _DREAM, turn, 0])
             real, n = self.real(lane), agent.rollouts * agent.model_every
-            starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
+            # Of long rollouts a small share would be kept: fewer are begun then.
+            begun = min(n, -(-SPARE * self._share // length))
+            starts = jnp.asarray(real[rng.integers(len(real), size=begun), : self.spec.observation_size])
             key = jax.random.fold_in(jax.random.key(self._mixed(lane, turn)), _DREAM)
             rows = packed(branches(agent.model, state.model, agent.policy(state), starts, length, key, agent.over))
             if not len(rows):  # a lane whose numbers went bad, which it is told after its updates

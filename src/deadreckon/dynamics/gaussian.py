@@ -17,6 +17,7 @@ class Gaussian(Model):
     """An ensemble of probabilistic networks, or of deterministic ones."""
 
     deterministic: bool = static(False)  # squared errors instead of likelihoods, means instead of draws
+    per_number: bool = static(False)  # a row's likelihood is the mean over its numbers, which decay and bounds of MBPO go with
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance, logit of an end), and bounds of the log-variances."""
@@ -40,10 +41,10 @@ class Gaussian(Model):
 
         def one(net, bounds, inputs, target, terminal):
             mean, log_variance, logit = self._heads(net, bounds, inputs)
-            end = bernoulli_nll(logit, terminal)
-            if self.deterministic:
-                return jnp.square(mean - target).sum(-1) + end
-            return gaussian_nll(mean, log_variance, target).sum(-1) + end + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
+            each = jnp.square(mean - target) if self.deterministic else gaussian_nll(mean, log_variance, target)
+            row = each.sum(-1) + bernoulli_nll(logit, terminal)
+            row = row / target.shape[-1] if self.per_number else row
+            return row if self.deterministic else row + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
 
         return jax.vmap(one)(params["nets"], params["bounds"], inputs, target, terminal)
 
