@@ -43,8 +43,9 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-# What this suite looks at is BEAR's and TD3+BC's too, or, where there is a model, SAC's and test_dreaming.py's.
-SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3")
+# What this suite looks at is others' too: of TD3 and its kin TD3+BC's, of SAC and its kin SAC's, of weighted imitation IQL's,
+# and where there is a model SAC's and test_dreaming.py's.
+SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "rebrac", "cql", "sac_n", "edac", "xql", "awac", "crr")
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]
@@ -194,6 +195,14 @@ LEARNERS = {
     "td3": (0.25, {}),
     "td3_bc": (0.35, {"alpha": 10.0}),
     "sac": (0.25, {"temperature": 0.01}),
+    "iql": (0.35, {"expectile": 0.9, "sharpness": 10.0}),
+    "xql": (0.35, {"temperature": 0.3, "sharpness": 10.0}),
+    "awac": (0.35, {"temperature": 0.1}),
+    "crr": (0.35, {}),
+    "rebrac": (0.35, {"actor_penalty": 0.05, "critic_penalty": 0.05}),
+    "cql": (0.35, {"temperature": 0.01, "conservatism": 0.1}),
+    "sac_n": (0.25, {"temperature": 0.01, "critics": 4}),
+    "edac": (0.25, {"temperature": 0.01, "critics": 4}),
     "bear": (0.25, {"warm_start": 50, "dual": False, "multiplier": 0.0, "test_action": "actor"}),
     "bear_is": (0.5, {"warm_start": 300, "dual": False, "multiplier": 10.0, "behavior_lr": 1e-3, "test_action": "actor"}),
 }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import COMBO, MOBILE, MOPO, MOReL
-from deadreckon.agents.combo import soft_maximum
+from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.agents.mopo import deviation
 from deadreckon.data.batch import Batch, Rows

@@ -27,12 +27,13 @@ def make(kind):
         "deterministic": Deterministic(MLP.create(3, (8,), 2, KEY, activation="swish")),
         "gaussian": TanhGaussian(actor),
         "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
+        "normalised": Deterministic(MLP.create(3, (8, 8), 2, KEY, normalise=True)),
         "greedy": GreedyQ(TanhGaussian(actor), MLP.create(5, (8,), 1, KEY), 5),
     }[kind]
     return Deployed.of(inner, VIEW)
 
 
-@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "vae", "greedy"])
+@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "vae", "normalised", "greedy"])
 def test_file_round_trip_and_numpy_player(kind, tmp_path):
     policy = make(kind)
     assert isinstance(policy, Policy)

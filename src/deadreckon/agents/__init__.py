@@ -7,10 +7,15 @@ from deadreckon.errors import unknown
 
 if TYPE_CHECKING:
     from deadreckon.agents.agent import Agent
+    from deadreckon.agents.awac import AWAC
     from deadreckon.agents.bc import BC
     from deadreckon.agents.bear import BEAR
     from deadreckon.agents.bear_is import ISBEAR
     from deadreckon.agents.combo import COMBO
+    from deadreckon.agents.cql import CQL
+    from deadreckon.agents.crr import CRR
+    from deadreckon.agents.edac import EDAC
+    from deadreckon.agents.iql import IQL
     from deadreckon.agents.mbpo import MBPO
     from deadreckon.agents.mobile import MOBILE
     from deadreckon.agents.mopo import MOPO
@@ -18,11 +23,14 @@ if TYPE_CHECKING:
     from deadreckon.agents.mve import MVE
     from deadreckon.agents.pets import PETS
     from deadreckon.agents.ppo import PPO
+    from deadreckon.agents.rebrac import ReBRAC
     from deadreckon.agents.sac import SAC
+    from deadreckon.agents.sac_n import SACN
     from deadreckon.agents.slbo import SLBO
     from deadreckon.agents.steve import STEVE
     from deadreckon.agents.td3 import TD3
     from deadreckon.agents.td3_bc import TD3BC
+    from deadreckon.agents.xql import XQL
 
 # Name on the command line: (module, class, one line). Modules load on first use: they need JAX.
 AGENTS = {
@@ -40,14 +48,27 @@ AGENTS = {
     "morel": ("morel", "MOReL", "SAC in a model that ends where its networks disagree (Kidambi et al. 2020)"),
     "combo": ("combo", "COMBO", "SAC on rollouts in a model, critics held down on unseen actions (Yu et al. 2021)"),
     "mobile": ("mobile", "MOBILE", "SAC on rollouts in a model, values lowered where backups differ (Sun et al. 2023)"),
+    "iql": ("iql", "IQL", "expectile values of logged actions, imitation weighted by advantage (Kostrikov et al. 2022)"),
+    "xql": ("xql", "XQL", "IQL with a soft maximum by Gumbel regression (Garg et al. 2023)"),
+    "awac": ("awac", "AWAC", "imitation weighted by how much better than the policy an action is (Nair et al. 2020)"),
+    "crr": ("crr", "CRR", "imitation of the logged actions that are better than the policy's (Wang et al. 2020)"),
+    "rebrac": ("rebrac", "ReBRAC", "TD3+BC with penalties for actor and critics, normalised critics (Tarasov et al. 2023)"),
+    "cql": ("cql", "CQL", "SAC with critics held down on unseen actions (Kumar et al. 2020; thesis 7.4)"),
+    "sac_n": ("sac_n", "SACN", "SAC with an ensemble of critics (An et al. 2021)"),
+    "edac": ("edac", "EDAC", "SAC-N with diversified critics (An et al. 2021)"),
     "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
 __all__ = [
     "AGENTS",
+    "AWAC",
     "BC",
     "BEAR",
     "COMBO",
+    "CQL",
+    "CRR",
+    "EDAC",
+    "IQL",
     "ISBEAR",
     "MBPO",
     "MOBILE",
@@ -56,12 +77,15 @@ __all__ = [
     "PETS",
     "PPO",
     "SAC",
+    "SACN",
     "SLBO",
     "STEVE",
     "TD3",
     "TD3BC",
+    "XQL",
     "Agent",
     "MOReL",
+    "ReBRAC",
     "agent_class",
     "agent_name",
 ]  # fmt: skip

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
+from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
 from deadreckon.policies.policy import Inner
 from deadreckon.training.learner import Metrics, check_fields
@@ -83,10 +84,10 @@ class Agent(eqx.Module):
         return dataclasses.replace(self, **changes)
 
 
-def create_critics(spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray) -> MLP:
+def create_critics(spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray, *, normalise: bool = False) -> MLP:
     """`count` Q-networks of (observation, action), stacked."""
     inputs = spec.observation_size + spec.action_size
-    return ensemble(lambda k: MLP.create(inputs, hidden, 1, k), count, key)
+    return ensemble(lambda k: MLP.create(inputs, hidden, 1, k, normalise=normalise), count, key)
 
 
 def bellman_loss(
@@ -102,3 +103,14 @@ def bellman_loss(
 def backup(batch: Batch, discount: Any, future: Float[Array, "b"]) -> Float[Array, "b"]:
     """r + discount (1 - terminal) future. A terminal has no future; a timeout does."""
     return batch.reward + discount * (1.0 - batch.terminal) * future
+
+
+def capped_exp(x: Float[Array, "b"], most: Any) -> Float[Array, "b"]:
+    """exp(x), `most` at most; the exponent is cut, so that no row is infinite."""
+    return jnp.exp(jnp.minimum(x, jnp.log(most)))
+
+
+def imitation_loss(actor: MLP, batch: Batch, weight: Float[Array, "b"]) -> Float[Array, ""]:
+    """-E[weight log pi(a|s)] of a tanh-Gaussian actor; weights have no slope."""
+    log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), jnp.arctanh(batch.action))
+    return -(jax.lax.stop_gradient(weight) * log_prob).mean()

@@ -9,14 +9,11 @@ of the policy at s', each divided by its density (the penalty of CQL, Kumar et a
 """
 
 import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.dreaming import Dreaming
-from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
-from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mlp import q_values
 from deadreckon.training.learner import static
 
 
@@ -42,16 +39,3 @@ class COMBO(Dreaming):
         logged = q_values(critics, batch.observation[: self.logged_rows], batch.action[: self.logged_rows]).mean(-1)
         gap = high - logged
         return loss + self.conservatism * gap.sum(), metrics | {"gap": gap.mean()}
-
-
-def soft_maximum(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
-    """Estimates log of the integral of exp Q(s, .) over all actions, up to a constant of the number of draws."""
-    k_uniform, k_now, k_next = jax.random.split(key, 3)
-    rows, size = batch.action.shape
-    uniform = jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)
-    parts = [q_values(critics, batch.observation, uniform) + size * jnp.log(2.0)]
-    for k, seen in ((k_now, batch.observation), (k_next, batch.next_observation)):
-        d = dist.gaussian_head(actor(seen))
-        pre = dist.sample(d, k, (draws,))
-        parts.append(q_values(critics, batch.observation, jnp.tanh(pre)) - dist.log_prob(d, pre))
-    return jax.nn.logsumexp(jnp.concatenate(parts, 1), axis=1)

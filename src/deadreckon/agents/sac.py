@@ -20,7 +20,7 @@ class State(NamedTuple):
     """Networks, target critics, log-temperature and optimisers."""
 
     actor: MLP
-    critics: MLP  # stacked: leading axis 2
+    critics: MLP  # stacked
     target_critics: MLP
     log_temperature: Array
     actor_opt: optax.OptState
@@ -30,7 +30,7 @@ class State(NamedTuple):
 
 
 class SAC(Agent):
-    """Twin critics, tanh-Gaussian actor, entropy held at a target."""
+    """Several critics, tanh-Gaussian actor, entropy held at a target."""
 
     online: ClassVar[bool] = True
 
@@ -42,6 +42,7 @@ class SAC(Agent):
     discount: float = 0.99  # per step
     target_rate: float = 0.005  # Polyak rate of the target critics
     entropy_backup: bool = static(True)  # whether targets hold the entropy bonus too
+    critics: int = static(2)  # Q-networks, of which the least is believed
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     batch_size: int = static(256)  # rows a batch
 
@@ -58,7 +59,7 @@ class SAC(Agent):
         """Fresh networks; targets are copies."""
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
-        critics = create_critics(spec, self.hidden, 2, kc)
+        critics = create_critics(spec, self.hidden, self.critics, kc)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
         opts = begin(actor), begin(critics), begin(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
@@ -119,5 +120,5 @@ class SAC(Agent):
         return TanhGaussian(state.actor)
 
     def q_value(self, state, observation, action):
-        """The smaller of the two critics; it holds the entropy bonus too."""
+        """The least of the critics; it holds the entropy bonus too."""
         return least(q_values(state.critics, observation, action))

@@ -50,10 +50,14 @@ class TD3(Agent):
         critics = create_critics(spec, self.hidden, 2, kc)
         return State(actor, critics, copy(actor), copy(critics), begin(actor), begin(critics))
 
-    def target(self, state, batch, key):
-        """r + discount min_j Q'_j(s', a'), a' the target actor's action plus clipped noise (TD3 eq. 14-15)."""
+    def next_action(self, state, batch, key):
+        """The target actor's action at s', plus clipped noise (TD3 eq. 14)."""
         noise = jnp.clip(self.noise * jax.random.normal(key, batch.action.shape), -self.noise_clip, self.noise_clip)
-        action = jnp.clip(jnp.tanh(state.target_actor(batch.next_observation)) + noise, -1.0, 1.0)
+        return jnp.clip(jnp.tanh(state.target_actor(batch.next_observation)) + noise, -1.0, 1.0)
+
+    def target(self, state, batch, key):
+        """r + discount min_j Q'_j(s', a') (TD3 eq. 15)."""
+        action = self.next_action(state, batch, key)
         return backup(batch, self.discount, least(q_values(state.target_critics, batch.next_observation, action)))
 
     def actor_loss(self, actor, state, batch):

@@ -39,16 +39,20 @@ class MLP(eqx.Module):
         weights: one (inputs, outputs) matrix a layer.
         biases: one (outputs,) vector a layer.
         activation: between the layers, a name of `ACTIVATIONS`.
+        normalise: whether the units behind each activation are standardised in every row (layer normalisation, whose own
+            scale and shift the next layer has already).
     """
 
     weights: tuple[Float[Array, "i o"], ...]
     biases: tuple[Float[Array, "o"], ...]
     activation: str = eqx.field(static=True, default="relu")
+    normalise: bool = eqx.field(static=True, default=False)
 
     @classmethod
     def create(
-        cls, inputs: int, hidden: Sequence[int], outputs: int, key: PRNGKeyArray, *, activation: str = "relu"
-    ) -> "MLP":
+        cls, inputs: int, hidden: Sequence[int], outputs: int, key: PRNGKeyArray, *, activation: str = "relu",
+        normalise: bool = False,
+    ) -> "MLP":  # fmt: skip
         """Weights and biases uniform in +-1/sqrt(inputs), the initialisation of the published agents."""
         sizes = (inputs, *hidden, outputs)
         keys = jax.random.split(key, len(sizes) - 1)
@@ -58,7 +62,7 @@ class MLP(eqx.Module):
             bound = 1.0 / jnp.sqrt(i)
             weights.append(jax.random.uniform(kw, (i, o), minval=-bound, maxval=bound))
             biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))
-        return cls(tuple(weights), tuple(biases), activation)
+        return cls(tuple(weights), tuple(biases), activation, normalise)
 
     def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
         """The network's output."""
@@ -68,8 +72,15 @@ class MLP(eqx.Module):
         """The rest of the network from the first layer's output before its activation."""
         x = pre
         for w, b in zip(self.weights[1:], self.biases[1:]):
-            x = ACTIVATIONS[self.activation](x) @ w + b
+            x = ACTIVATIONS[self.activation](x)
+            x = (standardised(x) if self.normalise else x) @ w + b
         return x
+
+
+def standardised(x: Float[Array, "*b h"]) -> Float[Array, "*b h"]:
+    """Each row less its mean, in its standard deviation."""
+    x = x - x.mean(-1, keepdims=True)
+    return x * jax.lax.rsqrt(jnp.square(x).mean(-1, keepdims=True) + 1e-6)
 
 
 N = TypeVar("N", bound=eqx.Module)

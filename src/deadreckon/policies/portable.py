@@ -89,6 +89,9 @@ class NumpyPolicy:
             x = x @ self._array(w) + self._array(b)
             if i < last:
                 x = _ACTIVATIONS[net["activation"]](x)
+                if net.get("normalise", False):
+                    x = x - x.mean(-1, keepdims=True)
+                    x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-6)
         return x
 
     def _pre(self, node, x, rng, greedy, count):

@@ -1,0 +1,88 @@
+"""AWAC (Nair et al. 2020): critics of the present policy, and imitation weighted by how much better than it an action is."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.policies.policy import TanhGaussian
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks, target critics and optimisers."""
+
+    actor: MLP
+    critics: MLP  # stacked: leading axis 2
+    target_critics: MLP
+    actor_opt: optax.OptState
+    critics_opt: optax.OptState
+
+
+class AWAC(Agent):
+    """Twin critics, and imitation weighted by exp(advantage / temperature)."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    critic_lr: float = 3e-4  # learning rate of the critics
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate of the target critics
+    temperature: float = 1.0  # lambda: what an advantage is divided by
+    max_weight: float = 100.0  # of a row in the actor's loss
+    draws: int = static(1)  # actions of the policy that its value is the mean of
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key) -> Any:
+        """Fresh networks; targets are copies."""
+        ka, kc = jax.random.split(key)
+        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        critics = create_critics(spec, self.hidden, 2, kc)
+        return State(actor, critics, copy(critics), begin(actor), begin(critics))
+
+    def target(self, state, batch: Batch, key: PRNGKeyArray) -> Array:
+        """r + discount min_j Q'_j(s', a'), a' from the present actor."""
+        action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.next_observation)), key))
+        return backup(batch, self.discount, least(q_values(state.target_critics, batch.next_observation, action)))
+
+    def advantage(self, state, batch: Batch, key: PRNGKeyArray) -> Float[Array, "b"]:
+        """min_j Q_j(s, a) less the mean of min_j Q_j(s, a_i) over actions of the actor."""
+        drawn = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.observation)), key, (self.draws,)))
+        own = least(q_values(state.critics, batch.observation, drawn)).mean(0)
+        return least(q_values(state.critics, batch.observation, batch.action)) - own
+
+    def weights(self, advantage: Float[Array, "b"]) -> Float[Array, "b"]:
+        """exp(advantage / temperature), cut above (eq. 13 of the paper has a normaliser, which its code leaves out too)."""
+        return capped_exp(advantage / self.temperature, self.max_weight)
+
+    def update(self, state, batch, *, step, key):
+        """Critics, actor, targets."""
+        k_target, k_actor = jax.random.split(key)
+        target = self.target(state, batch, k_target)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
+        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        state = state._replace(critics=critics, critics_opt=critics_opt)
+        weight = self.weights(self.advantage(state, batch, k_actor))
+        loss, grads = jax.value_and_grad(imitation_loss)(state.actor, batch, weight)
+        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        targets = track(state.target_critics, critics, self.target_rate)
+        state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
+        return state, metrics | {"actor_loss": loss, "weight": weight.mean()}
+
+    def policy(self, state):
+        """The actor; greedy is its mean."""
+        return TanhGaussian(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The smaller of the two critics."""
+        return least(q_values(state.critics, observation, action))

@@ -1,0 +1,111 @@
+"""CQL (Kumar et al. 2020): SAC whose critics are held down on actions that the log does not show.
+
+To the squared errors of each critic j comes, in the form H,
+
+    conservatism ( E_s[ log sum_a exp Q_j(s, a) ] - E_log[ Q_j(s, a) ] ),
+
+the sum estimated from `draws` actions each: uniform, of the policy at s, and of the policy at s', each divided by its density.
+In the form rho the first term is the mean of Q_j over actions of the present policy, weighted by exp Q_j. With `lagrange` the
+weight is a multiplier that rises where the difference is above `threshold`.
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import imitation_loss
+from deadreckon.agents.sac import SAC
+from deadreckon.data.batch import Batch
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.optim import begin, descend
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """SAC's, the log of the penalty's weight, and whether the actor imitates still."""
+
+    actor: MLP
+    critics: MLP  # stacked
+    target_critics: MLP
+    log_temperature: Array
+    actor_opt: optax.OptState
+    critics_opt: optax.OptState
+    temperature_opt: optax.OptState
+    log_weight: Array
+    weight_opt: optax.OptState
+    imitates: Array
+
+
+class CQL(SAC):
+    """SAC with conservative critics."""
+
+    actor_lr: float = 1e-4  # learning rate of the actor
+    entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
+    hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
+    form: Literal["H", "rho"] = static("H")  # of the penalty: log-sum-exp over all actions, or weighted actions of the policy
+    conservatism: float = 5.0  # weight of the penalty, or where the multiplier begins
+    draws: int = static(10)  # actions of each kind
+    lagrange: bool = static(False)  # whether the weight is a multiplier
+    threshold: float = 10.0  # what the difference is held to then (published: 5 or 10 for Kitchen, Adroit and AntMaze)
+    weight_lr: float = 3e-4  # learning rate of the multiplier
+    warm_start: int = static(0)  # updates in which the actor imitates the log (public code: 40,000)
+
+    def init(self, spec, key) -> Any:
+        """SAC's state and the multiplier."""
+        log_weight = jnp.log(jnp.maximum(jnp.asarray(self.conservatism), 1e-6))
+        fields = super().init(spec, key)._asdict()
+        del fields["model"]
+        return State(
+            **fields, log_weight=log_weight, weight_opt=begin(log_weight), imitates=jnp.asarray(self.warm_start > 0)
+        )
+
+    def critic_loss(self, critics, state, batch, target, key):
+        """Squared errors, and the penalty."""
+        loss, metrics = super().critic_loss(critics, state, batch, target, key)
+        measure = soft_maximum if self.form == "H" else weighted_mean
+        high = measure(critics, state.actor, batch, self.draws, jax.random.fold_in(key, 2)).mean(-1)
+        gap = high - q_values(critics, batch.observation, batch.action).mean(-1)
+        weight = jax.lax.stop_gradient(jnp.exp(state.log_weight)) if self.lagrange else self.conservatism
+        return loss + weight * gap.sum(), metrics | {"gap": gap.mean()}
+
+    def actor_loss(self, actor, state, batch, key):
+        """SAC's; during the warm start the entropy bonus and the likelihood of the logged actions."""
+        loss, log_prob = super().actor_loss(actor, state, batch, key)
+        if not self.warm_start:
+            return loss, log_prob
+        clone = jnp.exp(state.log_temperature) * log_prob + imitation_loss(actor, batch, jnp.ones(len(batch.reward)))
+        return jnp.where(state.imitates, clone, loss), log_prob
+
+    def update(self, state, batch, *, step, key):
+        """SAC's, and where it is asked for the multiplier's."""
+        state, metrics = super().update(state._replace(imitates=step < self.warm_start), batch, step=step, key=key)
+        if not self.lagrange:
+            return state, metrics
+        slope = self.threshold - metrics["gap"]  # d/dlog w of -w (gap - threshold), without the factor w > 0
+        log_weight, opt = descend(state.log_weight, slope, state.weight_opt, self.weight_lr)
+        log_weight = jnp.minimum(log_weight, jnp.log(1e6))
+        return state._replace(log_weight=log_weight, weight_opt=opt), metrics | {"weight": jnp.exp(log_weight)}
+
+
+def soft_maximum(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
+    """Estimates log of the integral of exp Q(s, .) over all actions, up to a constant of the number of draws."""
+    k_uniform, k_now, k_next = jax.random.split(key, 3)
+    rows, size = batch.action.shape
+    uniform = jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)
+    parts = [q_values(critics, batch.observation, uniform) + size * jnp.log(2.0)]
+    for k, seen in ((k_now, batch.observation), (k_next, batch.next_observation)):
+        d = dist.gaussian_head(actor(seen))
+        pre = dist.sample(d, k, (draws,))
+        parts.append(q_values(critics, batch.observation, jnp.tanh(pre)) - dist.log_prob(d, pre))
+    return jax.nn.logsumexp(jnp.concatenate(parts, 1), axis=1)
+
+
+def weighted_mean(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
+    """Mean of Q(s, a) over actions of the policy, weighted by exp Q: under the distribution that CQL(rho) holds down."""
+    drawn = jnp.tanh(dist.sample(dist.gaussian_head(actor(batch.observation)), key, (draws,)))
+    q = q_values(critics, batch.observation, drawn)
+    return (jax.lax.stop_gradient(jax.nn.softmax(q, 1)) * q).sum(1)

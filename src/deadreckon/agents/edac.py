@@ -1,0 +1,39 @@
+"""EDAC (An et al. 2021): SAC-N whose critics are kept apart, so that fewer of them do.
+
+The critics' slopes in the logged actions are made to point in different ways: to their squared errors comes
+
+    diversity E[ 1 / (N - 1) sum_{i != j} <g_i, g_j> ],   g_i = grad_a Q_i(s, a) / |grad_a Q_i(s, a)|.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from deadreckon.agents.sac_n import SACN
+from deadreckon.data.batch import Batch
+from deadreckon.nets.mlp import MLP, q_values
+
+
+class EDAC(SACN):
+    """SAC-N with diversified critics."""
+
+    diversity: float = 1.0  # eta: weight of the slopes' likeness (published: 0, 1 or 5, by log)
+
+    def critic_loss(self, critics, state, batch, target, key):
+        """Squared errors, and the likeness of slopes."""
+        loss, metrics = super().critic_loss(critics, state, batch, target, key)
+        alike = likeness(critics, batch)
+        return loss + self.diversity * alike, metrics | {"likeness": alike}
+
+
+def likeness(critics: MLP, batch: Batch) -> Float[Array, ""]:
+    """Mean over rows of what each critic's unit slope has in common with the others': N where all are the same (eq. 9)."""
+
+    def total(critic: MLP, action: Array) -> Array:
+        return q_values(jax.tree.map(lambda leaf: leaf[None], critic), batch.observation, action)[0].sum()
+
+    slopes = jax.vmap(lambda critic: jax.grad(total, 1)(critic, batch.action))(critics)  # (N, b, a)
+    unit = slopes / (jnp.sqrt(jnp.square(slopes).sum(-1, keepdims=True) + 1e-20) + 1e-10)
+    # The sum over pairs is the square of the sum, less what each has in common with itself.
+    pairs = jnp.square(unit.sum(0)).sum(-1) - jnp.square(unit).sum((0, -1))
+    return pairs.mean() / max(len(slopes) - 1, 1)

@@ -1,0 +1,91 @@
+"""IQL (Kostrikov et al. 2022): values of the log's own actions by expectile regression, and imitation weighted by advantage.
+
+No action outside of the log is ever valued: V(s) is an upper expectile of Q(s, a) over the actions that the log has in s, and
+what critics look forward to is V(s').
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.data.batch import Needs
+from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.policies.policy import TanhGaussian
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks, target critics and optimisers."""
+
+    actor: MLP
+    value: MLP
+    critics: MLP  # stacked: leading axis 2
+    target_critics: MLP
+    actor_opt: optax.OptState
+    value_opt: optax.OptState
+    critics_opt: optax.OptState
+
+
+class IQL(Agent):
+    """Expectile values and weighted imitation."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    critic_lr: float = 3e-4  # learning rate of critics and values
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate of the target critics
+    expectile: float = 0.7  # tau: 0.5 is the mean of the log's actions, 1 the best of them (AntMaze: 0.9)
+    sharpness: float = 3.0  # beta: 0 is imitation, more follows the advantage (AntMaze: 10)
+    max_weight: float = 100.0  # of a row in the actor's loss
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        ka, kv, kc = jax.random.split(key, 3)
+        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        value = MLP.create(spec.observation_size, self.hidden, 1, kv)
+        critics = create_critics(spec, self.hidden, 2, kc)
+        return State(actor, value, critics, copy(critics), begin(actor), begin(value), begin(critics))
+
+    def value_loss(self, value: MLP, batch, q: Array) -> Array:
+        """E[ |tau - 1(q < V)| (q - V)^2 ], q the smaller target critic of the logged action (eq. 5)."""
+        gap = q - value(batch.observation)[..., 0]
+        return (jnp.where(gap < 0, 1.0 - self.expectile, self.expectile) * jnp.square(gap)).mean()
+
+    def actor_loss(self, actor: MLP, batch, advantage: Array) -> Array:
+        """-E[ exp(beta (q - V)) log pi(a|s) ], weights cut above (eq. 7)."""
+        return imitation_loss(actor, batch, capped_exp(self.sharpness * advantage, self.max_weight))
+
+    def update(self, state, batch, *, step, key):
+        """Values, actor, critics, targets, each by what those before it have become."""
+        q = least(q_values(state.target_critics, batch.observation, batch.action))
+        value_loss, grads = jax.value_and_grad(self.value_loss)(state.value, batch, q)
+        value, value_opt = descend(state.value, grads, state.value_opt, self.critic_lr)
+
+        advantage = q - value(batch.observation)[..., 0]
+        actor_loss, grads = jax.value_and_grad(self.actor_loss)(state.actor, batch, advantage)
+        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+
+        target = backup(batch, self.discount, value(batch.next_observation)[..., 0])  # eq. 6
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
+        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        targets = track(state.target_critics, critics, self.target_rate)
+        state = State(actor, value, critics, targets, actor_opt, value_opt, critics_opt)
+        return state, metrics | {"actor_loss": actor_loss, "value_loss": value_loss, "advantage": advantage.mean()}
+
+    def policy(self, state):
+        """The actor; greedy is its mean."""
+        return TanhGaussian(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The smaller of the two critics."""
+        return least(q_values(state.critics, observation, action))

@@ -1,0 +1,48 @@
+"""ReBRAC (Tarasov et al. 2023): TD3+BC with penalties of their own for actor and critics, and normalised critics."""
+
+import jax
+import jax.numpy as jnp
+
+from deadreckon.agents.agent import backup, create_critics
+from deadreckon.agents.td3 import TD3
+from deadreckon.data.batch import Needs
+from deadreckon.nets.mlp import least, q_values
+from deadreckon.nets.optim import begin, copy
+from deadreckon.training.learner import static
+
+
+class ReBRAC(TD3):
+    """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
+
+    actor_lr: float = 1e-3  # learning rate of the actor
+    critic_lr: float = 1e-3  # learning rate of the critics
+    actor_penalty: float = 0.01  # weight of imitation in the actor's loss (published: 0.001 to 0.1, by log)
+    critic_penalty: float = 0.01  # weight of imitation in the targets (published: 0 to 0.5, by log)
+    hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
+    batch_size: int = static(1024)  # rows a batch
+
+    def needs(self, spec):
+        """Transitions, and what the log did next."""
+        return Needs((*Needs.columns, "next_action"), self.batch_size, standardise=self.standardise)
+
+    def init(self, spec, key):
+        """TD3's state; the critics' layers are normalised."""
+        state = super().init(spec, key)
+        critics = create_critics(spec, self.hidden, 2, jax.random.split(key)[1], normalise=True)
+        return state._replace(critics=critics, target_critics=copy(critics), critics_opt=begin(critics))
+
+    def target(self, state, batch, key):
+        """r + discount (min_j Q'_j(s', a') - critic_penalty |a' - a'_log|^2), a' as TD3's (eq. 5)."""
+        action = self.next_action(state, batch, key)
+        # Where a recording ends it is not known what the log did next; such rows hold zeros, and are not penalised.
+        known = (batch.next_action != 0).any(-1)
+        penalty = jnp.where(known, jnp.square(action - batch.next_action).sum(-1), 0.0)
+        future = least(q_values(state.target_critics, batch.next_observation, action)) - self.critic_penalty * penalty
+        return backup(batch, self.discount, future)
+
+    def actor_loss(self, actor, state, batch):
+        """E[ actor_penalty |pi(s) - a|^2 - min_j Q_j(s, pi(s)) / mean |Q| ], no gradient through the division (eq. 4)."""
+        action = jnp.tanh(actor(batch.observation))
+        q = least(q_values(state.critics, batch.observation, action))
+        scale = 1.0 / (jax.lax.stop_gradient(jnp.abs(q).mean()) + 1e-8)
+        return (self.actor_penalty * jnp.square(action - batch.action).sum(-1) - scale * q).mean()

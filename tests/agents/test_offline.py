@@ -1,0 +1,256 @@
+"""IQL, XQL, AWAC, CRR, ReBRAC, CQL, SAC-N and EDAC against numpy written from their equations, on fixed numbers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import logsumexp, softmax
+
+from deadreckon.agents import AWAC, CQL, CRR, EDAC, IQL, SACN, XQL, ReBRAC
+from deadreckon.agents.cql import weighted_mean
+from deadreckon.agents.edac import likeness
+from deadreckon.data.batch import Batch
+from deadreckon.nets.mlp import MLP, ensemble
+from tests.agents.test_actor_critics import log_prob, q
+from tests.agents.test_bear import lane, numpy_gaussian
+from tests.agents.worlds import corridor
+from tests.nets.test_mlp import numpy_mlp
+
+SPEC = corridor().spec
+KEY = jax.random.key(5)
+SMALL = {"hidden": (16, 16)}
+
+
+@pytest.fixture(scope="module")
+def batch():
+    rng = np.random.default_rng(0)
+    return Batch(
+        observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32), action=jnp.asarray(rng.uniform(-0.9, 0.9, (6, 1))),
+        reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
+        terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
+        next_action=jnp.asarray([[0.3], [0.0], [-0.2], [0.9], [0.0], [0.0]]),
+    )  # fmt: skip
+
+
+def made(agent):
+    agent = agent.resolve(SPEC, 10)
+    return agent, agent.init(SPEC, jax.random.key(0))
+
+
+def updated(agent, state, batch):
+    return jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
+
+
+def least_q(critics, observation, action):
+    return np.minimum(*(q(critics, j, observation, action) for j in range(2)))
+
+
+def logged_log_prob(actor, batch):
+    mean, log_std = numpy_gaussian(actor, batch.observation)
+    return log_prob(mean, log_std, np.arctanh(np.asarray(batch.action)))
+
+
+def test_iql_losses(batch):
+    agent, state = made(IQL(expectile=0.8, sharpness=4.0, max_weight=2.0, **SMALL))
+    target_q = least_q(state.target_critics, batch.observation, batch.action) + np.linspace(-0.5, 0.9, 6)
+    gap = target_q - numpy_mlp(state.value, np.asarray(batch.observation))[:, 0]
+    assert (gap > 0).any()
+    assert (gap < 0).any()
+    expected = np.where(gap < 0, 0.2, 0.8) * gap**2
+    np.testing.assert_allclose(agent.value_loss(state.value, batch, jnp.asarray(target_q)), expected.mean(), rtol=1e-4)
+    weight = np.minimum(np.exp(4 * gap), 2.0)
+    expected = -(weight * logged_log_prob(state.actor, batch)).mean()
+    np.testing.assert_allclose(agent.actor_loss(state.actor, batch, jnp.asarray(gap)), expected, rtol=1e-3)
+
+
+def test_iql_critics_look_forward_to_the_new_value_but_not_behind_a_terminal(batch):
+    agent, state = made(IQL(discount=0.9, **SMALL))
+    after, metrics = updated(agent, state, batch)
+    future = numpy_mlp(after.value, np.asarray(batch.next_observation))[:, 0]
+    target = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
+    errors = [(q(state.critics, j, batch.observation, batch.action) - target) ** 2 for j in range(2)]
+    np.testing.assert_allclose(metrics["critic_loss"], np.mean(errors), rtol=1e-3)
+    expected = 0.995 * np.asarray(state.target_critics.weights[0]) + 0.005 * np.asarray(after.critics.weights[0])
+    np.testing.assert_allclose(after.target_critics.weights[0], expected, rtol=1e-5, atol=1e-7)
+
+
+def test_an_expectile_of_a_half_is_the_mean_and_of_one_nearly_the_greatest():
+    """Of one state with three actions, of known worth: what the value loss is least at."""
+    worth = jnp.asarray([0.0, 1.0, 4.0])
+    one = Batch(observation=jnp.zeros((3, 1)))
+    grid = np.linspace(0, 4, 4001)
+
+    def best(agent):
+        losses = jax.vmap(lambda v: agent.value_loss(lambda s: jnp.full((3, 1), v), one, worth))(grid)
+        return grid[np.argmin(np.asarray(losses))]
+
+    assert best(IQL(expectile=0.5)) == pytest.approx(5 / 3, abs=0.02)
+    assert best(IQL(expectile=0.999)) == pytest.approx(4.0, abs=0.02)
+    # XQL's: temperature log mean exp(Q / temperature).
+    soft = 2 * np.log(np.exp(np.array([0, 1, 4]) / 2).mean())
+    assert best(XQL(temperature=2.0)) == pytest.approx(soft, abs=0.01)
+
+
+def test_xql_loss_is_finite_however_wrong_a_value_is(batch):
+    agent, state = made(XQL(**SMALL))
+    far = jnp.full(6, 1e6)
+    loss, slope = jax.value_and_grad(agent.value_loss)(state.value, batch, far)
+    assert np.isfinite(loss)
+    assert all((np.asarray(leaf) == 0).all() for leaf in jax.tree.leaves(slope))
+
+
+def test_awac_target_advantage_and_weights(batch):
+    agent, state = made(AWAC(discount=0.9, temperature=0.5, max_weight=1.3, draws=3, **SMALL))
+    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
+    action = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (6, 1))))
+    future = least_q(state.target_critics, batch.next_observation, action)
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+    mean, log_std = numpy_gaussian(state.actor, batch.observation)
+    drawn = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (3, 6, 1))))
+    own = np.mean([least_q(state.critics, batch.observation, a) for a in drawn], 0)
+    advantage = least_q(state.critics, batch.observation, batch.action) - own
+    found = agent.advantage(state, batch, KEY)
+    np.testing.assert_allclose(found, advantage, atol=1e-5)
+    np.testing.assert_allclose(agent.weights(found), np.minimum(np.exp(advantage / 0.5), 1.3), rtol=1e-4)
+    np.testing.assert_allclose(agent.weights(jnp.asarray([1e9])), 1.3, rtol=1e-6)
+
+
+def test_crr_counts_what_is_better_or_weighs_it(batch):
+    advantage = jnp.asarray([-1.0, 0.0, 0.2, 9.0])
+    np.testing.assert_array_equal(CRR().weights(advantage), [0, 0, 1, 1])
+    np.testing.assert_allclose(CRR(filter="exp").weights(advantage), [np.exp(-1), 1, np.exp(0.2), 20], rtol=1e-6)
+    agent, state = made(CRR(**SMALL))
+    k_target, k_actor = jax.random.split(KEY)
+    after, metrics = updated(agent, state, batch)
+    weight = np.asarray(agent.advantage(state._replace(critics=after.critics), batch, k_actor)) > 0
+    np.testing.assert_allclose(metrics["weight"], weight.mean(), rtol=1e-6)
+    expected = -(weight * logged_log_prob(state.actor, batch)).mean()
+    np.testing.assert_allclose(metrics["actor_loss"], expected, rtol=1e-3)
+
+
+def normalised_mlp(net, x):
+    """With the units behind each activation standardised."""
+    for i, (w, b) in enumerate(zip(net.weights, net.biases)):
+        if i:
+            x = np.maximum(x, 0)
+            x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-6)
+        x = x @ np.asarray(w) + np.asarray(b)
+    return x[:, 0]
+
+
+def test_rebrac_target_and_actor_loss(batch):
+    agent, state = made(ReBRAC(discount=0.9, noise=0.0, actor_penalty=0.3, critic_penalty=0.7, **SMALL))
+    assert "next_action" in agent.needs(SPEC).columns
+
+    def least(critics, observation, action):
+        joined = np.concatenate([np.asarray(observation), action], -1)
+        return np.minimum(*(normalised_mlp(lane(critics, j), joined) for j in range(2)))
+
+    action = np.tanh(numpy_mlp(state.target_actor, np.asarray(batch.next_observation)))
+    penalty = ((action - np.asarray(batch.next_action)) ** 2).sum(-1)
+    penalty[[1, 4, 5]] = 0  # nothing is known of what came next
+    future = least(state.target_critics, batch.next_observation, action) - 0.7 * penalty
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+    action = np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation)))
+    values = least(state.critics, batch.observation, action)
+    expected = (0.3 * ((action - np.asarray(batch.action)) ** 2).sum(-1) - values / np.abs(values).mean()).mean()
+    np.testing.assert_allclose(agent.actor_loss(state.actor, state, batch), expected, rtol=1e-3)
+
+
+def test_cql_penalty(batch):
+    agent, state = made(CQL(conservatism=3.0, draws=2, **SMALL))
+    target = jnp.arange(6.0)
+    loss, metrics = agent.critic_loss(state.critics, state, batch, target, KEY)
+    k_uniform, k_now, k_next = jax.random.split(jax.random.fold_in(KEY, 2), 3)
+    uniform = np.asarray(jax.random.uniform(k_uniform, (2, 6, 1), minval=-1.0, maxval=1.0))
+    expected = 0.0
+    for j in range(2):
+        parts = [q(state.critics, j, batch.observation, a) + np.log(2) for a in uniform]
+        for k, seen in ((k_now, batch.observation), (k_next, batch.next_observation)):
+            mean, log_std = numpy_gaussian(state.actor, seen)
+            for noise in np.asarray(jax.random.normal(k, (2, 6, 1))):
+                pre = mean + np.exp(log_std) * noise
+                parts.append(q(state.critics, j, batch.observation, np.tanh(pre)) - log_prob(mean, log_std, pre))
+        logged = q(state.critics, j, batch.observation, batch.action)
+        expected += ((logged - np.arange(6)) ** 2).mean() + 3.0 * (logsumexp(parts, 0) - logged).mean()
+    np.testing.assert_allclose(loss, expected, rtol=1e-4)
+    assert not agent.entropy_backup
+
+
+def test_cql_rho_weighs_the_policys_actions_by_their_worth(batch):
+    agent, state = made(CQL(form="rho", draws=3, **SMALL))
+    mean, log_std = numpy_gaussian(state.actor, batch.observation)
+    drawn = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (3, 6, 1))))
+    values = np.stack([q(state.critics, 0, batch.observation, a) for a in drawn])
+    expected = (softmax(values, 0) * values).sum(0)
+    np.testing.assert_allclose(weighted_mean(state.critics, state.actor, batch, 3, KEY)[0], expected, atol=1e-5)
+
+    def soft(critics):
+        each = [lane(critics, 0)(jnp.concatenate([batch.observation, a], -1))[:, 0] for a in drawn]
+        return jax.nn.logsumexp(jnp.stack(each), 0)
+
+    found = jax.grad(lambda c: weighted_mean(c, state.actor, batch, 3, KEY)[0].sum())(state.critics)
+    wanted = jax.grad(lambda c: soft(c).sum())(state.critics)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):  # the slope of the soft maximum
+        np.testing.assert_allclose(a[0], b[0], atol=1e-4)
+
+
+@pytest.mark.parametrize(("threshold", "rises"), [(0.0, True), (50.0, False)])
+def test_cql_multiplier_rises_where_the_difference_is_too_large(batch, threshold, rises):
+    agent, state = made(CQL(lagrange=True, threshold=threshold, **SMALL))
+    after, metrics = updated(agent, state, batch)
+    assert (float(metrics["gap"]) > threshold) is rises
+    assert (float(after.log_weight) > float(state.log_weight)) is rises
+
+
+def test_cql_imitates_before_it_improves(batch):
+    agent, state = made(CQL(warm_start=5, temperature=0.4, **SMALL))
+    noise = np.asarray(jax.random.normal(KEY, (6, 1)))
+    mean, log_std = numpy_gaussian(state.actor, batch.observation)
+    pre = mean + np.exp(log_std) * noise
+    own = log_prob(mean, log_std, pre)
+    loss, _ = agent.actor_loss(state.actor, state._replace(imitates=jnp.asarray(True)), batch, KEY)
+    np.testing.assert_allclose(loss, 0.4 * own.mean() - logged_log_prob(state.actor, batch).mean(), rtol=1e-3)
+    loss, _ = agent.actor_loss(state.actor, state._replace(imitates=jnp.asarray(False)), batch, KEY)
+    np.testing.assert_allclose(loss, (0.4 * own - least_q(state.critics, batch.observation, np.tanh(pre))).mean(), rtol=1e-3)
+
+
+def test_sac_n_believes_the_least_of_all_its_critics(batch):
+    agent, state = made(SACN(critics=5, temperature=1e-20, **SMALL))
+    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
+    action = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (6, 1))))
+    future = np.min([q(state.target_critics, j, batch.next_observation, action) for j in range(5)], 0)
+    expected = np.asarray(batch.reward) + 0.99 * (1 - np.asarray(batch.terminal)) * future
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+    assert SACN().critics == 10
+
+
+def test_edac_likeness_by_hand_and_by_pairs():
+    rng = np.random.default_rng(1)
+    critics = ensemble(lambda k: MLP.create(3, (16,), 1, k), 4, jax.random.key(0))
+    observation, action = (jnp.asarray(rng.normal(size=(5, n)), jnp.float32) for n in (1, 2))
+    batch = Batch(observation=observation, action=action)
+    step = 1e-2
+    slopes = np.zeros((4, 5, 2))
+    for j in range(4):
+        net = lane(critics, j)
+        for k in range(2):
+            up, down = (np.array(action), np.array(action))
+            up[:, k] += step
+            down[:, k] -= step
+            joined = [numpy_mlp(net, np.concatenate([observation, a], -1))[:, 0] for a in (up, down)]
+            slopes[j, :, k] = (joined[0] - joined[1]) / (2 * step)
+    unit = slopes / np.linalg.norm(slopes, axis=-1, keepdims=True)
+    pairs = sum((unit[i] * unit[j]).sum(-1) for i in range(4) for j in range(4) if i != j)
+    np.testing.assert_allclose(likeness(critics, batch), pairs.mean() / 3, atol=0.03)
+    same = jax.tree.map(lambda w: jnp.stack([w[0]] * 4), critics)
+    np.testing.assert_allclose(likeness(same, batch), 4.0, rtol=1e-4)  # 4 x 3 pairs of 1, over 3
+
+
+def test_edac_adds_it_to_the_critics_loss(batch):
+    agent, state = made(EDAC(critics=3, diversity=2.0, **SMALL))
+    plain, _ = SACN(critics=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    loss, metrics = agent.critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    np.testing.assert_allclose(loss, plain + 2.0 * metrics["likeness"], rtol=1e-5)
