@@ -28,10 +28,12 @@ STEPS, CHUNK = 150, 50
 MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "rollouts": 40, "model_epochs": 2, "length": 2,
          "logged_rows": 20}  # fmt: skip
 
+OWN = {"bcq": {"behavior_hidden": (16, 16), "test_draws": 10}, "brac": {"behavior_steps": 20}}
+
 
 def small(name, **fields):
     kind = agent_class(name)
-    fields = {"hidden": (16, 16), "batch_size": 64} | (MODEL if issubclass(kind, Dreaming) else {}) | fields
+    fields = {"hidden": (16, 16), "batch_size": 64} | OWN.get(name, {}) | (MODEL if issubclass(kind, Dreaming) else {}) | fields
     return kind(**fields).resolve(LOG.spec, STEPS)
 
 
@@ -45,7 +47,8 @@ def same(a, b):
 
 # What this suite looks at is others' too: of TD3 and its kin TD3+BC's, of SAC and its kin SAC's, of weighted imitation IQL's,
 # and where there is a model SAC's and test_dreaming.py's.
-SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "rebrac", "cql", "sac_n", "edac", "xql", "awac", "crr")
+SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "bcq", "brac", "rebrac", "cql", "sac_n", "edac", "xql", "awac",
+        "crr")  # fmt: skip
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]
@@ -190,11 +193,14 @@ def test_value_estimates_have_one_number_a_row(trained):
 
 # How well each must do: mean |action - best| on the line, where a random policy has about 0.8 and a constant zero 0.63.
 # Everything is in the support of uniform data, so BEAR's multiplier is zero; IS-BEAR's set policy stays at the data's
-# spread, and its clipped ratios bound how far the actor may go from it.
+# spread, and its clipped ratios bound how far the actor may go from it. BCQ's clamped latents make a part of uniform actions
+# alone, so what moves them is given a longer reach.
 LEARNERS = {
     "td3": (0.25, {}),
     "td3_bc": (0.35, {"alpha": 10.0}),
     "sac": (0.25, {"temperature": 0.01}),
+    "bcq": (0.25, {"reach": 0.6, "test_draws": 50}),
+    "brac": (0.35, {"penalty": 0.1, "behavior_steps": 500}),
     "iql": (0.35, {"expectile": 0.9, "sharpness": 10.0}),
     "xql": (0.35, {"temperature": 0.3, "sharpness": 10.0}),
     "awac": (0.35, {"temperature": 0.1}),

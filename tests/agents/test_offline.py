@@ -1,4 +1,4 @@
-"""IQL, XQL, AWAC, CRR, ReBRAC, CQL, SAC-N and EDAC against numpy written from their equations, on fixed numbers."""
+"""BCQ, BRAC, IQL, XQL, AWAC, CRR, ReBRAC, CQL, SAC-N and EDAC against numpy written from their equations, on fixed numbers."""
 
 import jax
 import jax.numpy as jnp
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp, softmax
 
-from deadreckon.agents import AWAC, CQL, CRR, EDAC, IQL, SACN, XQL, ReBRAC
+from deadreckon.agents import AWAC, BCQ, BRAC, CQL, CRR, EDAC, IQL, SACN, XQL, ReBRAC
 from deadreckon.agents.cql import weighted_mean
 from deadreckon.agents.edac import likeness
 from deadreckon.data.batch import Batch
+from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble
 from tests.agents.test_actor_critics import log_prob, q
 from tests.agents.test_bear import lane, numpy_gaussian
@@ -48,6 +49,83 @@ def least_q(critics, observation, action):
 def logged_log_prob(actor, batch):
     mean, log_std = numpy_gaussian(actor, batch.observation)
     return log_prob(mean, log_std, np.arctanh(np.asarray(batch.action)))
+
+
+def test_bcq_target_is_the_best_of_moved_actions_by_a_mixture(batch):
+    agent, state = made(BCQ(discount=0.9, draws=3, reach=0.4, min_weight=0.7, behavior_hidden=(8,), **SMALL))
+    after = np.asarray(batch.next_observation)
+    latent = np.clip(np.asarray(jax.random.normal(KEY, (3, 6, 2))), -0.5, 0.5)
+    values = []
+    for z in latent:
+        action = np.tanh(numpy_mlp(state.behavior.decoder, np.concatenate([after, z], -1)))
+        move = np.tanh(numpy_mlp(state.target_mover, np.concatenate([after, action], -1)))
+        action = np.clip(action + 0.4 * move, -1, 1)
+        both = [q(state.target_critics, j, after, action) for j in range(2)]
+        values.append(0.7 * np.minimum(*both) + 0.3 * np.maximum(*both))
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * np.max(values, 0)
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+
+
+def test_bcq_moves_towards_the_first_critic_and_leaves_the_vae_alone(batch):
+    agent, state = made(BCQ(reach=0.4, behavior_hidden=(8,), **SMALL))
+    seen = np.asarray(batch.observation)
+    latent = np.clip(np.asarray(jax.random.normal(KEY, (6, 2))), -0.5, 0.5)
+    action = np.tanh(numpy_mlp(state.behavior.decoder, np.concatenate([seen, latent], -1)))
+    action = np.clip(action + 0.4 * np.tanh(numpy_mlp(state.mover, np.concatenate([seen, action], -1))), -1, 1)
+    loss = agent.mover_loss(state.mover, state, batch, KEY)
+    np.testing.assert_allclose(loss, -q(state.critics, 0, seen, action).mean(), atol=1e-5)
+    slope = jax.grad(lambda vae: agent.mover_loss(state.mover, state._replace(behavior=vae), batch, KEY))(state.behavior)
+    assert all((np.asarray(leaf) == 0).all() for leaf in jax.tree.leaves(slope))
+
+
+def gaussian_kl(p, q):
+    (mean, log_std), (other, log_other) = p, q
+    ratio = np.exp(2 * (log_std - log_other))
+    return (0.5 * (ratio + ((mean - other) / np.exp(log_other)) ** 2 - 1) + log_other - log_std).sum(-1)
+
+
+@pytest.mark.parametrize("value_form", [True, False])
+def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_form):
+    agent, state = made(BRAC(discount=0.9, penalty=0.6, value_form=value_form, **SMALL))
+    k_act, _ = jax.random.split(KEY)
+    noise = np.asarray(jax.random.normal(k_act, (6, 1)))
+
+    def parts(observation, critics):
+        own, model = numpy_gaussian(state.actor, observation), numpy_gaussian(state.behavior, observation)
+        action = np.tanh(own[0] + np.exp(own[1]) * noise)
+        return least_q(critics, observation, action), gaussian_kl(own, model)
+
+    value, away = parts(batch.next_observation, state.target_critics)
+    assert away.max() > 1e-3
+    future = value - 0.6 * away if value_form else value
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+    value, away = parts(batch.observation, state.critics)
+    loss, mean = agent.actor_loss(state.actor, state, batch, KEY)
+    np.testing.assert_allclose(loss, (0.6 * away - value).mean(), rtol=1e-3)
+    np.testing.assert_allclose(mean, away.mean(), rtol=1e-3)
+
+
+def test_brac_with_the_mmd_sees_how_far_two_policies_are_apart(batch):
+    agent, state = made(BRAC(divergence="mmd", draws=200, bandwidth=1.0, **SMALL))
+    d = dist.gaussian_head(state.behavior(batch.observation))
+    same = agent.away(d, state.behavior, batch.observation, KEY)
+    other = agent.away(d._replace(mean=d.mean + 2.0), state.behavior, batch.observation, KEY)
+    assert float(same.max()) < 0.2 < float(other.min())
+
+
+def test_brac_begins_as_the_model_of_the_log_that_it_is_held_to():
+    agent, state = made(BRAC(behavior_steps=30, **SMALL))
+    asked = []
+
+    def fit(learner, steps, key):
+        asked.append((learner.hidden, learner.batch_size, steps))
+        return learner.init(SPEC, key)
+
+    state = agent.prepare(state, None, KEY, fit)
+    assert asked == [((16, 16), 256, 30)]
+    for a, b in zip(jax.tree.leaves(state.actor), jax.tree.leaves(state.behavior), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_iql_losses(batch):

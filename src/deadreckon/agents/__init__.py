@@ -9,8 +9,10 @@ if TYPE_CHECKING:
     from deadreckon.agents.agent import Agent
     from deadreckon.agents.awac import AWAC
     from deadreckon.agents.bc import BC
+    from deadreckon.agents.bcq import BCQ
     from deadreckon.agents.bear import BEAR
     from deadreckon.agents.bear_is import ISBEAR
+    from deadreckon.agents.brac import BRAC
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
@@ -56,6 +58,8 @@ AGENTS = {
     "cql": ("cql", "CQL", "SAC with critics held down on unseen actions (Kumar et al. 2020; thesis 7.4)"),
     "sac_n": ("sac_n", "SACN", "SAC with an ensemble of critics (An et al. 2021)"),
     "edac": ("edac", "EDAC", "SAC-N with diversified critics (An et al. 2021)"),
+    "bcq": ("bcq", "BCQ", "the critics' choice of a VAE's actions, a little moved (Fujimoto et al. 2019; thesis 7.4)"),
+    "brac": ("brac", "BRAC", "an actor-critic that pays for being away from the log's policy (Wu et al. 2019; thesis 7.4)"),
     "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
@@ -63,7 +67,9 @@ __all__ = [
     "AGENTS",
     "AWAC",
     "BC",
+    "BCQ",
     "BEAR",
+    "BRAC",
     "COMBO",
     "CQL",
     "CRR",

@@ -138,6 +138,31 @@ class VAEDecoder(Inner):
         return self.vae.sample(observation, key, count)
 
 
+def moved(mover: MLP, reach: Any, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n a"]:
+    """Actions in [-1, 1], each moved by `reach` tanh(mover(s, a)) and kept within."""
+    seen = jnp.broadcast_to(observation, (*action.shape[:-1], observation.shape[-1]))
+    return jnp.clip(action + reach * jnp.tanh(mover(jnp.concatenate([seen, action], -1))), -1.0, 1.0)
+
+
+class Moved(Inner):
+    """Actions of a VAE, each moved a little by a network (BCQ's).
+
+    Attributes:
+        vae: makes actions.
+        mover: of observation and action, to which way an action goes.
+        reach: how far at most.
+    """
+
+    vae: VAE
+    mover: MLP
+    reach: Array
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        pre = VAEDecoder(self.vae).pre_actions(observation, key, greedy=greedy, count=count)
+        return jnp.arctanh(jnp.clip(moved(self.mover, self.reach, observation, jnp.tanh(pre)), -EDGE, EDGE))
+
+
 class GreedyQ(Inner):
     """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
 

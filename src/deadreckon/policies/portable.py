@@ -22,6 +22,7 @@ _ACTIVATIONS = {
 }
 _LOG_STD = (-5.0, 2.0)
 _LATENT_CLIP = 0.5
+_EDGE = 1.0 - 1e-6
 
 
 def read(path):
@@ -113,6 +114,11 @@ class NumpyPolicy:
             z = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
             z = np.clip(z, -_LATENT_CLIP, _LATENT_CLIP)
             return self._net(decoder, np.concatenate([np.broadcast_to(x, (*shape[:-1], x.shape[-1])), z], -1))
+        if kind == "Moved":
+            action = np.tanh(self._pre({"kind": "VAEDecoder", "vae": node["vae"]}, x, rng, greedy, count))
+            seen = np.broadcast_to(x, (*action.shape[:-1], x.shape[-1]))
+            move = np.tanh(self._net(node["mover"], np.concatenate([seen, action], -1)))
+            return np.arctanh(np.clip(action + self._array(node["reach"]) * move, -_EDGE, _EDGE))
         if kind == "GreedyQ":
             pre = self._pre(node["actor"], x, rng, False, (node["samples"], *count))
             state = np.broadcast_to(x, (*pre.shape[:-1], x.shape[-1]))

@@ -1,0 +1,118 @@
+"""BRAC (Wu et al. 2019; thesis 7.4): an actor-critic that pays for being away from a model of the log's policy.
+
+The model is fitted first and stays. With D an estimate of a divergence at each state, targets are
+
+    y = r + discount (min_j Q'_j(s', a') - [value form] penalty D(s')),   a' from the actor,
+
+and the actor minimises E[ penalty D(s) - min_j Q_j(s, a) ].
+"""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.agents.bc import BC
+from deadreckon.data.batch import Needs
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mmd import mmd
+from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.policies.policy import TanhGaussian
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks, target critics, the fitted behaviour model and optimisers."""
+
+    actor: MLP
+    critics: MLP  # stacked: leading axis 2
+    target_critics: MLP
+    behavior: MLP
+    actor_opt: optax.OptState
+    critics_opt: optax.OptState
+
+
+class BRAC(Agent):
+    """Behaviour-regularised actor-critic; the value form is BRAC-v, the other BRAC-p."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    critic_lr: float = 3e-4  # learning rate of the critics
+    behavior_lr: float = 3e-4  # learning rate of the behaviour model
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate of the target critics
+    penalty: float = 1.0  # alpha: weight of the divergence; which one is best depends on the task
+    bandwidth: float = 20.0  # of the kernel, with divergence="mmd"
+    value_form: bool = static(True)  # whether targets pay too (BRAC-v), or the actor alone (BRAC-p)
+    divergence: Literal["kl", "mmd"] = static("kl")  # from the behaviour model
+    draws: int = static(10)  # actions of each, for the MMD
+    behavior_steps: int = static(100_000)  # updates of the behaviour model, before all others
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        ka, kc, kb = jax.random.split(key, 3)
+        make = lambda k: MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, k)  # noqa: E731
+        actor, critics, behavior = make(ka), create_critics(spec, self.hidden, 2, kc), make(kb)
+        return State(actor, critics, copy(critics), behavior, begin(actor), begin(critics))
+
+    def prepare(self, state, rows, key, fit):
+        """Fits the behaviour model, by maximum likelihood; the actor begins as it."""
+        clone = BC(lr=float(self.behavior_lr), hidden=self.hidden, batch_size=self.batch_size)
+        behavior = fit(clone, self.behavior_steps, key).model
+        return state._replace(behavior=behavior, actor=copy(behavior))
+
+    def away(self, d: dist.Gaussian, behavior: MLP, observation, key) -> Float[Array, "b"]:
+        """How far the policy is from the behaviour model at every state."""
+        model = dist.gaussian_head(behavior(observation))
+        if self.divergence == "kl":
+            return dist.kl(d, model)
+        k_own, k_model = jax.random.split(key)
+        own, other = (jnp.tanh(dist.sample(each, k, (self.draws,))) for each, k in ((d, k_own), (model, k_model)))
+        return mmd(own, other, "laplacian", self.bandwidth)
+
+    def target(self, state, batch, key) -> Float[Array, "b"]:
+        """r + discount (min_j Q'_j(s', a') - penalty D(s')), without D in BRAC-p (eq. 6)."""
+        k_act, k_away = jax.random.split(key)
+        d = dist.gaussian_head(state.actor(batch.next_observation))
+        future = least(q_values(state.target_critics, batch.next_observation, jnp.tanh(dist.sample(d, k_act))))
+        if self.value_form:
+            future = future - self.penalty * self.away(d, state.behavior, batch.next_observation, k_away)
+        return backup(batch, self.discount, future)
+
+    def actor_loss(self, actor: MLP, state, batch, key):
+        """E[ penalty D(s) - min_j Q_j(s, a) ], a reparameterised; also gives the mean divergence (eq. 7)."""
+        k_act, k_away = jax.random.split(key)
+        d = dist.gaussian_head(actor(batch.observation))
+        q = least(q_values(state.critics, batch.observation, jnp.tanh(dist.sample(d, k_act))))
+        away = self.away(d, state.behavior, batch.observation, k_away)
+        return (self.penalty * away - q).mean(), away.mean()
+
+    def update(self, state, batch, *, step, key):
+        """Critics, actor, targets."""
+        k_target, k_actor = jax.random.split(key)
+        target = self.target(state, batch, k_target)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
+        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        state = state._replace(critics=critics, critics_opt=critics_opt)
+        (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
+        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        targets = track(state.target_critics, critics, self.target_rate)
+        state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
+        return state, metrics | {"actor_loss": loss, "divergence": away}
+
+    def policy(self, state):
+        """The actor; greedy is its mean."""
+        return TanhGaussian(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The smaller of the two critics; in the value form it holds what is paid later."""
+        return least(q_values(state.critics, observation, action))
