@@ -41,7 +41,8 @@ class Ensemble(nn.Module):
         nll = 0.5 * ((target - mean).square() * (-log_variance).exp() + log_variance + math.log(2 * math.pi)).sum(-1)
         end = functional.binary_cross_entropy_with_logits(logit, terminal, reduction="none")
         decay = sum(d * w.square().sum() / 2 for d, w in zip(DECAY, self.weights))
-        return (nll + end).mean(-1).sum() / target.shape[-1] + 0.01 * (self.high - self.low).sum() + decay
+        members = len(target)
+        return 2 * (nll + end).mean(-1).sum() / target.shape[-1] + 0.01 / members * (self.high - self.low).sum() + decay
 
 
 def network(inputs: int, outputs: int) -> nn.Module:

@@ -85,7 +85,8 @@ def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
         heads = (dist.gaussian_head(each.inner.net(seen)) for each in (policy, first))
         apart.append(float(dist.kl(*heads).mean()))
     errors = []
-    model, trainer = Gaussian(7, layer_decay=(2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)), Trainer(most_epochs=options.epochs)
+    model = Gaussian(7, layer_decay=(2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4), as_mbpo=True)
+    trainer = Trainer(most_epochs=options.epochs)
     known, judged = columns_of(data), [columns_of(log) for log in logs]
     variance = rows_of(known)[1].var(0)
     for rows in options.rows:

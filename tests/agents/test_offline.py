@@ -11,7 +11,7 @@ from deadreckon.agents.cql import weighted_mean
 from deadreckon.agents.edac import likeness
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.nets.mlp import MLP, ensemble, least
 from tests.agents.test_actor_critics import log_prob, q
 from tests.agents.test_bear import lane, numpy_gaussian
 from tests.agents.worlds import corridor
@@ -29,7 +29,7 @@ def batch():
         observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32), action=jnp.asarray(rng.uniform(-0.9, 0.9, (6, 1))),
         reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
         terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
-        next_action=jnp.asarray([[0.3], [0.0], [-0.2], [0.9], [0.0], [0.0]]),
+        next_action=jnp.asarray([[0.3], [0.0], [0.0], [0.9], [0.0], [0.0]]), follows=jnp.asarray([1.0, 0, 1, 1, 0, 0]),
     )  # fmt: skip
 
 
@@ -148,6 +148,12 @@ def test_iql_critics_look_forward_to_the_new_value_but_not_behind_a_terminal(bat
     target = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
     errors = [(q(state.critics, j, batch.observation, batch.action) - target) ** 2 for j in range(2)]
     np.testing.assert_allclose(metrics["critic_loss"], np.mean(errors), rtol=1e-3)
+    # The actor by the new values and the critics' targets.
+    advantage = least_q(state.target_critics, batch.observation, batch.action)
+    advantage = advantage - numpy_mlp(after.value, np.asarray(batch.observation))[:, 0]
+    np.testing.assert_allclose(metrics["advantage"], advantage.mean(), rtol=1e-4)
+    expected = -(np.exp(3 * advantage) * logged_log_prob(state.actor, batch)).mean()
+    np.testing.assert_allclose(metrics["actor_loss"], expected, rtol=1e-3)
     expected = 0.995 * np.asarray(state.target_critics.weights[0]) + 0.005 * np.asarray(after.critics.weights[0])
     np.testing.assert_allclose(after.target_critics.weights[0], expected, rtol=1e-5, atol=1e-7)
 
@@ -164,9 +170,22 @@ def test_an_expectile_of_a_half_is_the_mean_and_of_one_nearly_the_greatest():
 
     assert best(IQL(expectile=0.5)) == pytest.approx(5 / 3, abs=0.02)
     assert best(IQL(expectile=0.999)) == pytest.approx(4.0, abs=0.02)
-    # XQL's: temperature log mean exp(Q / temperature).
+    # XQL's, whose scale changes with V, has no slope there: temperature log mean exp(Q / temperature).
     soft = 2 * np.log(np.exp(np.array([0, 1, 4]) / 2).mean())
-    assert best(XQL(temperature=2.0)) == pytest.approx(soft, abs=0.01)
+    slope = jax.grad(lambda v: XQL(temperature=2.0).value_loss(lambda s: jnp.full((3, 1), v), one, worth))
+    assert slope(soft) == pytest.approx(0.0, abs=1e-5)
+    assert slope(soft - 0.1) < -1e-3
+    assert slope(soft + 0.1) > 1e-3
+
+
+def test_xql_loss_by_hand():
+    one = Batch(observation=jnp.zeros((3, 1)))
+    z = np.array([-2.0, 0.5, 7.0])  # the last of them cut
+    found = XQL(temperature=2.0).value_loss(lambda s: jnp.zeros((3, 1)), one, jnp.asarray([-4.0, 1.0, 99.0]))
+    assert found == pytest.approx(((np.exp(z) - z - 1) / np.exp(7)).mean(), rel=1e-4)
+    low = XQL(temperature=2.0).value_loss(lambda s: jnp.zeros((3, 1)), one, jnp.asarray([-4.0, -8.0, -6.0]))
+    z = np.array([-2.0, -4.0, -3.0])
+    assert low == pytest.approx(((np.exp(z) - z - 1) * np.e).mean(), rel=1e-4)
 
 
 def test_xql_loss_is_finite_however_wrong_a_value_is(batch):
@@ -227,6 +246,7 @@ def test_rebrac_target_and_actor_loss(batch):
 
     action = np.tanh(numpy_mlp(state.target_actor, np.asarray(batch.next_observation)))
     penalty = ((action - np.asarray(batch.next_action)) ** 2).sum(-1)
+    assert penalty[2] > 1e-4  # a logged action of 0
     penalty[[1, 4, 5]] = 0  # nothing is known of what came next
     future = least(state.target_critics, batch.next_observation, action) - 0.7 * penalty
     expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
@@ -255,6 +275,19 @@ def test_cql_penalty(batch):
         expected += ((logged - np.arange(6)) ** 2).mean() + 3.0 * (logsumexp(parts, 0) - logged).mean()
     np.testing.assert_allclose(loss, expected, rtol=1e-4)
     assert not agent.entropy_backup
+    held = CQL(conservatism=1.0, lagrange=True, draws=2, **SMALL)
+    twice = held.critic_loss(state.critics, state._replace(log_weight=jnp.log(2.0)), batch, target, KEY)[0]
+    once = held.critic_loss(state.critics, state._replace(log_weight=jnp.log(1.0)), batch, target, KEY)[0]
+    np.testing.assert_allclose(twice - once, 2 * metrics["gap"], rtol=1e-3)  # a difference for each critic
+
+
+def test_cql_rho_holds_down_what_the_policy_likes(batch):
+    agent, state = made(CQL(form="rho", conservatism=3.0, draws=3, **SMALL))
+    plain, _ = CQL(form="rho", conservatism=0.0, draws=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    high = weighted_mean(state.critics, state.actor, batch, 3, jax.random.fold_in(KEY, 2)).mean(-1)
+    logged = [q(state.critics, j, batch.observation, batch.action).mean() for j in range(2)]
+    loss, _ = agent.critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    np.testing.assert_allclose(loss, plain + 3.0 * (high - np.array(logged)).sum(), rtol=1e-4)
 
 
 def test_cql_rho_weighs_the_policys_actions_by_their_worth(batch):
@@ -285,6 +318,9 @@ def test_cql_multiplier_rises_where_the_difference_is_too_large(batch, threshold
 
 def test_cql_imitates_before_it_improves(batch):
     agent, state = made(CQL(warm_start=5, temperature=0.4, **SMALL))
+    update = jax.jit(lambda s, step: agent.update(s, batch, step=step, key=KEY)[0])
+    assert bool(update(state, jnp.int32(4)).imitates)
+    assert not bool(update(state, jnp.int32(5)).imitates)
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
     mean, log_std = numpy_gaussian(state.actor, batch.observation)
     pre = mean + np.exp(log_std) * noise
@@ -303,6 +339,14 @@ def test_sac_n_believes_the_least_of_all_its_critics(batch):
     expected = np.asarray(batch.reward) + 0.99 * (1 - np.asarray(batch.terminal)) * future
     np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
     assert SACN().critics == 10
+
+
+def test_the_least_of_many_is_that_of_few_with_a_slope_of_one_of_them():
+    values = jnp.asarray(np.random.default_rng(0).normal(size=(300, 7)), jnp.float32)
+    np.testing.assert_array_equal(least(values), values.min(0))
+    slope = jax.grad(lambda v: (least(v) * jnp.arange(1.0, 8.0)).sum())(jnp.zeros((300, 7)))  # all are the least
+    np.testing.assert_array_equal(slope.sum(0), np.arange(1.0, 8.0))
+    assert ((slope != 0).sum(0) == 1).all()
 
 
 def test_edac_likeness_by_hand_and_by_pairs():

@@ -1,11 +1,14 @@
 """MBPO's experience: what is made up, when and how much of it, and a run that a kill does not change."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 
 import deadreckon as dr
 from deadreckon.agents import MBPO
+from deadreckon.collect import imagined
 from deadreckon.collect.imagined import Imagination
 from deadreckon.collect.online import Online
 from deadreckon.data.spec import Spec
@@ -80,6 +83,24 @@ def test_of_long_rollouts_no_more_is_kept_than_asked_for():
         assert len(np.unique(rows[0], axis=0)) == 50  # drawn without replacement
     with pytest.raises(UserError, match=r"most \(1\) must leave a row to each of the 2 fits"):
         job(most=1)
+
+
+@pytest.mark.parametrize("ends_at_once", [False, True])
+def test_long_rollouts_are_made_in_portions_until_there_are_enough(monkeypatch, ends_at_once):
+    """Of 60 rollouts of 40 steps, 2,400 rows, 50 are kept: 500 are made up at a time at most."""
+    begun = []
+
+    def branches(model, ensemble, policy, starts, length, key, ends):
+        begun.append(len(starts))
+        return [starts] * (1 if ends_at_once else length)
+
+    monkeypatch.setattr(imagined, "branches", branches)
+    monkeypatch.setattr(imagined, "packed", lambda found: np.zeros((sum(map(len, found)), 10), np.float32))
+    _, experience = job(most=100)
+    state = SimpleNamespace(actor=None, model=None)
+    rows = experience._made_up(experience.agent, state, np.zeros((60, 4)), 40, jax.random.key(0))
+    assert begun == [7] * (8 if ends_at_once else 1)  # 60 halved three times
+    assert len(rows) == (56 if ends_at_once else 280)
 
 
 @pytest.mark.slow

@@ -87,8 +87,8 @@ def test_losses_equal_numpy_for_each_member_on_its_own_rows():
     chance = 1 / (1 + np.exp(-logit))
     ends = np.log(np.where(terminal > 0, chance, 1 - chance))
     np.testing.assert_allclose(found, -likelihood - ends + BOUND_WEIGHT * 3 * 10.5, rtol=1e-4)
-    mbpo = dataclasses.replace(model, per_number=True).losses(params, inputs, target, terminal, jax.random.key(1))
-    np.testing.assert_allclose(mbpo, (-likelihood - ends) / 3 + BOUND_WEIGHT * 3 * 10.5, rtol=1e-4)
+    mbpo = dataclasses.replace(model, as_mbpo=True).losses(params, inputs, target, terminal, jax.random.key(1))
+    np.testing.assert_allclose(mbpo, 2 * (-likelihood - ends) / 3 + BOUND_WEIGHT / 3 * 3 * 10.5, rtol=1e-4)
     np.testing.assert_allclose(model.sample(params, jnp.asarray(inputs), None)[0], mean, rtol=1e-6)
     plain = Gaussian(members=3, hidden=(8,), deterministic=True)
     squares = np.square(mean - target).sum(-1) - ends

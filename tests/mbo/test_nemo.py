@@ -13,7 +13,7 @@ from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
 from deadreckon.mbo.designer import Setting
-from deadreckon.mbo.nemo import Fixed, Net, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
+from deadreckon.mbo.nemo import Fixed, Net, Training, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
 from deadreckon.nets.mlp import ensemble, joined
 
 K = 8
@@ -252,12 +252,10 @@ def test_refusals(bowl):
         SMALL.replace(lr=1e30).propose(bowl, 2)
 
 
-def test_models_that_went_blind_are_told_of(bowl):
-    setting = Setting(bowl, 4, [0], None, lambda what, step, steps: None)
-    learner = SMALL.training(setting)
-    state = setting.train(learner, 10, "nemo")[0]
+def test_models_that_went_blind_are_told_of(bowl, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        SMALL._warn_of_blindness(learner, state, bowl)
-    with pytest.warns(UserWarning, match=r"NEMO: its models say the same of every design.* lower lr \(now 0.01\)"):
-        SMALL._warn_of_blindness(learner, state._replace(targets=jax.tree.map(jnp.zeros_like, state.targets)), bowl)
+        SMALL.propose(bowl, 4)
+    monkeypatch.setattr(Training, "worth", lambda self, stacks, z: 0.3 + 0.0 * z.sum(-1))
+    with pytest.warns(UserWarning, match=r"NEMO: its models say the same .*seeds \[5, 6\].* lower lr \(now 0.01\)"):
+        SMALL.propose_many(bowl, 4, seeds=[5, 6])

@@ -62,7 +62,7 @@ class AWAC(Agent):
         return least(q_values(state.critics, batch.observation, batch.action)) - own
 
     def weights(self, advantage: Float[Array, "b"]) -> Float[Array, "b"]:
-        """exp(advantage / temperature), cut above (eq. 13 of the paper has a normaliser, which its code leaves out too)."""
+        """exp(advantage / temperature), cut above; the authors' code takes a softmax over the batch instead."""
         return capped_exp(advantage / self.temperature, self.max_weight)
 
     def update(self, state, batch, *, step, key):

@@ -50,7 +50,7 @@ class CQL(SAC):
     conservatism: float = 5.0  # weight of the penalty, or where the multiplier begins
     draws: int = static(10)  # actions of each kind
     lagrange: bool = static(False)  # whether the weight is a multiplier
-    threshold: float = 10.0  # what the difference is held to then (published: 5 or 10 for Kitchen, Adroit and AntMaze)
+    threshold: float = 10.0  # what the difference is held to then
     weight_lr: float = 3e-4  # learning rate of the multiplier
     warm_start: int = static(0)  # updates in which the actor imitates the log (public code: 40,000)
 

@@ -17,7 +17,7 @@ from deadreckon.nets.mlp import MLP, q_values
 class EDAC(SACN):
     """SAC-N with diversified critics."""
 
-    diversity: float = 1.0  # eta: weight of the slopes' likeness (published: 0, 1 or 5, by log)
+    diversity: float = 1.0  # eta: weight of the slopes' likeness (published: 0 to 5 in Gym-MuJoCo, by log)
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the likeness of slopes."""

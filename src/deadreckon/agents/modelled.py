@@ -63,7 +63,7 @@ class Modelled(Agent):
         """What the ensemble consists of."""
         assert self.model_hidden is not None  # resolved
         return Gaussian(
-            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_decay, per_number=True
+            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_decay, as_mbpo=True
         )
 
     @property

@@ -23,7 +23,7 @@ class ReBRAC(TD3):
 
     def needs(self, spec):
         """Transitions, and what the log did next."""
-        return Needs((*Needs.columns, "next_action"), self.batch_size, standardise=self.standardise)
+        return Needs((*Needs.columns, "next_action", "follows"), self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """TD3's state; the critics' layers are normalised."""
@@ -34,9 +34,8 @@ class ReBRAC(TD3):
     def target(self, state, batch, key):
         """r + discount (min_j Q'_j(s', a') - critic_penalty |a' - a'_log|^2), a' as TD3's (eq. 5)."""
         action = self.next_action(state, batch, key)
-        # Where a recording ends it is not known what the log did next; such rows hold zeros, and are not penalised.
-        known = (batch.next_action != 0).any(-1)
-        penalty = jnp.where(known, jnp.square(action - batch.next_action).sum(-1), 0.0)
+        # Where a recording ends it is not known what the log did next.
+        penalty = batch.follows * jnp.square(action - batch.next_action).sum(-1)
         future = least(q_values(state.target_critics, batch.next_observation, action)) - self.critic_penalty * penalty
         return backup(batch, self.discount, future)
 

@@ -14,11 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import create_critics
 from deadreckon.agents.modelled import ModelledSAC
 from deadreckon.dynamics import ended
 from deadreckon.nets.mlp import q_values
-from deadreckon.nets.optim import begin, copy
 from deadreckon.training.learner import static
 
 _LEAST = 1e-8  # variance, where all agree
@@ -36,12 +34,6 @@ class STEVE(ModelledSAC):
 
     horizon: int = static(3)  # H, steps in the model at most
     critics: int = static(4)  # their disagreement is half of what is known of a horizon
-
-    def init(self, spec, key):
-        """SAC's state with so many critics."""
-        k_rest, k_critics = jax.random.split(key)
-        critics = create_critics(spec, self.hidden, self.critics, k_critics)
-        return super().init(spec, k_rest)._replace(critics=critics, target_critics=copy(critics), critics_opt=begin(critics))
 
     def target(self, state, batch, key):
         """y above."""

@@ -16,7 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import replacing
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
-SPARE = 10  # times as many rows are made up as are kept of a fit, at most
+SPARE = 10  # times as many rows are made up as are kept of a fit, at most; rollouts that end early stop at half of it
 _DREAM = 6  # purpose of randomness, beside those of `training.fit`
 
 
@@ -68,11 +68,9 @@ class Imagination(Modelling):
             agent, state = own(learner, lane), own(states, lane)
             rng = np.random.default_rng([seed, _DREAM, turn, 0])
             real, n = self.real(lane), agent.rollouts * agent.model_every
-            # Of long rollouts a small share would be kept: fewer are begun then.
-            begun = min(n, -(-SPARE * self._share // length))
-            starts = jnp.asarray(real[rng.integers(len(real), size=begun), : self.spec.observation_size])
+            starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
             key = jax.random.fold_in(jax.random.key(self._mixed(lane, turn)), _DREAM)
-            rows = packed(branches(agent.model, state.model, agent.policy(state), starts, length, key, agent.over))
+            rows = self._made_up(agent, state, starts, length, key)
             if not len(rows):  # a lane whose numbers went bad, which it is told after its updates
                 rows = real[:, : self._width]
             # Lanes have equally many rows; those of rollouts that ended early are made up for by others.
@@ -83,6 +81,22 @@ class Imagination(Modelling):
         self._refill(turn)
         self.metrics["rollout_length"] = np.full(len(self.seeds), float(length))
         return states
+
+    def _made_up(self, agent: MBPO, state: Any, starts: Array, length: int, key: PRNGKeyArray) -> np.ndarray:
+        """Rows of rollouts. Of long ones few would be kept, so these are made portion by portion until there are enough."""
+        halvings = 0  # a portion is a power of two of all, so that few programs serve all lengths
+        while (len(starts) >> halvings) > 1 and (len(starts) >> halvings) * length > SPARE * self._share:
+            halvings += 1
+        portion, found, count = len(starts) >> halvings, [], 0
+        for i in range(1 << halvings):
+            now = jax.random.fold_in(key, i) if halvings else key
+            some = starts[i * portion : (i + 1) * portion]
+            rows = packed(branches(agent.model, state.model, agent.policy(state), some, length, now, agent.over))
+            found.append(rows)
+            count += len(rows)
+            if count >= SPARE * self._share // 2:
+                break
+        return np.concatenate(found)
 
     def _refill(self, turn: int) -> None:
         """Puts what is learned from onto the device, for the turn that was the last."""

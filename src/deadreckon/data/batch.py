@@ -28,6 +28,7 @@ class Batch(NamedTuple):
     terminal: Any = None
     discount: Any = None
     next_action: Any = None  # action of the following row; zero after an episode's last
+    follows: Any = None  # 1.0 where the log has a following row of the same episode
     return_to_go: Any = None  # discounted, to the end of the recorded episode
     time: Any = None  # steps since the episode's start
     behavior_log_prob: Any = None  # of the logged action, where the log has it
@@ -112,6 +113,8 @@ class Rows:
             )
         if log.successors is not None and (needs.n_step > 1 or needs.window):
             raise UserError(f"{log.name}: its rows do not follow each other, so n-step rows and windows cannot be cut from it")
+        if log.successors is not None and {"next_action", "follows"} & set(needs.columns):
+            raise UserError(f"{log.name}: its rows do not follow each other, so what the log did next is not known")
         # Whoever looks at successors is not shown rows without one. Windows are runs of the log itself, so all rows stay.
         looks_ahead = "next_observation" in needs.columns
         usable = log.usable[self.last(np.arange(len(log)))] if looks_ahead else np.ones(len(log), bool)
@@ -203,6 +206,7 @@ _COLUMNS: dict[str, Callable[[Rows, np.ndarray], np.ndarray]] = {
     "terminal": lambda r, i: np.asarray(r.log.terminals[r.last(i)], np.float32),
     "discount": _discount,
     "next_action": _next_action,
+    "follows": lambda r, i: (~r.log._is_end[i]).astype(np.float32),
     "return_to_go": lambda r, i: r._returns_to_go[i],
     "time": lambda r, i: (i - r.log.starts[r.log.episode_of[i]]).astype(np.float32),
     "behavior_log_prob": _behavior_log_prob,

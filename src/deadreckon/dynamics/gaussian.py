@@ -17,7 +17,7 @@ class Gaussian(Model):
     """An ensemble of probabilistic networks, or of deterministic ones."""
 
     deterministic: bool = static(False)  # squared errors instead of likelihoods, means instead of draws
-    per_number: bool = static(False)  # a row's likelihood is the mean over its numbers, which decay and bounds of MBPO go with
+    as_mbpo: bool = static(False)  # losses in the proportions of MBPO's public code, which its decay is meant for
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance, logit of an end), and bounds of the log-variances."""
@@ -42,9 +42,11 @@ class Gaussian(Model):
         def one(net, bounds, inputs, target, terminal):
             mean, log_variance, logit = self._heads(net, bounds, inputs)
             each = jnp.square(mean - target) if self.deterministic else gaussian_nll(mean, log_variance, target)
-            row = each.sum(-1) + bernoulli_nll(logit, terminal)
-            row = row / target.shape[-1] if self.per_number else row
-            return row if self.deterministic else row + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
+            row, weight = each.sum(-1) + bernoulli_nll(logit, terminal), BOUND_WEIGHT
+            if self.as_mbpo:
+                # There a row counts by the mean over its numbers, without the half, and all networks share their bounds.
+                row, weight = 2.0 * row / target.shape[-1], BOUND_WEIGHT / self.members
+            return row if self.deterministic else row + weight * (bounds[1] - bounds[0]).sum()
 
         return jax.vmap(one)(params["nets"], params["bounds"], inputs, target, terminal)
 

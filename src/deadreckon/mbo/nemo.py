@@ -289,11 +289,11 @@ class NEMO(Designer):
         learner = self.training(setting)
         states = setting.train(learner, self.pretrain + self.steps, "nemo")
         low, high = learner.scale
+        self._warn_of_blindness(learner, states, setting)
         found = []
         for seed, state in zip(setting.seeds, states):
             middle = low + (high - low) * (np.arange(self.bins) + 0.5) / self.bins
 
-            self._warn_of_blindness(learner, state, setting.data)
             nets = joined(state.targets)
 
             def believed(x: Array, nets: Net = nets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
@@ -304,9 +304,13 @@ class NEMO(Designer):
             found.append(self.decoded(setting, seed, state.search.x, believed))
         return found
 
-    def _warn_of_blindness(self, learner: Training, state: State, data: Designs) -> None:
+    def _warn_of_blindness(self, learner: Training, states: list[State], setting: Setting) -> None:
         """Tells where models say the same of all data: a large learning rate can leave them no unit that still answers."""
+        data = setting.data
         some = np.linspace(0, len(data) - 1, min(len(data), SAMPLE)).astype(int)
-        if np.ptp(np.asarray(learner.worth(state.targets, jnp.asarray(data.coordinates.encode(data.x[some]))))) < 1e-6:
-            text = f"NEMO: its models say the same of every design, so no search led anywhere; lower lr (now {self.lr:g})"
-            warnings.warn(text, stacklevel=2)
+        z = jnp.asarray(data.coordinates.encode(data.x[some]))
+        worths = [np.asarray(learner.worth(state.targets, z), np.float64) for state in states]
+        blind = [seed for seed, worth in zip(setting.seeds, worths) if np.ptp(worth) <= 1e-6 * np.abs(worth).max()]
+        if blind:
+            text = f"NEMO: its models say the same of every design (seeds {blind}), so no search led anywhere; lower lr"
+            warnings.warn(f"{text} (now {self.lr:g})", stacklevel=4)

@@ -83,6 +83,7 @@ def standardised(x: Float[Array, "*b h"]) -> Float[Array, "*b h"]:
     return x * jax.lax.rsqrt(jnp.square(x).mean(-1, keepdims=True) + 1e-6)
 
 
+FEW = 8  # critics whose least is a chain of comparisons
 N = TypeVar("N", bound=eqx.Module)
 T = TypeVar("T")
 
@@ -125,9 +126,12 @@ def q_values(
 
 
 def least(values: Float[Array, "k *b"]) -> Float[Array, "*b"]:
-    """The smallest along the first axis, which is short, with a slope that is always one of theirs.
+    """The smallest along the first axis, with a slope that is always one of theirs.
 
     The slope of `values.min(0)` divides by how many of `values` equal the smallest. XLA may compute them once more for it, a
     little differently, and then there are none.
     """
+    if len(values) > FEW:  # a chain would take long to compile
+        which = jax.lax.stop_gradient(values).argmin(0)
+        return jnp.take_along_axis(values, which[None], 0)[0]
     return functools.reduce(lambda a, b: jnp.where(a <= b, a, b), values)
