@@ -8,6 +8,7 @@ import pytest
 
 from deadreckon.data.batch import Needs, Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.training.checkpoint import load_arrays, load_tree, save_tree
 from deadreckon.training.fit import Fit, fit
@@ -62,6 +63,17 @@ def test_n_step_rewards_stop_at_the_episode_end():
     np.testing.assert_allclose(got["discount"], [0.25, 0, 0, 0.25, 0.25, 0.5])
     np.testing.assert_allclose(got["time"], [0, 1, 2, 0, 1, 2])
     np.testing.assert_allclose(got["return_to_go"], [3, 4, 4, 24, 32, 32])
+
+
+def test_what_the_log_did_next_is_known_inside_of_episodes():
+    some = {"observations": np.arange(5.0), "actions": np.array([[0.1], [0.0], [0.3], [0.4], [0.5]]), "rewards": np.zeros(5),
+            "terminals": [0, 0, 1, 0, 0], "timeouts": [0, 0, 0, 0, 1], "action_space": Box((-1.0,), (1.0,))}  # fmt: skip
+    asks = Needs(("next_action", "follows"))
+    _, got = columns(asks, Dataset.from_arrays(**some))
+    np.testing.assert_allclose(got["next_action"][:, 0], [0, 0.3, 0, 0.5, 0], atol=1e-6)
+    np.testing.assert_array_equal(got["follows"], [1, 1, 0, 1, 0])
+    with pytest.raises(UserError, match="rows do not follow each other, so what the log did next is not known"):
+        columns(asks, Dataset.from_arrays(**some, next_observations=np.arange(5.0) + 0.5))
 
 
 def test_rows_without_successor_are_never_drawn():
