@@ -9,7 +9,7 @@ In the form rho the first term is the mean of Q_j over actions of the present po
 weight is a multiplier that rises where the difference is above `threshold`.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +42,8 @@ class State(NamedTuple):
 
 class CQL(SAC):
     """SAC with conservative critics."""
+
+    online: ClassVar[bool] = False
 
     actor_lr: float = 1e-4  # learning rate of the actor
     entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too

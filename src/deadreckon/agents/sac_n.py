@@ -1,11 +1,15 @@
 """SAC-N (An et al. 2021): SAC on a fixed log with so many critics that their least holds it to what the log knows."""
 
+from typing import ClassVar
+
 from deadreckon.agents.sac import SAC
 from deadreckon.training.learner import static
 
 
 class SACN(SAC):
     """SAC with an ensemble of critics."""
+
+    online: ClassVar[bool] = False
 
     critics: int = static(10)  # Q-networks, of which the least is believed (published: halfcheetah 10, walker2d 20, hopper 500)
     hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
