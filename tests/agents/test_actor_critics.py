@@ -15,14 +15,18 @@ SPEC = corridor().spec
 KEY = jax.random.key(5)
 
 
-@pytest.fixture(scope="module")
-def batch():
+def transitions():
     rng = np.random.default_rng(0)
     return Batch(
         observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32), action=jnp.asarray(rng.uniform(-0.9, 0.9, (6, 1))),
         reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
         terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
     )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return transitions()
 
 
 def q(critics, j, observation, action):

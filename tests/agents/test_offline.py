@@ -12,7 +12,7 @@ from deadreckon.agents.edac import likeness
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, least
-from tests.agents.test_actor_critics import log_prob, q
+from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import lane, numpy_gaussian
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
@@ -24,13 +24,8 @@ SMALL = {"hidden": (16, 16)}
 
 @pytest.fixture(scope="module")
 def batch():
-    rng = np.random.default_rng(0)
-    return Batch(
-        observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32), action=jnp.asarray(rng.uniform(-0.9, 0.9, (6, 1))),
-        reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
-        terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
-        next_action=jnp.asarray([[0.3], [0.0], [0.0], [0.9], [0.0], [0.0]]), follows=jnp.asarray([1.0, 0, 1, 1, 0, 0]),
-    )  # fmt: skip
+    following = jnp.asarray([[0.3], [0.0], [0.0], [0.9], [0.0], [0.0]])
+    return transitions()._replace(next_action=following, follows=jnp.asarray([1.0, 0, 1, 1, 0, 0]))
 
 
 def made(agent):
@@ -257,6 +252,10 @@ def test_rebrac_target_and_actor_loss(batch):
     np.testing.assert_allclose(agent.actor_loss(state.actor, state, batch), expected, rtol=1e-3)
 
 
+def with_held(state, **changes):
+    return state._replace(model=state.model._replace(**changes))
+
+
 def test_cql_penalty(batch):
     agent, state = made(CQL(conservatism=3.0, draws=2, **SMALL))
     target = jnp.arange(6.0)
@@ -276,8 +275,8 @@ def test_cql_penalty(batch):
     np.testing.assert_allclose(loss, expected, rtol=1e-4)
     assert not agent.entropy_backup
     held = CQL(conservatism=1.0, lagrange=True, draws=2, **SMALL)
-    twice = held.critic_loss(state.critics, state._replace(log_weight=jnp.log(2.0)), batch, target, KEY)[0]
-    once = held.critic_loss(state.critics, state._replace(log_weight=jnp.log(1.0)), batch, target, KEY)[0]
+    twice = held.critic_loss(state.critics, with_held(state, log_weight=jnp.log(2.0)), batch, target, KEY)[0]
+    once = held.critic_loss(state.critics, with_held(state, log_weight=jnp.log(1.0)), batch, target, KEY)[0]
     np.testing.assert_allclose(twice - once, 2 * metrics["gap"], rtol=1e-3)  # a difference for each critic
 
 
@@ -313,21 +312,21 @@ def test_cql_multiplier_rises_where_the_difference_is_too_large(batch, threshold
     agent, state = made(CQL(lagrange=True, threshold=threshold, **SMALL))
     after, metrics = updated(agent, state, batch)
     assert (float(metrics["gap"]) > threshold) is rises
-    assert (float(after.log_weight) > float(state.log_weight)) is rises
+    assert (float(after.model.log_weight) > float(state.model.log_weight)) is rises
 
 
 def test_cql_imitates_before_it_improves(batch):
     agent, state = made(CQL(warm_start=5, temperature=0.4, **SMALL))
     update = jax.jit(lambda s, step: agent.update(s, batch, step=step, key=KEY)[0])
-    assert bool(update(state, jnp.int32(4)).imitates)
-    assert not bool(update(state, jnp.int32(5)).imitates)
+    assert bool(update(state, jnp.int32(4)).model.imitates)
+    assert not bool(update(state, jnp.int32(5)).model.imitates)
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
     mean, log_std = numpy_gaussian(state.actor, batch.observation)
     pre = mean + np.exp(log_std) * noise
     own = log_prob(mean, log_std, pre)
-    loss, _ = agent.actor_loss(state.actor, state._replace(imitates=jnp.asarray(True)), batch, KEY)
+    loss, _ = agent.actor_loss(state.actor, with_held(state, imitates=jnp.asarray(True)), batch, KEY)
     np.testing.assert_allclose(loss, 0.4 * own.mean() - logged_log_prob(state.actor, batch).mean(), rtol=1e-3)
-    loss, _ = agent.actor_loss(state.actor, state._replace(imitates=jnp.asarray(False)), batch, KEY)
+    loss, _ = agent.actor_loss(state.actor, with_held(state, imitates=jnp.asarray(False)), batch, KEY)
     np.testing.assert_allclose(loss, (0.4 * own - least_q(state.critics, batch.observation, np.tanh(pre))).mean(), rtol=1e-3)
 
 

@@ -25,16 +25,9 @@ from deadreckon.nets.optim import begin, descend
 from deadreckon.training.learner import static
 
 
-class State(NamedTuple):
-    """SAC's, the log of the penalty's weight, and whether the actor imitates still."""
+class Held(NamedTuple):
+    """The log of the penalty's weight, and whether the actor imitates still: `model` of SAC's state."""
 
-    actor: MLP
-    critics: MLP  # stacked
-    target_critics: MLP
-    log_temperature: Array
-    actor_opt: optax.OptState
-    critics_opt: optax.OptState
-    temperature_opt: optax.OptState
     log_weight: Array
     weight_opt: optax.OptState
     imitates: Array
@@ -59,11 +52,8 @@ class CQL(SAC):
     def init(self, spec, key) -> Any:
         """SAC's state and the multiplier."""
         log_weight = jnp.log(jnp.maximum(jnp.asarray(self.conservatism), 1e-6))
-        fields = super().init(spec, key)._asdict()
-        del fields["model"]
-        return State(
-            **fields, log_weight=log_weight, weight_opt=begin(log_weight), imitates=jnp.asarray(self.warm_start > 0)
-        )
+        held = Held(log_weight, begin(log_weight), jnp.asarray(self.warm_start > 0))
+        return super().init(spec, key)._replace(model=held)
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""
@@ -71,7 +61,7 @@ class CQL(SAC):
         measure = soft_maximum if self.form == "H" else weighted_mean
         high = measure(critics, state.actor, batch, self.draws, jax.random.fold_in(key, 2)).mean(-1)
         gap = high - q_values(critics, batch.observation, batch.action).mean(-1)
-        weight = jax.lax.stop_gradient(jnp.exp(state.log_weight)) if self.lagrange else self.conservatism
+        weight = jax.lax.stop_gradient(jnp.exp(state.model.log_weight)) if self.lagrange else self.conservatism
         return loss + weight * gap.sum(), metrics | {"gap": gap.mean()}
 
     def actor_loss(self, actor, state, batch, key):
@@ -80,17 +70,19 @@ class CQL(SAC):
         if not self.warm_start:
             return loss, log_prob
         clone = jnp.exp(state.log_temperature) * log_prob + imitation_loss(actor, batch, jnp.ones(len(batch.reward)))
-        return jnp.where(state.imitates, clone, loss), log_prob
+        return jnp.where(state.model.imitates, clone, loss), log_prob
 
     def update(self, state, batch, *, step, key):
         """SAC's, and where it is asked for the multiplier's."""
-        state, metrics = super().update(state._replace(imitates=step < self.warm_start), batch, step=step, key=key)
+        held = state.model._replace(imitates=step < self.warm_start)
+        state, metrics = super().update(state._replace(model=held), batch, step=step, key=key)
         if not self.lagrange:
             return state, metrics
         slope = self.threshold - metrics["gap"]  # d/dlog w of -w (gap - threshold), without the factor w > 0
-        log_weight, opt = descend(state.log_weight, slope, state.weight_opt, self.weight_lr)
+        log_weight, opt = descend(held.log_weight, slope, held.weight_opt, self.weight_lr)
         log_weight = jnp.minimum(log_weight, jnp.log(1e6))
-        return state._replace(log_weight=log_weight, weight_opt=opt), metrics | {"weight": jnp.exp(log_weight)}
+        held = held._replace(log_weight=log_weight, weight_opt=opt)
+        return state._replace(model=held), metrics | {"weight": jnp.exp(log_weight)}
 
 
 def soft_maximum(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:

@@ -3,11 +3,10 @@
 import jax
 import jax.numpy as jnp
 
-from deadreckon.agents.agent import backup, create_critics
+from deadreckon.agents.agent import backup
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import least, q_values
-from deadreckon.nets.optim import begin, copy
 from deadreckon.training.learner import static
 
 
@@ -18,18 +17,13 @@ class ReBRAC(TD3):
     critic_lr: float = 1e-3  # learning rate of the critics
     actor_penalty: float = 0.01  # weight of imitation in the actor's loss (published: 0.001 to 0.1, by log)
     critic_penalty: float = 0.01  # weight of imitation in the targets (published: 0 to 0.5, by log)
+    normalise: bool = static(True)  # whether the critics' layers are normalised
     hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
     batch_size: int = static(1024)  # rows a batch
 
     def needs(self, spec):
         """Transitions, and what the log did next."""
         return Needs((*Needs.columns, "next_action", "follows"), self.batch_size, standardise=self.standardise)
-
-    def init(self, spec, key):
-        """TD3's state; the critics' layers are normalised."""
-        state = super().init(spec, key)
-        critics = create_critics(spec, self.hidden, 2, jax.random.split(key)[1], normalise=True)
-        return state._replace(critics=critics, target_critics=copy(critics), critics_opt=begin(critics))
 
     def target(self, state, batch, key):
         """r + discount (min_j Q'_j(s', a') - critic_penalty |a' - a'_log|^2), a' as TD3's (eq. 5)."""

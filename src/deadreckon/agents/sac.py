@@ -26,7 +26,7 @@ class State(NamedTuple):
     actor_opt: optax.OptState
     critics_opt: optax.OptState
     temperature_opt: optax.OptState
-    model: Any = None  # of agents that learn one
+    model: Any = None  # of agents that learn one; others keep there what they have beside SAC
 
 
 class SAC(Agent):

@@ -37,6 +37,7 @@ class TD3(Agent):
     actor_every: int = static(2)  # critic updates for one of the actor
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     batch_size: int = static(256)  # rows a batch
+    normalise: bool = static(False)  # whether the critics' layers are normalised
     standardise: bool = static(False)  # observations with mean 0 and standard deviation 1
 
     def needs(self, spec):
@@ -47,7 +48,7 @@ class TD3(Agent):
         """Fresh networks; targets are copies."""
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
-        critics = create_critics(spec, self.hidden, 2, kc)
+        critics = create_critics(spec, self.hidden, 2, kc, normalise=self.normalise)
         return State(actor, critics, copy(actor), copy(critics), begin(actor), begin(critics))
 
     def next_action(self, state, batch, key):

@@ -16,7 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import replacing
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
-SPARE = 10  # times as many rows are made up as are kept of a fit, at most; rollouts that end early stop at half of it
+SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
 _DREAM = 6  # purpose of randomness, beside those of `training.fit`
 
 
