@@ -28,6 +28,9 @@ class Options:
 
     task: str = "hopper"  # simulator to learn in
     groups: tuple[str, ...] = ("compare",)  # among compare, rivals, pets, ratio, length, expansion
+    only: tuple[str, ...] = ()  # of their runs, by name; none: all
+    rollouts: int | None = None  # of MBPO, begun for each real step; None: 400, of which k = 500 makes 200,000 steps each
+    updates: float | None = None  # of all agents, for each real step; None: the task's
     steps: int = 130_000  # environment steps, the 5,000 random ones included
     seeds: int = 3  # of each run, as one program
     every: int = 1000  # environment steps between evaluations
@@ -36,20 +39,24 @@ class Options:
     picture: str | None = None  # SVG file of the learning curves
 
 
-def variants(group: str, task: str) -> dict[str, tuple[Agent, Online]]:
+Runs = dict[str, tuple[Agent, Online]]
+
+
+def variants(group: str, task: str, rollouts: int | None = None, updates: float | None = None) -> Runs:
     """The runs of a group, by name."""
-    acting = MBPO.acting(task)
+    acting = MBPO.acting(task) | ({} if updates is None else {"updates_per_step": updates})
+    made = {} if rollouts is None else {"rollouts": rollouts}
     own = PRESETS.get(task, {}).get("target_entropy")
 
     def sac(ratio: float) -> tuple[Agent, Online]:
         return SAC(target_entropy=own), Online(**acting | {"updates_per_step": ratio})
 
     def mbpo(*length: int) -> tuple[Agent, Online]:
-        return MBPO(length=length or None), Online(**acting)
+        return MBPO(length=length or None, **made), Online(**acting)
 
     return {
         # SAC with as many updates a step as MBPO, and as it usually is.
-        "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
+        "compare": {"mbpo": mbpo(), f"sac-{acting['updates_per_step']:g}": sac(acting["updates_per_step"]), "sac-1": sac(1)},
         "rivals": {"mve": (MVE(), Online(**acting)), "steve": (STEVE(), Online(**acting)),
                    "slbo": (SLBO(), Online(**SLBO.acting(task))), "ppo": (PPO(), Online(**PPO.acting(task)))},
         "pets": {"pets": (PETS(), Online(**PETS.acting(task))), "pets-small": (PETS.small(), Online(**PETS.acting(task)))},
@@ -69,7 +76,11 @@ def lengths(task: str) -> dict[str, tuple[int, ...]]:
 def main(options: Options) -> None:
     """Trains what is not trained yet, prints, and draws."""
     cache_compiled_programs()
-    asked = {name: run for group in options.groups for name, run in variants(group, options.task).items()}
+    groups = [variants(group, options.task, options.rollouts, options.updates) for group in options.groups]
+    known = {name: run for group in groups for name, run in group.items()}
+    if missing := set(options.only).difference(known):
+        raise SystemExit(f"--only: no run is called {', '.join(sorted(missing))}: choose from {', '.join(known)}")
+    asked = {name: run for name, run in known.items() if not options.only or name in options.only}
     folders = {name: Path(options.out) / options.task / name for name in asked}
     for name, (agent, settings) in asked.items():
         with Bar(f"{name} in {options.task}", settings.updates(options.steps), "updates") as bar:

@@ -123,10 +123,14 @@ def test_mbpo_curves_run_resume_and_are_drawn(tmp_path, monkeypatch, capsys, hom
     for group, count in (("compare", 3), ("ratio", 5), ("length", 4)):
         assert len(example.variants(group, "hopper")) == count
     assert example.variants("compare", "hopper")["sac-20"][1].updates_per_step == 20
+    cheap = example.variants("length", "halfcheetah", rollouts=20, updates=5)["mbpo-k200"]
+    assert (cheap[0].rollouts, cheap[1].updates_per_step) == (20, 5)
+    with pytest.raises(SystemExit, match="no run is called mbpo-k2: choose from mbpo, sac-20, sac-1"):
+        example.main(example.Options(only=("mbpo-k2",)))
     tiny = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 2, "elites": 1,
             "model_epochs": 1, "rollouts": 2, "model_every": 50, "keep": 50}  # fmt: skip
 
-    def variants(group, task):
+    def variants(group, task, *_):
         settings = example.Online(copies=2, explore=50, updates_per_step=0.2, block=50)
         return {"mbpo": (example.MBPO(**tiny), settings), "sac": (example.SAC(hidden=(8,), batch_size=16), settings)}
 

@@ -28,7 +28,8 @@ STEPS, CHUNK = 150, 50
 MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "rollouts": 40, "model_epochs": 2, "length": 2,
          "logged_rows": 20}  # fmt: skip
 
-OWN = {"bcq": {"behavior_hidden": (16, 16), "test_draws": 10}, "brac": {"behavior_steps": 20}}
+OWN = {"bcq": {"behavior_hidden": (16, 16), "test_draws": 10}, "brac": {"behavior_steps": 20},
+       "kl_control": {"behavior_steps": 20}, "awr": {"window": 8}}  # fmt: skip
 
 
 def small(name, **fields):
@@ -48,7 +49,7 @@ def same(a, b):
 # What this suite looks at is others' too: of TD3 and its kin TD3+BC's, of SAC and its kin SAC's, of weighted imitation IQL's,
 # and where there is a model SAC's and test_dreaming.py's.
 SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "bcq", "brac", "rebrac", "cql", "sac_n", "edac", "xql", "awac",
-        "crr")  # fmt: skip
+        "crr", "algae_dice", "rem", "kl_control", "dqfd")  # fmt: skip
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]
@@ -155,7 +156,7 @@ def test_policy_acts_in_bounds_and_survives_its_file(trained, tmp_path):
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(observations), actions)
     assert store.meta(tmp_path / "p.npz") == {"note": 1}
     play = load_portable(tmp_path / "p.npz")
-    if type(policy.inner).__name__ != "GreedyQ":  # which draws its candidates from another generator
+    if type(policy.inner).__name__ not in ("GreedyQ", "OneStep"):  # which draw from another generator
         np.testing.assert_allclose(play(observations), actions, atol=1e-5)
     assert play(observations[0]).shape == (1,)
 
@@ -209,6 +210,12 @@ LEARNERS = {
     "cql": (0.35, {"temperature": 0.01, "conservatism": 0.1}),
     "sac_n": (0.25, {"temperature": 0.01, "critics": 4}),
     "edac": (0.25, {"temperature": 0.01, "critics": 4}),
+    "algae_dice": (0.25, {"temperature": 0.01}),
+    "awr": (0.45, {"temperature": 0.15, "max_weight": 100.0, "trace": 0.5}),
+    "rem": (0.25, {"temperature": 0.01}),
+    "kl_control": (0.25, {"target_kl": 3.0, "temperature": 0.05, "behavior_steps": 500}),
+    "dqfd": (0.25, {"margin": 0.02, "margin_weight": 0.02}),
+    "fql": (0.35, {"imitation": 0.1}),
     "bear": (0.25, {"warm_start": 50, "dual": False, "multiplier": 0.0, "test_action": "actor"}),
     "bear_is": (0.5, {"warm_start": 300, "dual": False, "multiplier": 10.0, "behavior_lr": 1e-3, "test_action": "actor"}),
 }

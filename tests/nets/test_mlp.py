@@ -8,12 +8,20 @@ from deadreckon.nets.mlp import MLP, ensemble, joined, least, q_values, softplus
 from deadreckon.nets.optim import ADAM, copy, descend, track
 from deadreckon.nets.vae import VAE
 
+NUMPY = {
+    "relu": lambda x: np.maximum(x, 0),
+    "gelu": lambda x: x / 2 * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3))),
+}
+
 
 def numpy_mlp(net, x):
     for i, (w, b) in enumerate(zip(net.weights, net.biases)):
         x = x @ np.asarray(w) + np.asarray(b)
-        x = np.maximum(x, 0) if i < len(net.weights) - 1 else x
-    return x
+        if i == len(net.weights) - 1:
+            return x
+        x = NUMPY[net.activation](x)
+        if net.normalise:
+            x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-6)
 
 
 def test_softplus_and_its_slope():

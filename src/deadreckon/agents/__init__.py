@@ -7,7 +7,9 @@ from deadreckon.errors import unknown
 
 if TYPE_CHECKING:
     from deadreckon.agents.agent import Agent
+    from deadreckon.agents.algae_dice import AlgaeDICE
     from deadreckon.agents.awac import AWAC
+    from deadreckon.agents.awr import AWR
     from deadreckon.agents.bc import BC
     from deadreckon.agents.bcq import BCQ
     from deadreckon.agents.bear import BEAR
@@ -16,8 +18,11 @@ if TYPE_CHECKING:
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
+    from deadreckon.agents.dqfd import DQfD
     from deadreckon.agents.edac import EDAC
+    from deadreckon.agents.fql import FQL
     from deadreckon.agents.iql import IQL
+    from deadreckon.agents.kl_control import KLControl
     from deadreckon.agents.mbpo import MBPO
     from deadreckon.agents.mobile import MOBILE
     from deadreckon.agents.mopo import MOPO
@@ -26,6 +31,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.pets import PETS
     from deadreckon.agents.ppo import PPO
     from deadreckon.agents.rebrac import ReBRAC
+    from deadreckon.agents.rem import REM
     from deadreckon.agents.sac import SAC
     from deadreckon.agents.sac_n import SACN
     from deadreckon.agents.slbo import SLBO
@@ -60,12 +66,19 @@ AGENTS = {
     "edac": ("edac", "EDAC", "SAC-N with diversified critics (An et al. 2021)"),
     "bcq": ("bcq", "BCQ", "the critics' choice of a VAE's actions, a little moved (Fujimoto et al. 2019; thesis 7.4)"),
     "brac": ("brac", "BRAC", "an actor-critic that pays for being away from the log's policy (Wu et al. 2019; thesis 7.4)"),
+    "awr": ("awr", "AWR", "imitation weighted by recorded returns beyond the value (Peng et al. 2019; thesis 7.4)"),
+    "algae_dice": ("algae_dice", "AlgaeDICE", "policy gradients by the dual of the value (Nachum et al. 2019; thesis 7.4)"),
+    "rem": ("rem", "REM", "SAC on random mixtures of critics (Agarwal et al. 2020; thesis 7.4)"),
+    "kl_control": ("kl_control", "KLControl", "SAC that pays for its divergence from the log (Jaques et al. 2019; thesis 4.4)"),
+    "dqfd": ("dqfd", "DQfD", "TD3 with logged actions above all others by a margin (Hester et al. 2018; thesis 4.4)"),
+    "fql": ("fql", "FQL", "a one-step actor held to a flow model of the log (Park et al. 2025)"),
     "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
 __all__ = [
     "AGENTS",
     "AWAC",
+    "AWR",
     "BC",
     "BCQ",
     "BEAR",
@@ -74,6 +87,7 @@ __all__ = [
     "CQL",
     "CRR",
     "EDAC",
+    "FQL",
     "IQL",
     "ISBEAR",
     "MBPO",
@@ -82,6 +96,7 @@ __all__ = [
     "MVE",
     "PETS",
     "PPO",
+    "REM",
     "SAC",
     "SACN",
     "SLBO",
@@ -90,6 +105,9 @@ __all__ = [
     "TD3BC",
     "XQL",
     "Agent",
+    "AlgaeDICE",
+    "DQfD",
+    "KLControl",
     "MOReL",
     "ReBRAC",
     "agent_class",

@@ -84,10 +84,12 @@ class Agent(eqx.Module):
         return dataclasses.replace(self, **changes)
 
 
-def create_critics(spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray, *, normalise: bool = False) -> MLP:
+def create_critics(
+    spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray, *, activation: str = "relu", normalise: bool = False
+) -> MLP:
     """`count` Q-networks of (observation, action), stacked."""
     inputs = spec.observation_size + spec.action_size
-    return ensemble(lambda k: MLP.create(inputs, hidden, 1, k, normalise=normalise), count, key)
+    return ensemble(lambda k: MLP.create(inputs, hidden, 1, k, activation=activation, normalise=normalise), count, key)
 
 
 def bellman_loss(
@@ -103,6 +105,16 @@ def bellman_loss(
 def backup(batch: Batch, discount: Any, future: Float[Array, "b"]) -> Float[Array, "b"]:
     """r + discount (1 - terminal) future. A terminal has no future; a timeout does."""
     return batch.reward + discount * (1.0 - batch.terminal) * future
+
+
+def traced_advantage(error: Float[Array, "t *b"], goes_on: Float[Array, "t *b"], decay: Any) -> Float[Array, "t *b"]:
+    """sum_k decay^k error_{t+k} along the first axis, as far as `goes_on`: generalised advantages from errors of one step."""
+
+    def back(later: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
+        advantage = step[0] + decay * step[1] * later
+        return advantage, advantage
+
+    return jax.lax.scan(back, jnp.zeros(error.shape[1:]), (error, goes_on), reverse=True)[1]
 
 
 def capped_exp(x: Float[Array, "b"], most: Any) -> Float[Array, "b"]:

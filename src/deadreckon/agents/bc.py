@@ -1,6 +1,7 @@
 """Behaviour cloning: maximum likelihood of the logged actions. The row that every other agent has to beat."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import optax
@@ -48,3 +49,15 @@ class BC(Agent):
     def policy(self, state):
         """The model itself."""
         return behavior.policy(state.model)
+
+
+def cloned(agent: Any, fit: Callable[..., Any], key: Any) -> MLP:
+    """A tanh-Gaussian model of the log's policy, as `behavior_lr` and `behavior_steps` of an agent say.
+
+    Args:
+        agent: whose networks are as wide and whose batches as large.
+        fit: trains a learner on the agent's log, as `prepare` gets it.
+        key: of the training.
+    """
+    clone = BC(lr=float(agent.behavior_lr), hidden=agent.hidden, batch_size=agent.batch_size)
+    return fit(clone, agent.behavior_steps, key).model

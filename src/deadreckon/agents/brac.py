@@ -15,7 +15,7 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
-from deadreckon.agents.bc import BC
+from deadreckon.agents.bc import cloned
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
@@ -66,8 +66,7 @@ class BRAC(Agent):
 
     def prepare(self, state, rows, key, fit):
         """Fits the behaviour model, by maximum likelihood; the actor begins as it."""
-        clone = BC(lr=float(self.behavior_lr), hidden=self.hidden, batch_size=self.batch_size)
-        behavior = fit(clone, self.behavior_steps, key).model
+        behavior = cloned(self, fit, key)
         return state._replace(behavior=behavior, actor=copy(behavior))
 
     def away(self, d: dist.Gaussian, behavior: MLP, observation, key) -> Float[Array, "b"]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import Agent
+from deadreckon.agents.agent import Agent, traced_advantage
 from deadreckon.data.batch import Needs
 from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets import distributions as dist
@@ -114,12 +114,7 @@ class PPO(Agent):
         now, following = (self.value(state, rows[name]) for name in ("observation", "next_observation"))
         error = rows["reward"] + self.discount * (1.0 - rows["terminal"]) * following - now
         goes_on = 1.0 - jnp.maximum(rows["terminal"], rows["timeout"])
-
-        def back(later: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
-            advantage = step[0] + self.discount * self.trace * step[1] * later
-            return advantage, advantage
-
-        advantage = jax.lax.scan(back, jnp.zeros(error.shape[1:]), (error, goes_on), reverse=True)[1]
+        advantage = traced_advantage(error, goes_on, self.discount * self.trace)
         returns = advantage + now
         new = state._replace(returns=state.returns.seeing(returns.reshape(-1)))
         columns = {"observation": rows["observation"], "action": rows["action"], "behavior_log_prob": log_prob,

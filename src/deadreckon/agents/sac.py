@@ -64,6 +64,10 @@ class SAC(Agent):
         opts = begin(actor), begin(critics), begin(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
 
+    def believed(self, values):
+        """What of the critics' values counts: the least."""
+        return least(values)
+
     def act(self, state, observation, noise):
         """Actions of the present actor by standard normal `noise`, and the entropy bonus for them that values hold."""
         d = dist.gaussian_head(state.actor(observation))
@@ -74,7 +78,7 @@ class SAC(Agent):
     def value(self, state, observation, noise):
         """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor."""
         action, bonus = self.act(state, observation, noise)
-        return least(q_values(state.target_critics, observation, action)) + bonus
+        return self.believed(q_values(state.target_critics, observation, action)) + bonus
 
     def target(self, state, batch, key) -> Any:
         """r + discount (min_j Q'_j(s', a') - temperature log pi(a'|s')), a' from the present actor."""
@@ -90,7 +94,7 @@ class SAC(Agent):
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, key)
         log_prob = dist.log_prob(d, pre)
-        q = least(q_values(state.critics, batch.observation, jnp.tanh(pre)))
+        q = self.believed(q_values(state.critics, batch.observation, jnp.tanh(pre)))
         return (jnp.exp(state.log_temperature) * log_prob - q).mean(), log_prob.mean()
 
     def update(self, state, batch, *, step, key):
@@ -120,5 +124,5 @@ class SAC(Agent):
         return TanhGaussian(state.actor)
 
     def q_value(self, state, observation, action):
-        """The least of the critics; it holds the entropy bonus too."""
-        return least(q_values(state.critics, observation, action))
+        """What the critics are believed to say; it holds the entropy bonus too."""
+        return self.believed(q_values(state.critics, observation, action))

@@ -61,6 +61,10 @@ class TD3(Agent):
         action = self.next_action(state, batch, key)
         return backup(batch, self.discount, least(q_values(state.target_critics, batch.next_observation, action)))
 
+    def critic_loss(self, critics, state, batch, target, key):
+        """Squared errors of both critics."""
+        return bellman_loss(critics, batch, target)
+
     def actor_loss(self, actor, state, batch):
         """-Q_1(s, pi(s))."""
         first = jax.tree.map(lambda w: w[:1], state.critics)
@@ -70,7 +74,7 @@ class TD3(Agent):
     def update(self, state, batch, *, step, key):
         """Critics always; every `actor_every` updates the actor and all targets."""
         target = self.target(state, batch, key)
-        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
+        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
         critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
 

@@ -26,6 +26,7 @@ def _(primals, tangents):
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "relu": jax.nn.relu,
+    "gelu": jax.nn.gelu,
     "tanh": jnp.tanh,
     "swish": jax.nn.swish,
     "softplus": softplus,

@@ -163,6 +163,22 @@ class Moved(Inner):
         return jnp.arctanh(jnp.clip(moved(self.mover, self.reach, observation, jnp.tanh(pre)), -EDGE, EDGE))
 
 
+class OneStep(Inner):
+    """a = net(s, z), cut to [-1, 1], with z standard normal (FQL's). It draws also when `greedy`: no z is the best."""
+
+    net: MLP
+
+    def drawn(self, observation: Float[Array, "n o"], key: PRNGKeyArray, count: tuple[int, ...] = ()) -> Float[Array, "*c n a"]:
+        """Actions in [-1, 1]."""
+        z = jax.random.normal(key, (*count, *observation.shape[:-1], self.net.biases[-1].shape[-1]))
+        seen = jnp.broadcast_to(observation, (*z.shape[:-1], observation.shape[-1]))
+        return jnp.clip(self.net(jnp.concatenate([seen, z], -1)), -1.0, 1.0)
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        return jnp.arctanh(jnp.clip(self.drawn(observation, key, count), -EDGE, EDGE))
+
+
 class GreedyQ(Inner):
     """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
 

@@ -16,6 +16,7 @@ import numpy as np
 FORMAT = 1
 _ACTIVATIONS = {
     "relu": lambda x: np.maximum(x, 0.0),
+    "gelu": lambda x: 0.5 * x * (1.0 + np.tanh(np.sqrt(2.0 / np.pi) * (x + 0.044715 * x**3))),
     "tanh": np.tanh,
     "swish": lambda x: x / (1.0 + np.exp(-x)),
     "softplus": lambda x: np.logaddexp(x, 0.0),
@@ -119,6 +120,11 @@ class NumpyPolicy:
             seen = np.broadcast_to(x, (*action.shape[:-1], x.shape[-1]))
             move = np.tanh(self._net(node["mover"], np.concatenate([seen, action], -1)))
             return np.arctanh(np.clip(action + self._array(node["reach"]) * move, -_EDGE, _EDGE))
+        if kind == "OneStep":
+            size = self._array(node["net"]["weights"][-1]).shape[-1]
+            z = rng.standard_normal((*count, len(x), size), np.float32)
+            out = self._net(node["net"], np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], -1))
+            return np.arctanh(np.clip(out, -_EDGE, _EDGE))
         if kind == "GreedyQ":
             pre = self._pre(node["actor"], x, rng, False, (node["samples"], *count))
             state = np.broadcast_to(x, (*pre.shape[:-1], x.shape[-1]))

@@ -1,0 +1,90 @@
+"""AWR (Peng et al. 2019; thesis 7.4): regression on what the log's actions brought, and imitation weighted by it.
+
+No Q-function is learned and no action outside of the log valued. With V fitted to returns of the log, by TD(lambda) within a
+window of consecutive rows, an action counts for the actor by
+
+    w = min(exp(A / temperature), max_weight),   A = (TD(lambda) return - V(s)), standardised over the batch.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent, backup, capped_exp, imitation_loss, traced_advantage
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.policies.policy import TanhGaussian
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks and optimisers."""
+
+    actor: MLP
+    value: MLP
+    actor_opt: optax.OptState
+    value_opt: optax.OptState
+
+
+class AWR(Agent):
+    """Advantage-weighted regression."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    critic_lr: float = 3e-4  # learning rate of the values
+    discount: float = 0.99  # per step
+    trace: float = 0.95  # lambda of the returns: 0 trusts the values after one step, 1 what was recorded
+    temperature: float = 1.0  # beta: what a standardised advantage is divided by
+    max_weight: float = 20.0  # of a row in the actor's loss
+    window: int = static(16)  # consecutive rows, at whose end the value stands for what follows
+    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch, of batch_size / window windows
+
+    def needs(self, spec):
+        """Windows of transitions."""
+        return Needs(batch_size=max(self.batch_size // self.window, 1), window=self.window)
+
+    def init(self, spec, key):
+        """Fresh networks."""
+        ka, kv = jax.random.split(key)
+        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        value = MLP.create(spec.observation_size, self.hidden, 1, kv)
+        return State(actor, value, begin(actor), begin(value))
+
+    def returns(self, value: MLP, batch: Batch) -> tuple[Float[Array, "b w"], Float[Array, "b w"]]:
+        """TD(lambda) returns of all rows of the windows, and their advantages over the values as they are."""
+        assert batch.mask is not None
+        now, following = value(batch.observation)[..., 0], value(batch.next_observation)[..., 0]
+        error = backup(batch, self.discount, following) - now
+        # A row hands its advantage back to the one before it in the same episode and window.
+        goes_on = jnp.concatenate([batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])], 1)
+        advantage = traced_advantage(error.T, goes_on.T, self.discount * self.trace).T
+        return advantage + now, advantage
+
+    def update(self, state, batch, *, step, key):
+        """Values, then the actor by the advantages over them."""
+        mask = batch.mask / batch.mask.mean()
+        target, _ = self.returns(state.value, batch)
+        value_loss, grads = jax.value_and_grad(
+            lambda value: (mask * jnp.square(value(batch.observation)[..., 0] - target)).mean()
+        )(state.value)
+        value, value_opt = descend(state.value, grads, state.value_opt, self.critic_lr)
+        _, advantage = self.returns(value, batch)
+        weight = self.weights(advantage, mask)
+        actor_loss, grads = jax.value_and_grad(imitation_loss)(state.actor, batch, mask * weight)
+        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        metrics = {"actor_loss": actor_loss, "value_loss": value_loss, "weight": (mask * weight).mean()}
+        return State(actor, value, actor_opt, value_opt), metrics
+
+    def weights(self, advantage: Float[Array, "b w"], mask: Float[Array, "b w"]) -> Float[Array, "b w"]:
+        """exp of the advantages, standardised over the rows that are there, cut above; `mask` has mean one."""
+        away = advantage - (mask * advantage).mean()
+        deviation = jnp.sqrt((mask * jnp.square(away)).mean())
+        return capped_exp(away / (deviation + 1e-5) / self.temperature, self.max_weight)
+
+    def policy(self, state):
+        """The actor; greedy is its mean."""
+        return TanhGaussian(state.actor)

@@ -1,0 +1,118 @@
+"""FQL (Park et al. 2025): an actor that makes in one step what a flow would, and is moved from it by a critic.
+
+A flow model imitates the log: its field v(s, x, t) is fitted by flow matching, so that following it from noise z at t = 0 to
+t = 1 gives actions like the log's. The actor mu(s, z) is held to where the flow ends from the same noise, and raises the
+critics:
+
+    L_flow  = E[ | v(s, (1 - t) z + t a, t) - (a - z) |^2 ],
+    L_actor = E[ imitation | mu(s, z) - flow(s, z) |^2 - mean_j Q_j(s, mu(s, z)) ].
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.data.batch import Needs
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.policies.policy import OneStep
+from deadreckon.training.learner import static
+
+
+class State(NamedTuple):
+    """Networks, target critics and optimisers."""
+
+    flow: MLP
+    actor: MLP
+    critics: MLP  # stacked: leading axis 2
+    target_critics: MLP
+    flow_opt: optax.OptState
+    actor_opt: optax.OptState
+    critics_opt: optax.OptState
+
+
+class FQL(Agent):
+    """Flow Q-learning."""
+
+    actor_lr: float = 3e-4  # learning rate of the actor
+    behavior_lr: float = 3e-4  # learning rate of the flow
+    critic_lr: float = 3e-4  # learning rate of the critics
+    discount: float = 0.99  # per step
+    target_rate: float = 0.005  # Polyak rate of the target critics
+    imitation: float = 10.0  # alpha: weight of the distance to the flow's actions; by log, published 3 to 1000
+    flow_steps: int = static(10)  # of Euler, from noise to actions
+    scale_q: bool = static(False)  # whether the actor divides Q by its mean size
+    hidden: tuple[int, ...] = static((512, 512, 512, 512))  # width of each hidden layer
+    batch_size: int = static(256)  # rows a batch
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        kf, ka, kc = jax.random.split(key, 3)
+        inputs = spec.observation_size + spec.action_size
+        flow = MLP.create(inputs + 1, self.hidden, spec.action_size, kf, activation="gelu")
+        actor = MLP.create(inputs, self.hidden, spec.action_size, ka, activation="gelu")
+        critics = create_critics(spec, self.hidden, 2, kc, activation="gelu", normalise=True)
+        return State(flow, actor, critics, copy(critics), begin(flow), begin(actor), begin(critics))
+
+    def flow_loss(self, flow: MLP, batch, key) -> Array:
+        """Squared error of the field on straight lines from noise to logged actions, at uniform times."""
+        k_noise, k_time = jax.random.split(key)
+        noise = jax.random.normal(k_noise, batch.action.shape)
+        time = jax.random.uniform(k_time, (len(noise), 1))
+        there = (1.0 - time) * noise + time * batch.action
+        found = flow(jnp.concatenate([batch.observation, there, time], -1))
+        return jnp.square(found - (batch.action - noise)).mean()
+
+    def followed(self, flow: MLP, observation: Float[Array, "b o"], noise: Float[Array, "b a"]) -> Float[Array, "b a"]:
+        """Where the flow leads from noise, within -1 and 1."""
+
+        def move(i: Array, x: Array) -> Array:
+            time = jnp.full((len(x), 1), i / self.flow_steps)
+            return x + flow(jnp.concatenate([observation, x, time], -1)) / self.flow_steps
+
+        return jnp.clip(jax.lax.fori_loop(0, self.flow_steps, move, noise), -1.0, 1.0)
+
+    def target(self, state, batch, key) -> Float[Array, "b"]:
+        """r + discount mean_j Q'_j(s', a'), a' of the actor."""
+        action = OneStep(state.actor).drawn(batch.next_observation, key)
+        return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action).mean(0))
+
+    def actor_loss(self, actor: MLP, state, batch, key) -> tuple[Array, Array]:
+        """imitation |mu(s, z) - flow(s, z)|^2 - mean_j Q_j(s, mu(s, z)), means over rows; also gives the distance."""
+        noise = jax.random.normal(key, batch.action.shape)
+        made = actor(jnp.concatenate([batch.observation, noise], -1))
+        away = jnp.square(made - self.followed(state.flow, batch.observation, noise)).mean()
+        q = q_values(state.critics, batch.observation, jnp.clip(made, -1.0, 1.0)).mean(0)
+        scale = 1.0 / (jax.lax.stop_gradient(jnp.abs(q).mean()) + 1e-8) if self.scale_q else 1.0
+        return self.imitation * away - scale * q.mean(), away
+
+    def update(self, state, batch, *, step, key):
+        """Flow, critics, actor, targets."""
+        k_flow, k_target, k_actor = jax.random.split(key, 3)
+        flow_loss, grads = jax.value_and_grad(self.flow_loss)(state.flow, batch, k_flow)
+        flow, flow_opt = descend(state.flow, grads, state.flow_opt, self.behavior_lr)
+        target = self.target(state, batch, k_target)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
+        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        state = state._replace(flow=flow, flow_opt=flow_opt, critics=critics, critics_opt=critics_opt)
+        (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
+        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        targets = track(state.target_critics, critics, self.target_rate)
+        state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
+        return state, metrics | {"actor_loss": loss, "flow_loss": flow_loss, "distance": away}
+
+    def policy(self, state):
+        """The actor, from noise."""
+        return OneStep(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The mean of the two critics."""
+        return q_values(state.critics, observation, action).mean(0)

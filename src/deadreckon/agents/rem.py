@@ -1,0 +1,50 @@
+"""REM (Agarwal et al. 2020; thesis 7.4) for continuous actions: SAC on random mixtures of many critics.
+
+Every update draws weights w on the simplex and asks that the mixture agree with its own target,
+
+    L = E[ ( sum_k w_k Q_k(s, a) - r - discount sum_k w_k Q'_k(s', a') )^2 ];
+
+the actor follows the mean of the critics. REM was made for discrete actions, of which the best is that of the mean.
+"""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import backup
+from deadreckon.agents.sac import SAC
+from deadreckon.nets.mlp import q_values
+from deadreckon.training.learner import static
+
+
+class REM(SAC):
+    """SAC on mixtures of critics."""
+
+    online: ClassVar[bool] = False
+
+    critics: int = static(10)  # Q-networks (published, as heads of one network: 200)
+
+    def believed(self, values):
+        """The mean."""
+        return values.mean(0)
+
+    def target(self, state, batch, key) -> Float[Array, "k b"]:
+        """r + discount (Q'_k(s', a') - temperature log pi(a'|s')) of every critic; what is linear can be mixed later."""
+        noise = jax.random.normal(key, batch.action.shape)
+        action, bonus = self.act(state, batch.next_observation, noise)
+        return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action) + bonus)
+
+    def critic_loss(self, critics, state, batch, target, key):
+        """The squared error of one random mixture."""
+        weight = simplex(jax.random.fold_in(key, 1), self.critics)
+        q = q_values(critics, batch.observation, batch.action)
+        error = jnp.square(weight @ (q - jax.lax.stop_gradient(target)))
+        return error.mean(), {"critic_loss": error.mean(), "q": q.mean()}
+
+
+def simplex(key: Array, count: int) -> Float[Array, "k"]:
+    """Uniform numbers divided by their sum."""
+    drawn = jax.random.uniform(key, (count,))
+    return drawn / drawn.sum()
