@@ -20,7 +20,7 @@ OWN = {
     "slbo": {"members": 1, "elites": 1, "rollouts": 2, "length": 10},
     "pets": {"horizon": 3, "population": 10, "chosen": 2, "iterations": 2, "particles": 2},
 }
-ONLINE = [name for name in AGENTS if agent_class(name).online and not agent_class(name).discrete]
+ONLINE = [name for name in AGENTS if agent_class(name).online]
 ONLINE = [name for name in ONLINE if not (issubclass(agent_class(name), Modelled) and agent_class(name).offline)]
 
 

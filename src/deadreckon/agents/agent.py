@@ -13,7 +13,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import Categorical, Inner, TanhGaussian
 from deadreckon.training.learner import Metrics, check_fields
 
 
@@ -23,13 +23,13 @@ class Agent(eqx.Module):
     The comment behind a field becomes its help on the command line.
 
     Attributes:
-        discrete: whether it takes `Discrete` actions; continuous ones otherwise (class attribute).
+        choices: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
         images: whether it takes observations of any shape instead of flat ones (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
     """
 
-    discrete: ClassVar[bool] = False
+    choices: ClassVar[bool] = False
     online: ClassVar[bool] = False
     offline: ClassVar[bool] = True
     images: ClassVar[bool] = False
@@ -72,9 +72,8 @@ class Agent(eqx.Module):
         check_fields(self)
         if spec.rows and not self.offline:
             raise UserError(f"{type(self).__name__} learns by acting in a simulator, not from a log; say --online --task TASK")
-        if spec.discrete != self.discrete:
-            kind = "discrete" if self.discrete else "continuous"
-            raise UserError(f"{type(self).__name__} needs {kind} actions, {spec.name} has {spec.action}")
+        if spec.discrete and not self.choices:
+            raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
         if len(spec.observation_shape) != 1 and not self.images:
             raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
         return self
@@ -87,9 +86,22 @@ class Agent(eqx.Module):
 def create_critics(
     spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray, *, activation: str = "relu", normalise: bool = False
 ) -> MLP:
-    """`count` Q-networks of (observation, action), stacked."""
-    inputs = spec.observation_size + spec.action_size
-    return ensemble(lambda k: MLP.create(inputs, hidden, 1, k, activation=activation, normalise=normalise), count, key)
+    """`count` Q-networks of (observation, action), stacked; of discrete actions they have an output each."""
+    inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
+    outputs = spec.action_size if spec.discrete else 1
+    return ensemble(lambda k: MLP.create(inputs, hidden, outputs, k, activation=activation, normalise=normalise), count, key)
+
+
+def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | Categorical:
+    """A stochastic actor: a network to mean and log-deviation before the tanh, or the logits of discrete actions."""
+    if spec.discrete:
+        return Categorical.create(spec, hidden, key)
+    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
+
+
+def stochastic(actor: MLP | Categorical) -> Inner:
+    """What `create_actor` made as a policy; greedy is its mean, or its likeliest action."""
+    return actor if isinstance(actor, Categorical) else TanhGaussian(actor)
 
 
 def bellman_loss(
@@ -122,7 +134,10 @@ def capped_exp(x: Float[Array, "b"], most: Any) -> Float[Array, "b"]:
     return jnp.exp(jnp.minimum(x, jnp.log(most)))
 
 
-def imitation_loss(actor: MLP, batch: Batch, weight: Float[Array, "b"]) -> Float[Array, ""]:
-    """-E[weight log pi(a|s)] of a tanh-Gaussian actor; weights have no slope."""
-    log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), jnp.arctanh(batch.action))
+def imitation_loss(actor: MLP | Categorical, batch: Batch, weight: Float[Array, "b"]) -> Float[Array, ""]:
+    """-E[weight log pi(a|s)] of a stochastic actor; weights have no slope."""
+    if isinstance(actor, Categorical):
+        log_prob = actor.log_prob(batch.observation, batch.action)
+    else:
+        log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), jnp.arctanh(batch.action))
     return -(jax.lax.stop_gradient(weight) * log_prob).mean()

@@ -1,34 +1,44 @@
 """Behaviour cloning: maximum likelihood of the logged actions. The row that every other agent has to beat."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import optax
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Needs
+from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
+from deadreckon.policies.policy import Categorical
 from deadreckon.training.learner import static
 
 
 class State(NamedTuple):
     """Model and its optimiser."""
 
-    model: MLP | VAE
+    model: MLP | VAE | Categorical
     opt: optax.OptState
 
 
 class BC(Agent):
     """Behaviour cloning with a tanh-Gaussian network, or the VAE that the thesis used as its baseline (A.4)."""
 
+    choices: ClassVar[bool] = True
+
     lr: float = 3e-4  # learning rate
     model: behavior.Kind = static("gaussian")  # "gaussian" (tanh-Gaussian) or "vae" (thesis A.4)
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     batch_size: int = static(256)  # rows a batch
+
+    def resolve(self, spec, steps):
+        """A VAE makes no discrete actions."""
+        if spec.discrete and self.model != "gaussian":
+            raise UserError(f"BC.model: of discrete actions it is a network's logits; leave {self.model!r} out")
+        return super().resolve(spec, steps)
 
     def needs(self, spec):
         """Observations and actions."""
@@ -36,7 +46,8 @@ class BC(Agent):
 
     def init(self, spec, key):
         """A fresh model."""
-        model = behavior.create(self.model, spec, self.hidden, key)
+        choices = spec.discrete
+        model = Categorical.create(spec, self.hidden, key) if choices else behavior.create(self.model, spec, self.hidden, key)
         return State(model, begin(model))
 
     def update(self, state, batch, *, step, key):

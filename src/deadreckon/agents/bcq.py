@@ -1,9 +1,11 @@
 """BCQ (Fujimoto et al. 2019; thesis 7.4): the critics' choice of a few actions that a model of the log makes, a little moved.
 
-A VAE makes actions like the log's; a network moves each by `reach` at most, towards what the critics like better.
+A VAE makes actions like the log's; a network moves each by `reach` at most, towards what the critics like better. Of discrete
+actions (Fujimoto et al. 2019b) the choice is among those that a model of the log finds at least `share` times as likely as the
+likeliest; nothing is moved.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,20 +14,21 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import GreedyQ, Moved, moved
+from deadreckon.policies import behavior as models
+from deadreckon.policies.policy import Categorical, GreedyQ, Moved, Supported, moved, supported
 from deadreckon.training.learner import static
 
 
 class State(NamedTuple):
     """Networks, targets and optimisers."""
 
-    behavior: VAE
-    mover: MLP
+    behavior: VAE | Categorical
+    mover: MLP | None  # None where actions are discrete
     critics: MLP  # stacked: leading axis 2
-    target_mover: MLP
+    target_mover: MLP | None
     target_critics: MLP
     behavior_opt: optax.OptState
     mover_opt: optax.OptState
@@ -35,6 +38,8 @@ class State(NamedTuple):
 class BCQ(Agent):
     """Batch-constrained Q-learning."""
 
+    choices: ClassVar[bool] = True
+
     actor_lr: float = 1e-3  # learning rate of what moves actions
     critic_lr: float = 1e-3  # learning rate of the critics
     behavior_lr: float = 1e-3  # learning rate of the VAE
@@ -42,6 +47,7 @@ class BCQ(Agent):
     target_rate: float = 0.005  # Polyak rate of the targets
     min_weight: float = 0.75  # lambda: of the smaller critic in targets; the rest is of the larger
     reach: float = 0.05  # Phi: how far an action is moved at most
+    share: float = 0.3  # tau: of the likeliest discrete action's probability, which others need
     draws: int = static(10)  # actions of the VAE that targets take the best of
     test_draws: int = static(100)  # actions that the policy takes the best of
     hidden: tuple[int, ...] = static((400, 300))  # width of each hidden layer
@@ -55,19 +61,32 @@ class BCQ(Agent):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         kb, km, kc = jax.random.split(key, 3)
-        behavior = VAE.create(spec.observation_size, spec.action_size, self.behavior_hidden, kb)
-        mover = MLP.create(spec.observation_size + spec.action_size, self.hidden, spec.action_size, km)
+        if spec.discrete:
+            behavior, mover = Categorical.create(spec, self.behavior_hidden, kb), None
+        else:
+            behavior = VAE.create(spec.observation_size, spec.action_size, self.behavior_hidden, kb)
+            mover = MLP.create(spec.observation_size + spec.action_size, self.hidden, spec.action_size, km)
         critics = create_critics(spec, self.hidden, 2, kc)
         opts = begin(behavior), begin(mover), begin(critics)
         return State(behavior, mover, critics, copy(mover), copy(critics), *opts)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
-        """r + discount max_i [lambda min_j Q'_j + (1 - lambda) max_j Q'_j](s', a_i), a_i of the VAE, moved (eq. 13)."""
+        """r + discount max_i [lambda min_j Q'_j + (1 - lambda) max_j Q'_j](s', a_i), a_i of the VAE, moved (eq. 13).
+
+        Of discrete actions a_i are those that are likely enough.
+        """
+        if isinstance(state.behavior, Categorical):
+            mixed = self.mixed(all_q_values(state.target_critics, batch.next_observation))
+            likely = supported(state.behavior, self.share, batch.next_observation)
+            return backup(batch, self.discount, jnp.where(likely, mixed, -jnp.inf).max(-1))
         drawn = jnp.tanh(state.behavior.sample(batch.next_observation, key, (self.draws,)))
         action = moved(state.target_mover, self.reach, batch.next_observation, drawn)
         q = q_values(state.target_critics, batch.next_observation, action)
-        mixed = self.min_weight * least(q) + (1.0 - self.min_weight) * q.max(0)
-        return backup(batch, self.discount, mixed.max(0))
+        return backup(batch, self.discount, self.mixed(q).max(0))
+
+    def mixed(self, q: Float[Array, "k *b"]) -> Float[Array, "*b"]:
+        """lambda times the least of the critics and the rest of the greatest."""
+        return self.min_weight * least(q) + (1.0 - self.min_weight) * q.max(0)
 
     def mover_loss(self, mover: MLP, state, batch, key) -> Array:
         """-Q_1(s, a + move), a drawn from the VAE (eq. 12)."""
@@ -78,15 +97,16 @@ class BCQ(Agent):
     def update(self, state, batch, *, step, key):
         """VAE, critics, mover, targets."""
         k_behavior, k_target, k_mover = jax.random.split(key, 3)
-        grads, of_behavior = jax.grad(lambda vae: vae.loss(batch.observation, batch.action, k_behavior), has_aux=True)(
-            state.behavior
-        )
+        fit = jax.grad(models.loss, has_aux=True)
+        grads, of_behavior = fit(state.behavior, batch.observation, batch.action, k_behavior)
         behavior, behavior_opt = descend(state.behavior, grads, state.behavior_opt, self.behavior_lr)
         state = state._replace(behavior=behavior, behavior_opt=behavior_opt)
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
         critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
+        if state.mover is None:
+            return state._replace(target_critics=track(state.target_critics, critics, self.target_rate)), metrics | of_behavior
         loss, grads = jax.value_and_grad(self.mover_loss)(state.mover, state, batch, k_mover)
         mover, mover_opt = descend(state.mover, grads, state.mover_opt, self.actor_lr)
         targets = track((state.target_mover, state.target_critics), (mover, critics), self.target_rate)
@@ -94,8 +114,10 @@ class BCQ(Agent):
         return state, metrics | of_behavior | {"actor_loss": loss}
 
     def policy(self, state):
-        """The best of some actions of the VAE, moved, by the first critic."""
+        """The best of some actions of the VAE, moved, by the first critic; or of the discrete ones that are likely enough."""
         first = jax.tree.map(lambda w: w[0], state.critics)
+        if isinstance(state.behavior, Categorical):
+            return Supported(state.behavior, first, jnp.asarray(self.share))
         return GreedyQ(Moved(state.behavior, state.mover, jnp.asarray(self.reach)), first, self.test_draws)
 
     def q_value(self, state, observation, action):

@@ -20,8 +20,9 @@ from deadreckon.agents.agent import imitation_loss
 from deadreckon.agents.sac import SAC
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import begin, descend
+from deadreckon.policies.policy import Categorical
 from deadreckon.training.learner import static
 
 
@@ -37,6 +38,7 @@ class CQL(SAC):
     """SAC with conservative critics."""
 
     online: ClassVar[bool] = False
+    choices: ClassVar[bool] = True
 
     actor_lr: float = 1e-4  # learning rate of the actor
     entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
@@ -85,8 +87,13 @@ class CQL(SAC):
         return state._replace(model=held), metrics | {"weight": jnp.exp(log_weight)}
 
 
-def soft_maximum(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
-    """Estimates log of the integral of exp Q(s, .) over all actions, up to a constant of the number of draws."""
+def soft_maximum(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
+    """Estimates log of the integral of exp Q(s, .) over all actions, up to a constant of the number of draws.
+
+    Of discrete actions it is the sum itself, and nothing is drawn.
+    """
+    if isinstance(actor, Categorical):
+        return jax.nn.logsumexp(all_q_values(critics, batch.observation), axis=-1)
     k_uniform, k_now, k_next = jax.random.split(key, 3)
     rows, size = batch.action.shape
     uniform = jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)
@@ -98,8 +105,12 @@ def soft_maximum(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array)
     return jax.nn.logsumexp(jnp.concatenate(parts, 1), axis=1)
 
 
-def weighted_mean(critics: MLP, actor: MLP, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
+def weighted_mean(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
     """Mean of Q(s, a) over actions of the policy, weighted by exp Q: under the distribution that CQL(rho) holds down."""
+    if isinstance(actor, Categorical):
+        q = all_q_values(critics, batch.observation)
+        weight = jax.nn.softmax(jax.lax.stop_gradient(q + actor.log_chances(batch.observation)))
+        return (weight * q).sum(-1)
     drawn = jnp.tanh(dist.sample(dist.gaussian_head(actor(batch.observation)), key, (draws,)))
     q = q_values(critics, batch.observation, drawn)
     return (jax.lax.stop_gradient(jax.nn.softmax(q, 1)) * q).sum(1)

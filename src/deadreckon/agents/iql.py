@@ -4,25 +4,34 @@ No action outside of the log is ever valued: V(s) is an upper expectile of Q(s, 
 what critics look forward to is V(s').
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.agents.agent import (
+    Agent,
+    backup,
+    bellman_loss,
+    capped_exp,
+    create_actor,
+    create_critics,
+    imitation_loss,
+    stochastic,
+)
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.policy import Categorical
 from deadreckon.training.learner import static
 
 
 class State(NamedTuple):
     """Networks, target critics and optimisers."""
 
-    actor: MLP
+    actor: MLP | Categorical
     value: MLP
     critics: MLP  # stacked: leading axis 2
     target_critics: MLP
@@ -33,6 +42,8 @@ class State(NamedTuple):
 
 class IQL(Agent):
     """Expectile values and weighted imitation."""
+
+    choices: ClassVar[bool] = True
 
     actor_lr: float = 3e-4  # learning rate of the actor
     critic_lr: float = 3e-4  # learning rate of critics and values
@@ -51,7 +62,7 @@ class IQL(Agent):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kv, kc = jax.random.split(key, 3)
-        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        actor = create_actor(spec, self.hidden, ka)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
         critics = create_critics(spec, self.hidden, 2, kc)
         return State(actor, value, critics, copy(critics), begin(actor), begin(value), begin(critics))
@@ -61,7 +72,7 @@ class IQL(Agent):
         gap = q - value(batch.observation)[..., 0]
         return (jnp.where(gap < 0, 1.0 - self.expectile, self.expectile) * jnp.square(gap)).mean()
 
-    def actor_loss(self, actor: MLP, batch, advantage: Array) -> Array:
+    def actor_loss(self, actor: MLP | Categorical, batch, advantage: Array) -> Array:
         """-E[ exp(beta (q - V)) log pi(a|s) ], weights cut above (eq. 7)."""
         return imitation_loss(actor, batch, capped_exp(self.sharpness * advantage, self.max_weight))
 
@@ -83,8 +94,8 @@ class IQL(Agent):
         return state, metrics | {"actor_loss": actor_loss, "value_loss": value_loss, "advantage": advantage.mean()}
 
     def policy(self, state):
-        """The actor; greedy is its mean."""
-        return TanhGaussian(state.actor)
+        """The actor; greedy is its mean, or its likeliest action."""
+        return stochastic(state.actor)
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""

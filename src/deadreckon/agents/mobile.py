@@ -17,7 +17,7 @@ from deadreckon.data.batch import Batch
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import least, q_values
+from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.training.learner import static
 
 
@@ -52,6 +52,7 @@ class MOBILE(Dreaming):
         noise = jax.random.normal(k_model, (self.draws, *mean.shape))
         change = (mean + jnp.exp(0.5 * log_variance) * noise)[..., :-1]
         following = (rows.observation + change).reshape(-1, change.shape[-1])
+        assert isinstance(state.actor, MLP)  # its actions are continuous
         action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(following)), k_policy))
         value = least(q_values(state.target_critics, following, action))
         return value.reshape(self.draws, self.elites, -1).mean(0).std(0, ddof=1)

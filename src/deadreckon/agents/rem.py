@@ -1,10 +1,10 @@
-"""REM (Agarwal et al. 2020; thesis 7.4) for continuous actions: SAC on random mixtures of many critics.
+"""REM (Agarwal et al. 2020; thesis 7.4): SAC on random mixtures of many critics.
 
 Every update draws weights w on the simplex and asks that the mixture agree with its own target,
 
     L = E[ ( sum_k w_k Q_k(s, a) - r - discount sum_k w_k Q'_k(s', a') )^2 ];
 
-the actor follows the mean of the critics. REM was made for discrete actions, of which the best is that of the mean.
+the actor follows the mean of the critics. REM was made for discrete actions, of which it takes the best by that mean.
 """
 
 from typing import ClassVar
@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import backup
 from deadreckon.agents.sac import SAC
-from deadreckon.nets.mlp import q_values
+from deadreckon.nets.mlp import all_q_values, q_values
+from deadreckon.policies.policy import Categorical
 from deadreckon.training.learner import static
 
 
@@ -23,6 +24,7 @@ class REM(SAC):
     """SAC on mixtures of critics."""
 
     online: ClassVar[bool] = False
+    choices: ClassVar[bool] = True
 
     critics: int = static(10)  # Q-networks (published, as heads of one network: 200)
 
@@ -32,6 +34,10 @@ class REM(SAC):
 
     def target(self, state, batch, key) -> Float[Array, "k b"]:
         """r + discount (Q'_k(s', a') - temperature log pi(a'|s')) of every critic; what is linear can be mixed later."""
+        if isinstance(state.actor, Categorical):
+            q = all_q_values(state.target_critics, batch.next_observation)
+            future = self.over_choices(state.actor, q, batch.next_observation, state.log_temperature)
+            return backup(batch, self.discount, future)
         noise = jax.random.normal(key, batch.action.shape)
         action, bonus = self.act(state, batch.next_observation, noise)
         return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action) + bonus)

@@ -1,5 +1,6 @@
 """Soft actor-critic (Haarnoja et al. 2018) with automatic temperature; on a fixed log it is the thesis's SAC-off."""
 
+import math
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -7,19 +8,19 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_actor, create_critics, stochastic
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.policy import Categorical
 from deadreckon.training.learner import static
 
 
 class State(NamedTuple):
     """Networks, target critics, log-temperature and optimisers."""
 
-    actor: MLP
+    actor: MLP | Categorical
     critics: MLP  # stacked
     target_critics: MLP
     log_temperature: Array
@@ -38,7 +39,7 @@ class SAC(Agent):
     critic_lr: float = 3e-4  # learning rate of the critics
     temperature_lr: float = 3e-4  # learning rate of the log-temperature
     temperature: float = 1.0  # its first value
-    target_entropy: float | None = None  # nats; None is minus the number of action dimensions
+    target_entropy: float | None = None  # nats; None: minus the action's dimensions, or a tenth of the most that choices have
     discount: float = 0.99  # per step
     target_rate: float = 0.005  # Polyak rate of the target critics
     entropy_backup: bool = static(True)  # whether targets hold the entropy bonus too
@@ -49,7 +50,10 @@ class SAC(Agent):
     def resolve(self, spec, steps):
         """Fills in the target entropy."""
         agent = super().resolve(spec, steps)
-        return agent if self.target_entropy is not None else agent.replace(target_entropy=-float(spec.action_size))
+        if self.target_entropy is not None:
+            return agent
+        # Of discrete actions a tenth of what choosing blindly has: near to the best one.
+        return agent.replace(target_entropy=0.1 * math.log(spec.action_size) if spec.discrete else -float(spec.action_size))
 
     def needs(self, spec):
         """Transitions."""
@@ -58,7 +62,7 @@ class SAC(Agent):
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
         ka, kc = jax.random.split(key)
-        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        actor = create_actor(spec, self.hidden, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
         opts = begin(actor), begin(critics), begin(log_temperature)
@@ -76,9 +80,18 @@ class SAC(Agent):
         return jnp.tanh(pre), bonus
 
     def value(self, state, observation, noise):
-        """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor."""
+        """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor; of discrete actions the mean over all."""
+        if isinstance(state.actor, Categorical):
+            q = self.believed(all_q_values(state.target_critics, observation))
+            return self.over_choices(state.actor, q, observation, state.log_temperature)
         action, bonus = self.act(state, observation, noise)
         return self.believed(q_values(state.target_critics, observation, action)) + bonus
+
+    def over_choices(self, actor: Categorical, q: Array, observation: Array, log_temperature: Array) -> Array:
+        """sum_a pi(a|s) (Q(s, a) - temperature log pi(a|s)) of values (..., b, n), the bonus only where targets hold it."""
+        log_prob = actor.log_chances(observation)
+        bonus = -jnp.exp(log_temperature) * log_prob if self.entropy_backup else 0.0
+        return (jnp.exp(log_prob) * (q + bonus)).sum(-1)
 
     def target(self, state, batch, key) -> Any:
         """r + discount (min_j Q'_j(s', a') - temperature log pi(a'|s')), a' from the present actor."""
@@ -90,7 +103,15 @@ class SAC(Agent):
         return bellman_loss(critics, batch, target)
 
     def actor_loss(self, actor, state, batch, key):
-        """temperature log pi(a|s) - min_j Q_j(s, a), a reparameterised; also gives the mean log-probability."""
+        """temperature log pi(a|s) - min_j Q_j(s, a), a reparameterised; also gives the mean log-probability.
+
+        Of discrete actions it is the mean over all, by their probabilities.
+        """
+        if isinstance(actor, Categorical):
+            log_prob = actor.log_chances(batch.observation)
+            q = self.believed(all_q_values(state.critics, batch.observation))
+            loss = (jnp.exp(log_prob) * (jnp.exp(state.log_temperature) * log_prob - q)).sum(-1).mean()
+            return loss, (jnp.exp(log_prob) * log_prob).sum(-1).mean()
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, key)
         log_prob = dist.log_prob(d, pre)
@@ -120,8 +141,8 @@ class SAC(Agent):
         return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}
 
     def policy(self, state):
-        """The actor; greedy is its mean."""
-        return TanhGaussian(state.actor)
+        """The actor; greedy is its mean, or its likeliest action."""
+        return stochastic(state.actor)
 
     def q_value(self, state, observation, action):
         """What the critics are believed to say; it holds the entropy bonus too."""

@@ -8,7 +8,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 
 @jax.custom_jvp
@@ -108,12 +108,15 @@ def joined(stacks: Sequence[T]) -> T:
 
 
 def q_values(
-    critics: MLP, observation: Float[Array, "b o"], action: Float[Array, "*n b a"]
+    critics: MLP, observation: Float[Array, "b o"], action: Float[Array, "*n b a"] | Int[Array, "b"]
 ) -> Float[Array, "k *n b"]:
     """Q of every critic of an ensemble, for one action a state or for several (leading axes of `action`).
 
-    The first layer's product with the observations is done once, however many actions are asked for.
+    The first layer's product with the observations is done once, however many actions are asked for. Of discrete actions,
+    which are integers, critics have an output each.
     """
+    if jnp.issubdtype(action.dtype, jnp.integer):
+        return jnp.take_along_axis(all_q_values(critics, observation), action[None, :, None], -1)[..., 0]
     size = observation.shape[-1]
 
     def one(net: MLP) -> Array:
@@ -124,6 +127,11 @@ def q_values(
         return net.after_first(pre)[..., 0]
 
     return jax.vmap(one)(critics)
+
+
+def all_q_values(critics: MLP, observation: Float[Array, "b o"]) -> Float[Array, "k b n"]:
+    """Q of every critic of an ensemble for every discrete action."""
+    return jax.vmap(lambda net: net(observation))(critics)
 
 
 def least(values: Float[Array, "k *b"]) -> Float[Array, "*b"]:

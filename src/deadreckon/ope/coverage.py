@@ -21,6 +21,7 @@ from deadreckon.data.view import View
 from deadreckon.nets import distributions as dist
 from deadreckon.ope.critics import in_blocks
 from deadreckon.ope.estimate import BehaviorModel, Case
+from deadreckon.policies.policy import Categorical
 
 LEVEL = 0.99  # of the log's own actions are covered
 MOSTLY = 0.5  # of what a policy does is to be covered; below, one is warned
@@ -66,16 +67,16 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
     if not data.spec.discrete:
         part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -EDGE, EDGE)))
     learned = Rows(part, model.needs(data.spec))
-    net, _ = case.train(model, learned, model.steps, "coverage")
+    fitted, _ = case.train(model, learned, model.steps, "coverage")
+    net = fitted.log_chances if isinstance(fitted, Categorical) else fitted
 
     kept = data.select(held)
     pick = np.sort(rng.choice(len(kept), min(len(kept), MOST), replace=False))
     seen, taken = np.asarray(kept.observations[pick]), np.asarray(kept.actions[pick])
-    told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model's network says
+    told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model says
     table = actor.table(seen, 1, PURPOSE)
     if data.spec.discrete:
-        likely = np.asarray(jax.nn.log_softmax(told))
-        return (table * (likely >= _bound(likely[np.arange(len(likely)), taken]))[:, None]).sum(-1).mean(0)
+        return (table * (told >= _bound(told[np.arange(len(told)), taken]))[:, None]).sum(-1).mean(0)
     bound = _bound(_log_density(told, view.to_unit(taken)))
     return np.array([(_log_density(told, table[:, i, 0]) >= bound).mean() for i in range(len(actor.names))])
 

@@ -6,6 +6,7 @@ beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount)
 """
 
 import dataclasses
+import functools
 import hashlib
 import time
 from collections.abc import Callable, Sequence
@@ -23,11 +24,10 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
-from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import Deployed, Policy, TanhGaussian
+from deadreckon.policies.policy import Categorical, Deployed, Policy
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Fit, Progress, complete
 from deadreckon.training.learner import check_fields, described, static
@@ -99,22 +99,16 @@ class BehaviorModel(eqx.Module):
 
     def init(self, spec, key):
         """Network and optimiser."""
-        net = MLP.create(spec.observation_size, self.hidden, spec.action_size * (1 if spec.discrete else 2), key)
-        return net, begin(net)
+        make = Categorical.create if spec.discrete else functools.partial(models.create, "gaussian")
+        model = make(spec, self.hidden, key)
+        return model, begin(model)
 
     def update(self, state, batch: Batch, *, step, key):
         """One step of maximum likelihood."""
-        net, opt = state
-        grads, metrics = jax.grad(self.loss, has_aux=True)(net, batch, key)
-        net, opt = descend(net, grads, opt, self.lr)
-        return (net, opt), metrics
-
-    def loss(self, net, batch, key):
-        """Negative log-likelihood of the logged actions."""
-        if batch.action.ndim > 1:
-            return models.loss(net, batch.observation, batch.action, key)
-        chosen = jax.nn.log_softmax(net(batch.observation))[jax.numpy.arange(len(batch.action)), batch.action]
-        return -chosen.mean(), {"behavior_nll": -chosen.mean()}
+        model, opt = state
+        grads, metrics = jax.grad(models.loss, has_aux=True)(model, batch.observation, batch.action, key)
+        model, opt = descend(model, grads, opt, self.lr)
+        return (model, opt), metrics
 
 
 class Case:
@@ -240,8 +234,8 @@ class Case:
 
         def make() -> Actor:
             rows = Rows(self.data, model.needs(self.data.spec))
-            net, _ = self.train(model, rows, model.steps, "behaviour")
-            policy = _Categorical(net, rows.view) if self.data.spec.discrete else Deployed.of(TanhGaussian(net), rows.view)
+            fitted, _ = self.train(model, rows, model.steps, "behaviour")
+            policy = Deployed.of(models.policy(fitted), rows.view)
             return Actor([policy], ["the behaviour model"], self.data.spec, False, self.seed)
 
         return self.once(("behavior policy", model), make)
@@ -372,21 +366,6 @@ class _Following:
 
     def __getitem__(self, rows: slice) -> np.ndarray:
         return self.data.next_observations_at(np.arange(*rows.indices(len(self.data))))
-
-
-@dataclass(frozen=True)
-class _Categorical:
-    """A network's logits as a policy."""
-
-    net: MLP
-    view: View
-    has_log_prob = True
-
-    def start(self, n: int) -> tuple[()]:
-        return ()
-
-    def action_probs(self, observations: np.ndarray) -> np.ndarray:
-        return np.asarray(jax.nn.softmax(self.net(self.view.observe(observations))))
 
 
 def _policies(given: Any) -> list[Any]:

@@ -9,7 +9,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import Inner, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import Categorical, Inner, TanhGaussian, VAEDecoder
 
 Kind = Literal["gaussian", "vae"]
 
@@ -22,16 +22,21 @@ def create(kind: Kind, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -
 
 
 def loss(
-    model: MLP | VAE, observation: Float[Array, "b o"], action: Float[Array, "b a"], key: PRNGKeyArray
+    model: MLP | VAE | Categorical, observation: Float[Array, "b o"], action: Array, key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """What fitting minimises: the negative log-likelihood, or the VAE's bound (squared error + 0.5 KL)."""
     if isinstance(model, VAE):
         return model.loss(observation, action, key)
+    if isinstance(model, Categorical):
+        nll = -model.log_prob(observation, action).mean()
+        return nll, {"behavior_nll": nll}
     d = dist.gaussian_head(model(observation))
     nll = -dist.log_prob(d, jnp.arctanh(action)).mean()
     return nll, {"behavior_nll": nll, "behavior_error": jnp.square(jnp.tanh(d.mean) - action).mean()}
 
 
-def policy(model: MLP | VAE) -> Inner:
+def policy(model: MLP | VAE | Categorical) -> Inner:
     """The model as something that acts."""
+    if isinstance(model, Categorical):
+        return model
     return VAEDecoder(model) if isinstance(model, VAE) else TanhGaussian(model)

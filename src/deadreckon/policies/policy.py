@@ -7,8 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from deadreckon.data.spec import Spec
 from deadreckon.data.view import EDGE, View
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
@@ -179,6 +180,66 @@ class OneStep(Inner):
         return jnp.arctanh(jnp.clip(self.drawn(observation, key, count), -EDGE, EDGE))
 
 
+class Categorical(Inner):
+    """A choice among discrete actions by a network's logits; greedy is the likeliest."""
+
+    net: MLP
+    has_log_prob = True
+
+    @classmethod
+    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> "Categorical":
+        """A fresh network."""
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key))
+
+    def chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """The probability of every action."""
+        return jax.nn.softmax(self.net(observation))
+
+    def log_chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """Its logarithm."""
+        return jax.nn.log_softmax(self.net(observation))
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Int[Array, "n"]) -> Float[Array, "n"]:
+        """Log-probability of one action each."""
+        return jnp.take_along_axis(self.log_chances(observation), action[:, None], -1)[:, 0]
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`."""
+        logits = self.net(step.observation)
+        return (logits.argmax(-1) if greedy else jax.random.categorical(key, logits)).astype(jnp.int32), carry
+
+
+class Supported(Inner):
+    """Of the discrete actions that a model of the log finds likely enough, the best by a critic (discrete BCQ).
+
+    Attributes:
+        behavior: the model.
+        critic: to a value an action.
+        share: of the likeliest action's probability, which others need.
+    """
+
+    behavior: Categorical
+    critic: MLP
+    share: Array
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`; nothing is drawn."""
+        values = jnp.where(supported(self.behavior, self.share, step.observation), self.critic(step.observation), -jnp.inf)
+        return values.argmax(-1).astype(jnp.int32), carry
+
+    def chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """The probability of every action: all of it on one."""
+        step = Step(observation, None, None)
+        chosen, _ = self.act(step, (), jax.random.key(0), greedy=True)
+        return jax.nn.one_hot(chosen, self.critic.biases[-1].shape[-1])
+
+
+def supported(behavior: Categorical, share: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:
+    """Which actions have at least this share of the likeliest one's probability."""
+    log_chances = behavior.log_chances(observation)
+    return log_chances >= log_chances.max(-1, keepdims=True) + jnp.log(share)
+
+
 class GreedyQ(Inner):
     """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
 
@@ -238,12 +299,19 @@ class Deployed(eqx.Module):
 
     def log_prob(self, observation: Any, action: Any) -> Array:
         """Log-density of environment actions (n, size) at raw observations (n, *shape)."""
-        if not isinstance(self.inner, TanhGaussian | Gaussian):
+        if not isinstance(self.inner, TanhGaussian | Gaussian | Categorical):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
         view = self.view
         log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), view.to_unit(jnp.asarray(action)))
         # As `View.log_scale`, but also where the bounds are traced.
         return log_prob if self.low is None or self.high is None else log_prob - jnp.log(0.5 * (self.high - self.low)).sum()
+
+    @property
+    def action_probs(self) -> Callable[[Any], np.ndarray] | None:
+        """Of discrete actions, what gives the probabilities (n, actions) at raw observations; None for continuous ones."""
+        if not isinstance(self.inner, Categorical | Supported):
+            return None
+        return lambda observations: np.asarray(_chances(self, jnp.asarray(observations)))
 
     def __call__(self, observations: Any) -> np.ndarray:
         """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
@@ -259,6 +327,12 @@ def first_actions(policy: Deployed, observations: Array, key: PRNGKeyArray, gree
     n = len(observations)
     step = Step(observations, jnp.zeros(n), jnp.ones(n, bool))
     return policy.act(step, policy.start(n), key, greedy=greedy)[0]
+
+
+@eqx.filter_jit
+def _chances(policy: Deployed, observations: Array) -> Array:
+    assert isinstance(policy.inner, Categorical | Supported)
+    return policy.inner.chances(policy.view.observe(observations))
 
 
 class BlackBoxPolicy:

@@ -73,6 +73,9 @@ class NumpyPolicy:
         get = self._array
         if self.tree["mean"] is not None:
             batch = (batch - get(self.tree["mean"])) / get(self.tree["std"])
+        if self.tree["inner"]["kind"] in ("Categorical", "Supported"):
+            action = self._chosen(self.tree["inner"], batch, rng, greedy)
+            return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy, ())
         if self.tree["inner"]["kind"] != "Gaussian":
             action = np.tanh(action)
@@ -95,6 +98,17 @@ class NumpyPolicy:
                     x = x - x.mean(-1, keepdims=True)
                     x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-6)
         return x
+
+    def _chosen(self, node, x, rng, greedy):
+        """Indices of discrete actions, (n,)."""
+        if node["kind"] == "Supported":
+            likely = self._net(node["behavior"]["net"], x)
+            enough = likely >= likely.max(-1, keepdims=True) + np.log(self._array(node["share"]))
+            scores = np.where(enough, self._net(node["critic"], x), -np.inf)
+        else:
+            scores = self._net(node["net"], x)
+            scores = scores if greedy else scores + rng.gumbel(size=scores.shape)
+        return scores.argmax(-1).astype(np.int32)
 
     def _pre(self, node, x, rng, greedy, count):
         """Actions before the tanh, (*count, n, size)."""

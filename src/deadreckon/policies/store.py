@@ -14,14 +14,25 @@ from deadreckon.files import replacing
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import portable
-from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, GreedyQ, Moved, OneStep, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import (
+    Categorical,
+    Deployed,
+    Deterministic,
+    Gaussian,
+    GreedyQ,
+    Moved,
+    OneStep,
+    Supported,
+    TanhGaussian,
+    VAEDecoder,
+)
 
 # The only classes that a file can name: reading one runs no code of the file's choosing.
 _ELSEWHERE = {"Planner": "deadreckon.agents.pets"}  # imported where a file has one: it needs models, which need policies
 _KINDS: dict[str, Any] = {
     kind.__name__: kind
-    for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, MLP, VAE)
-}
+    for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical, Supported)
+} | {"MLP": MLP, "VAE": VAE}
 
 
 def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:

@@ -1,0 +1,226 @@
+"""Agents that choose among discrete actions: their losses against numpy, and that they learn, act and are saved."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import log_softmax, logsumexp, softmax
+
+from deadreckon.agents import AGENTS, BC, BCQ, CQL, IQL, REM, agent_class
+from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.ope.tables import Actor
+from deadreckon.policies import Deployed, store
+from deadreckon.policies.policy import Categorical, Supported, supported
+from deadreckon.policies.portable import load as load_portable
+from deadreckon.training.fit import Fit, fit
+from tests.agents.test_bear import lane
+from tests.nets.test_mlp import numpy_mlp
+
+KEY = jax.random.key(5)
+NAMES = [name for name in AGENTS if agent_class(name).choices]
+STEPS = np.array([-1.0, 0.0, 1.0])  # what each of three actions is on the line
+
+
+def line(rows=4000, seed=0):
+    """A point on a line that goes 0.2 to the left, stays, or goes to the right: reward -s'^2, episodes of 20 steps."""
+    rng = np.random.default_rng(seed)
+    length, episodes = 20, rows // 20
+    s, columns = rng.uniform(-1, 1, episodes), {"observations": [], "actions": [], "rewards": []}
+    for _ in range(length):
+        a = rng.integers(0, 3, episodes)
+        for name, column in (("observations", s), ("actions", a)):
+            columns[name].append(column)
+        s = np.clip(s + 0.2 * STEPS[a], -2, 2)
+        columns["rewards"].append(-(s**2))
+    flat = {name: np.stack(parts, 1).reshape(-1) for name, parts in columns.items()}
+    flat["observations"] = flat["observations"][:, None]
+    ends = np.tile(np.arange(length) == length - 1, episodes)
+    return Dataset.from_arrays(
+        **flat, timeouts=ends, final_observations=s[:, None], action_space=Discrete(3), name="line"
+    )  # fmt: skip
+
+
+LOG = line()
+
+
+@pytest.fixture(scope="module")
+def batch():
+    rng = np.random.default_rng(0)
+    return Batch(
+        observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32), action=jnp.asarray([0, 2, 1, 1, 0, 2], jnp.int32),
+        reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
+        terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
+    )  # fmt: skip
+
+
+def small(name, **fields):
+    own = {"behavior_hidden": (16, 16)} if name == "bcq" else {}
+    return agent_class(name)(**{"hidden": (16, 16), "batch_size": 64} | own | fields).resolve(LOG.spec, 100)
+
+
+def started(name, **fields):
+    agent = small(name, **fields)
+    return agent, agent.init(LOG.spec, jax.random.key(0))
+
+
+def values(critics, seen):
+    return np.stack([numpy_mlp(lane(critics, j), np.asarray(seen)) for j in range(len(critics.biases[0]))])
+
+
+def future(batch, value):
+    return np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * value
+
+
+def test_which_agents_choose():
+    assert {"bc", "cql", "bcq", "rem", "iql"} <= set(NAMES)
+
+
+# ---- losses
+
+
+def test_q_values_of_choices(batch):
+    _, state = started("iql")
+    expected = values(state.critics, batch.observation)[:, np.arange(6), np.asarray(batch.action)]
+    np.testing.assert_allclose(q_values(state.critics, batch.observation, batch.action), expected, atol=1e-5)
+
+
+def test_iql_imitates_choices_by_advantage(batch):
+    agent, state = started("iql", sharpness=2.0)
+    advantage = np.linspace(-1, 1, 6)
+    log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.observation)), -1)
+    log_prob = log_prob[np.arange(6), np.asarray(batch.action)]
+    loss = agent.actor_loss(state.actor, batch, jnp.asarray(advantage))
+    np.testing.assert_allclose(loss, -(np.exp(2 * advantage) * log_prob).mean(), rtol=1e-4)
+
+
+@pytest.mark.parametrize("entropy_backup", [False, True])
+def test_cql_is_sac_with_means_over_all_choices(batch, entropy_backup):
+    agent, state = started("cql", discount=0.9, temperature=0.3, entropy_backup=entropy_backup, conservatism=2.0)
+    log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.next_observation)), -1)
+    q = values(state.target_critics, batch.next_observation).min(0)
+    value = (np.exp(log_prob) * (q - 0.3 * entropy_backup * log_prob)).sum(-1)
+    target = agent.target(state, batch, KEY)
+    np.testing.assert_allclose(target, future(batch, value), atol=1e-5)
+
+    q = values(state.critics, batch.observation)
+    logged = q[:, np.arange(6), np.asarray(batch.action)]
+    expected = ((logged - np.asarray(target)) ** 2).mean(-1).sum() + 2.0 * (logsumexp(q, -1) - logged).mean(-1).sum()
+    loss, _ = agent.critic_loss(state.critics, state, batch, target, KEY)
+    np.testing.assert_allclose(loss, expected, rtol=1e-4)
+
+    log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.observation)), -1)
+    loss, mean = agent.actor_loss(state.actor, state, batch, KEY)
+    np.testing.assert_allclose(loss, (np.exp(log_prob) * (0.3 * log_prob - q.min(0))).sum(-1).mean(), rtol=1e-4)
+    np.testing.assert_allclose(mean, (np.exp(log_prob) * log_prob).sum(-1).mean(), rtol=1e-4)
+
+
+def test_cql_rho_weighs_the_policys_choices_by_their_worth(batch):
+    agent, state = started("cql", form="rho", conservatism=1.0)
+    q = values(state.critics, batch.observation)
+    weight = softmax(q + log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.observation)), -1), -1)
+    gap = (weight * q).sum(-1) - q[:, np.arange(6), np.asarray(batch.action)]
+    _, metrics = agent.critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    np.testing.assert_allclose(metrics["gap"], gap.mean(), atol=1e-5)
+
+
+def test_rem_has_a_target_of_every_critic(batch):
+    agent, state = started("rem", discount=0.9, temperature=0.3, critics=3)
+    log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.next_observation)), -1)
+    q = values(state.target_critics, batch.next_observation)
+    expected = np.stack([future(batch, (np.exp(log_prob) * (one - 0.3 * log_prob)).sum(-1)) for one in q])
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+
+
+def test_bcq_takes_the_best_of_what_is_likely_enough(batch):
+    agent, state = started("bcq", discount=0.9, share=0.98)
+    chances = softmax(numpy_mlp(state.behavior.net, np.asarray(batch.next_observation)), -1)
+    likely = chances >= 0.98 * chances.max(-1, keepdims=True)
+    assert likely.any(-1).all()
+    assert not likely.all()
+    q = values(state.target_critics, batch.next_observation)
+    mixed = np.where(likely, 0.75 * q.min(0) + 0.25 * q.max(0), -np.inf)
+    np.testing.assert_allclose(agent.target(state, batch, KEY), future(batch, mixed.max(-1)), atol=1e-5)
+    policy = agent.policy(state)
+    seen = batch.observation
+    best = np.where(supported(state.behavior, 0.98, seen), values(state.critics, seen)[0], -np.inf).argmax(-1)
+    assert isinstance(policy, Supported)
+    np.testing.assert_array_equal(policy.chances(seen).argmax(-1), best)
+
+
+def test_what_is_not_for_choices_says_so():
+    with pytest.raises(UserError, match="EDAC needs continuous actions"):
+        agent_class("edac")().resolve(LOG.spec, 10)
+    with pytest.raises(UserError, match=r"BC.model: of discrete actions .* leave 'vae' out"):
+        BC(model="vae").resolve(LOG.spec, 10)
+
+
+def test_entropy_of_choices_is_a_tenth_of_the_most():
+    for kind in (CQL, REM):
+        np.testing.assert_allclose(kind().resolve(LOG.spec, 10).target_entropy, 0.1 * np.log(3))
+    assert BCQ.choices
+    assert IQL.choices
+
+
+# ---- policies
+
+
+def test_a_categorical_draws_by_its_chances_and_tells_them():
+    net = MLP((jnp.zeros((1, 3)),), (jnp.log(jnp.asarray([0.2, 0.5, 0.3])),))
+    policy = Deployed.of(Categorical(net), Rows(LOG, small("bc").needs(LOG.spec)).view)
+    seen = np.zeros((6000, 1), np.float32)
+    assert policy(seen).dtype == np.int32
+    assert (policy(seen) == 1).all()
+    np.testing.assert_allclose(policy.action_probs(seen[:2]), [[0.2, 0.5, 0.3]] * 2, rtol=1e-5)
+    from deadreckon.policies.policy import first_actions
+
+    drawn = np.asarray(first_actions(policy, jnp.asarray(seen), KEY, False))
+    np.testing.assert_allclose(np.bincount(drawn) / 6000, [0.2, 0.5, 0.3], atol=0.03)
+    log_prob = policy.inner.log_prob(jnp.zeros((2, 1)), jnp.asarray([0, 2]))
+    np.testing.assert_allclose(log_prob, np.log([0.2, 0.3]), rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_learns_the_line_resumes_and_survives_its_file(name, tmp_path):
+    """The best is to go to the middle. BC copies what was done at random, so it is told what others would do."""
+    log = LOG
+    if name == "bc":
+        to_middle = np.where(np.abs(LOG.observations[:, 0]) < 0.1, 1, np.where(LOG.observations[:, 0] < 0, 2, 0))
+        log = Dataset.from_arrays(
+            observations=LOG.observations, actions=to_middle, rewards=LOG.rewards, timeouts=LOG.timeouts,
+            action_space=Discrete(3), final_observations=LOG.final_observations,
+        )  # fmt: skip
+    agent = small(name)
+    names = {"actor_lr", "critic_lr", "lr", "behavior_lr"} & {f for f in vars(agent)}
+    agent = agent.replace(**{n: 1e-3 for n in names}, **({} if name == "bc" else {"discount": 0.9}))
+    if name in ("iql", "xql"):
+        agent = agent.replace(sharpness=10.0)
+    if name == "cql":
+        agent = agent.replace(conservatism=0.1)
+    rows = Rows(log, agent.needs(log.spec))
+    job = Fit([agent, agent], rows, [0, 1], 2000, 500, tmp_path / "run")
+    walk = job.chunks()
+    next(walk), next(walk)
+    walk.close()
+    again = Fit([agent, agent], rows, [0, 1], 2000, 500, tmp_path / "run")
+    again.resume()
+    assert again.step == 500
+    for _ in again.chunks():
+        pass
+    assert tuple(again.failures) == (None, None)
+    once = fit([agent, agent], rows, [0, 1], 2000, chunk=500)
+    for a, b in zip(jax.tree.leaves(again.states), jax.tree.leaves(once.states), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+    policy = Deployed.of(agent.policy(once.lane(0)), rows.view)
+    s = np.concatenate([np.linspace(-1, -0.2, 20), np.linspace(0.2, 1, 20)]).astype(np.float32)[:, None]
+    assert (policy(s) == np.where(s[:, 0] < 0, 2, 0)).mean() > 0.9
+    store.save(tmp_path / "p.npz", policy)
+    np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(s), policy(s))
+    np.testing.assert_array_equal(load_portable(tmp_path / "p.npz")(s), policy(s))
+    chances = Actor([policy], ["it"], log.spec, False, 0).table(s, 1)[:, 0]
+    np.testing.assert_allclose(chances, policy.action_probs(s), atol=1e-6)
