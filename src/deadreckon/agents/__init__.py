@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
+    from deadreckon.agents.decision_transformer import DecisionTransformer
     from deadreckon.agents.dqfd import DQfD
     from deadreckon.agents.edac import EDAC
     from deadreckon.agents.fql import FQL
@@ -72,6 +73,9 @@ AGENTS = {
     "kl_control": ("kl_control", "KLControl", "SAC that pays for its divergence from the log (Jaques et al. 2019; thesis 4.4)"),
     "dqfd": ("dqfd", "DQfD", "TD3 with logged actions above all others by a margin (Hester et al. 2018; thesis 4.4)"),
     "fql": ("fql", "FQL", "a one-step actor held to a flow model of the log (Park et al. 2025)"),
+    "decision_transformer": (
+        "decision_transformer", "DecisionTransformer", "imitation given the return that is still to come (Chen et al. 2021)",
+    ),
     "bear": ("bear", "BEAR", "Q-learning held to the log's support (thesis 4.3, Algorithm 1)"),
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
@@ -107,6 +111,7 @@ __all__ = [
     "Agent",
     "AlgaeDICE",
     "DQfD",
+    "DecisionTransformer",
     "KLControl",
     "MOReL",
     "ReBRAC",

@@ -18,7 +18,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import begin, clipped, descend
 from deadreckon.policies.policy import TanhGaussian
 from deadreckon.training.learner import static
 
@@ -125,9 +125,7 @@ class PPO(Agent):
         """Actor and critic."""
         nets = state.actor, state.critic
         grads, metrics = jax.grad(self.loss, has_aux=True)(nets, state, batch, key)
-        norm = optax.tree.norm(grads)
-        grads = jax.tree.map(lambda g: g * jnp.minimum(1.0, self.gradient_norm / (norm + 1e-12)), grads)
-        (actor, critic), opt = descend(nets, grads, state.opt, self.lr)
+        (actor, critic), opt = descend(nets, clipped(grads, self.gradient_norm), state.opt, self.lr)
         return state._replace(actor=actor, critic=critic, opt=opt), metrics
 
     def loss(self, nets, state, batch, key):

@@ -20,6 +20,12 @@ def descend(params: Any, grads: Any, opt: optax.OptState, lr: Any) -> tuple[Any,
     return jax.tree.map(lambda p, u: p - lr * u, params, updates), opt
 
 
+def clipped(grads: Any, norm: Any) -> Any:
+    """Gradients, all made shorter by one factor where together they are longer than `norm`."""
+    length = optax.tree.norm(grads)
+    return jax.tree.map(lambda g: g * jnp.minimum(1.0, norm / (length + 1e-12)), grads)
+
+
 def track(target: Any, online: Any, rate: Any) -> Any:
     """Polyak averaging: target <- (1 - rate) target + rate online."""
     return jax.tree.map(lambda t, o: t + rate * (o - t), target, online)

@@ -12,6 +12,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.nets.mlp import MLP
+from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import portable
 from deadreckon.policies.policy import (
@@ -28,11 +29,15 @@ from deadreckon.policies.policy import (
 )
 
 # The only classes that a file can name: reading one runs no code of the file's choosing.
-_ELSEWHERE = {"Planner": "deadreckon.agents.pets"}  # imported where a file has one: it needs models, which need policies
+_ELSEWHERE = {  # imported where a file has one: they need what needs policies
+    "Planner": "deadreckon.agents.pets",
+    "Asking": "deadreckon.agents.decision_transformer",
+    "Sequence": "deadreckon.agents.decision_transformer",
+}
 _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical, Supported)
-} | {"MLP": MLP, "VAE": VAE}
+} | {"MLP": MLP, "VAE": VAE, "Transformer": Transformer, "Block": Block}
 
 
 def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:
