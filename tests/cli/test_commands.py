@@ -23,6 +23,7 @@ def test_tasks_and_agents(capsys):
     assert main(["agents"]) == 0
     out = capsys.readouterr().out
     assert all(name in out for name in ("bc", "bear_is", "thesis 4.3, Algorithm 1"))
+    assert "actor_penalty 0.05, critic_penalty 0.5" in out
 
 
 def test_agent_help_shows_the_comments_behind_fields(capsys):

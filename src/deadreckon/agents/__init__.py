@@ -1,9 +1,13 @@
 """Agents: one algorithm, one file. `deadreckon.agents.BEAR()` or, by name, `agent_class("bear")()`."""
 
+import functools
 import importlib
-from typing import TYPE_CHECKING
+import importlib.resources
+import json
+import re
+from typing import TYPE_CHECKING, Any
 
-from deadreckon.errors import unknown
+from deadreckon.errors import UserError, unknown
 
 if TYPE_CHECKING:
     from deadreckon.agents.agent import Agent
@@ -117,6 +121,9 @@ __all__ = [
     "ReBRAC",
     "agent_class",
     "agent_name",
+    "preset",
+    "preset_for",
+    "presets",
 ]  # fmt: skip
 
 
@@ -131,6 +138,34 @@ def agent_class(name: str) -> "type[Agent]":
         raise unknown("agent", name, AGENTS)
     module, attribute, _ = AGENTS[key]
     return getattr(importlib.import_module(f"deadreckon.agents.{module}"), attribute)
+
+
+@functools.cache
+def presets() -> dict[str, dict[str, dict[str, Any]]]:
+    """Published settings for single logs or domains: by agent, then by the logs that they are for, then by field.
+
+    A preset's name is the beginning of those logs' names: a task or domain (`maze2d`), or one log of it (`hopper-medium`).
+    """
+    return json.loads(importlib.resources.files(__name__).joinpath("presets.json").read_text())
+
+
+def preset(agent: str, name: str) -> dict[str, Any]:
+    """The fields of one preset.
+
+    Raises:
+        UserError: the agent has no preset of this name.
+    """
+    known = presets().get(agent.lower().replace("-", "_"), {})
+    if name not in known:
+        raise unknown(f"preset of {agent}", name, known) if known else UserError(f"{agent} has no presets; leave {name!r} out")
+    return dict(known[name])
+
+
+def preset_for(agent: str, log: str) -> str | None:
+    """The preset that was published for a log such as `hopper-medium-v2@dr1`, if there is one: its own, or its task's."""
+    known = presets().get(agent.lower().replace("-", "_"), {})
+    own = re.sub(r"-v\d+(@.*)?$", "", log)
+    return next((name for name in (own, own.partition("-")[0]) if name in known), None)
 
 
 def agent_name(agent: object) -> str:

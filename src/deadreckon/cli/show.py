@@ -78,8 +78,14 @@ def _library(tasks: Sequence) -> None:
 
 def agents(args: Sequence[str]) -> None:
     """Prints the agents, a line each."""
-    from deadreckon.agents import AGENTS
+    from deadreckon.agents import AGENTS, presets
 
     parse(Agents, args, "agents")
     print(table([["agent", "what and whence"], *([name, line] for name, (_, _, line) in AGENTS.items())]))
-    print("\ndeadreckon train --agent NAME --help shows its hyperparameters.")
+    lines = [
+        [agent, name, ", ".join(f"{field} {value}" for field, value in fields.items())]
+        for agent, known in presets().items()
+        for name, fields in known.items()
+    ]
+    print("\n" + table([["agent", "preset, for logs that begin so", "published settings"], *lines]))
+    print("\ndeadreckon train --agent NAME --help shows its hyperparameters; --preset NAME begins from a preset.")

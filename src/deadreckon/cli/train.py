@@ -1,6 +1,7 @@
 """`deadreckon train`: options of the run, and of the agent under `--agent.`"""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -34,7 +35,10 @@ class TrainOnline:
 
 @dataclasses.dataclass
 class Train:
-    """Learn a policy from a log; --agent NAME chooses the algorithm, --online one that acts in a simulator instead."""
+    """Learn a policy from a log; --agent NAME chooses the algorithm, --online one that acts in a simulator instead.
+
+    --preset NAME begins from settings published for a log or domain; see `deadreckon agents`.
+    """
 
     data: str  # the name of a known log, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
@@ -55,9 +59,10 @@ class Train:
 
 def train(args: Sequence[str]) -> None:
     """Trains, evaluates and says where the run lies."""
-    from deadreckon.agents import AGENTS, agent_class
+    from deadreckon.agents import AGENTS, agent_class, preset
 
     name, rest = chosen("agent", args)
+    own, rest = chosen("preset", rest)
     if name is None and not any(a in ("-h", "--help") for a in rest):
         raise UserError(f"missing --agent, one of {', '.join(AGENTS)}")
     online = "--online" in rest
@@ -66,11 +71,12 @@ def train(args: Sequence[str]) -> None:
     # The run's options stay a class of their own: tyro finds the comments behind its fields there.
     fields: list[tuple] = [("run", Annotated[run, tyro.conf.arg(name="")])]
     if name:
-        fields.append(("agent", agent_class(name), dataclasses.field(default_factory=agent_class(name))))
+        make = functools.partial(agent_class(name), **(preset(name, own) if own else {}))
+        fields.append(("agent", agent_class(name), dataclasses.field(default_factory=make)))
     kind = dataclasses.make_dataclass("TrainAgent", fields)
     kind.__doc__ = run.__doc__ if name else f"{run.__doc__} Agents: {', '.join(AGENTS)}."
     parsed = parse(kind, rest, "train --online" if online else "train")
-    finished = _train_online(name, parsed) if online else _train(name, parsed)
+    finished = _train_online(name, parsed) if online else _train(name, parsed, own)
     print(summary(finished))
     if all(finished.failures):
         raise SystemExit(1)
@@ -94,9 +100,10 @@ def _train_online(name, parsed):
         )  # fmt: skip
 
 
-def _train(name, parsed):
+def _train(name, parsed, preset):
     options: Train = parsed.run
 
+    from deadreckon.agents import preset_for
     from deadreckon.data.catalogue import load
     from deadreckon.runs.train import train as run_training
 
@@ -105,6 +112,9 @@ def _train(name, parsed):
     )
     for text in log.warnings:
         print(f"{log.name}: {text}")
+    published = preset_for(name, log.name)
+    if published and not preset:
+        print(f"{name}: --preset {published} has the settings published for such a log; `deadreckon agents` shows them")
     with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
         return run_training(
             parsed.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
