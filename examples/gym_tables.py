@@ -119,14 +119,14 @@ def main(options: Options) -> None:
         print(f"\n{name}\n{table(folders)}")
         print(write(folders, Path(options.out) / name / "report.html", title=f"{name}, {options.steps:,} updates"))
     if options.picture:
-        behaviour = {name: {"behaviour": _behaviour(dr.load_run(folders[0]))} for name, folders in shown.items()}
-        references = behaviour if options.quantity == "score" else None
+        of_logs = {name: {"behaviour": behaviour(dr.load_run(folders[0]))} for name, folders in shown.items()}
+        references = of_logs if options.quantity == "score" else None
         print(picture(options.picture, shown, quantity=options.quantity, references=references, symlog=options.symlog))
     print("\n" + markdown(shown))
 
 
 def _train(folder: Path, log: str, rows: int | None, agent: str, fields: dict[str, Any], options: Options) -> None:
-    data = _log(log, options.log_steps)
+    data = log_of(log, options.log_steps)
     if rows is not None:
         data = data.select(np.arange(np.searchsorted(data.ends, rows)), name=f"{data.name}-{rows}-rows")
     with Bar(f"{folder.name} on {folder.parent.name}", options.steps, "updates") as bar:
@@ -138,7 +138,8 @@ def _train(folder: Path, log: str, rows: int | None, agent: str, fields: dict[st
 
 
 @lru_cache(1)
-def _log(name: str, steps: int | None) -> dr.Dataset:
+def log_of(name: str, steps: int | None) -> dr.Dataset:
+    """A log of the catalogue, or as many of its steps; collected where it is missing."""
     path = default_path(recipe(name), steps, 0)
     if not path.exists():
         with Bar(f"collecting {name}", steps or recipe(name).steps, "steps") as bar:
@@ -146,7 +147,7 @@ def _log(name: str, steps: int | None) -> dr.Dataset:
     return dr.read(path)
 
 
-def _behaviour(run: dr.Run) -> float:
+def behaviour(run: dr.Run) -> float:
     """Score of the log's own policy."""
     return float(dr.tasks.task(run.config["task"]).reference.normalise(run.config["data"]["behavior"]["mean"]))
 
@@ -156,19 +157,20 @@ def markdown(shown: dict[str, list[Path]]) -> str:
     labels = list(dict.fromkeys(path.name for folders in shown.values() for path in folders))
     lines = ["| log | behaviour | " + " | ".join(labels) + " |", "|---|---:|" + "---:|" * len(labels)]
     for name, folders in shown.items():
-        cells: dict[str, str] = {}
-        behaviour = ""
-        for folder in folders:
-            run = dr.load_run(folder)
-            # A seed that failed keeps its last good policy, which is what is judged of it; the table says so.
-            steps = np.asarray(run.evaluations["step"])
-            last = run.evaluations.filter(steps == steps.max())
-            scores = np.asarray(last["score"]).reshape(len(run.seeds), -1)
-            failed = sum(failure is not None for failure in run.failures)
-            cells[folder.name] = str(mean_interval(scores)) + (f" ({failed} of {len(run.seeds)} failed)" if failed else "")
-            behaviour = f"{_behaviour(run):.1f}"
-        lines.append(f"| {name} | {behaviour} | " + " | ".join(cells.get(label, "") for label in labels) + " |")
+        runs = {folder.name: dr.load_run(folder) for folder in folders}
+        cells = [last_score(runs[label]) if label in runs else "" for label in labels]
+        lines.append(f"| {name} | {behaviour(next(iter(runs.values()))):.1f} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def last_score(run: dr.Run) -> str:
+    """Score of the last evaluation, with a 95 % interval over seeds and episodes."""
+    # A seed that failed keeps its last good policy, which is what is judged of it; the table says so.
+    steps = np.asarray(run.evaluations["step"])
+    last = run.evaluations.filter(steps == steps.max())
+    scores = np.asarray(last["score"]).reshape(len(run.seeds), -1)
+    failed = sum(failure is not None for failure in run.failures)
+    return str(mean_interval(scores)) + (f" ({failed} of {len(run.seeds)} failed)" if failed else "")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The declared runs of docs/results, on a short setting."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -35,6 +36,20 @@ def test_gym_tables_run_and_resume(tmp_path, home):
     assert "| hopper-medium-v2 |" in first.stdout
     page = tmp_path / "runs" / "hopper-medium-v2" / "report.html"
     assert "halfcheetah-medium-expert" in page.read_text()  # the published suite
+    again = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert again.stdout == first.stdout
+
+
+@pytest.mark.slow
+def test_agents_table_runs_and_resumes(tmp_path, home):
+    command = [sys.executable, str(ROOT / "examples" / "agents_table.py"), "--logs", "maze2d-umaze-v1"]
+    command += ["--only", "BC", "KL-control", "Decision Transformer"]
+    options = {"width": 8, "steps": 20, "seeds": 2, "episodes": 2, "log-steps": 4000, "out": tmp_path / "runs"}
+    command += [str(word) for name, value in options.items() for word in (f"--{name}", value)]
+    first = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280)
+    assert "| agent | maze2d-umaze-v1: score | thesis |" in first.stdout
+    assert re.search(r"\| BC \| [-\d.]+.* \| 3.8 \|", first.stdout)
+    assert "| Decision Transformer |" in first.stdout
     again = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     assert again.stdout == first.stdout
 
