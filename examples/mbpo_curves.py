@@ -29,8 +29,8 @@ class Options:
     task: str = "hopper"  # simulator to learn in
     groups: tuple[str, ...] = ("compare",)  # among compare, rivals, pets, ratio, length, expansion
     only: tuple[str, ...] = ()  # of their runs, by name; none: all
-    rollouts: int | None = None  # of MBPO, begun for each real step; None: 400, of which k = 500 makes 200,000 steps each
-    updates: float | None = None  # of all agents, for each real step; None: the task's
+    rollouts: int | None = None  # of MBPO, begun for each real step; None: 400; give OUT another name than before
+    updates: float | None = None  # a real step, of MBPO, MVE, STEVE and the SAC beside them; None: the task's
     steps: int = 130_000  # environment steps, the 5,000 random ones included
     seeds: int = 3  # of each run, as one program
     every: int = 1000  # environment steps between evaluations

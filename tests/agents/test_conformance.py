@@ -16,6 +16,7 @@ from deadreckon.agents.dreaming import Dreaming
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
+from deadreckon.ope.tables import Actor
 from deadreckon.policies import Deployed, store
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
@@ -154,6 +155,8 @@ def test_policy_acts_in_bounds_and_survives_its_file(trained, tmp_path):
     assert actions.shape == (9, 1)
     assert (np.abs(actions) <= 1).all()
     assert policy(observations[0]).shape == (1,)
+    if not jax.tree.leaves(policy.start(1)):  # estimators judge what remembers nothing
+        assert Actor([policy], ["it"], LOG.spec, True, 0).table(observations, 1).shape == (9, 1, 1, 1)
     store.save(tmp_path / "p.npz", policy, {"note": 1})
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(observations), actions)
     assert store.meta(tmp_path / "p.npz") == {"note": 1}

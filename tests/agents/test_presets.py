@@ -1,10 +1,15 @@
 """Published settings by log: data that fits the agents, and finding them."""
 
+from typing import Any
+
 import pytest
 
+import deadreckon as dr
 from deadreckon.agents import agent_class, preset, preset_for, presets
 from deadreckon.cli.main import main
+from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.errors import UserError
+from deadreckon.runs.train import agents_of
 from tests.agents.worlds import corridor
 
 
@@ -33,10 +38,16 @@ def test_what_is_no_preset_says_so():
         preset("bc", "hopper")
 
 
-def test_the_command_line_begins_from_a_preset_and_fields_win(capsys):
+def test_the_command_line_begins_from_a_preset_and_fields_win(capsys, tmp_path):
     with pytest.raises(SystemExit):
         main(["train", "--agent", "rebrac", "--preset", "maze2d", "--help"])
-    out = capsys.readouterr().out.replace("\n", " ")
-    assert "0.003" in out
+    out = capsys.readouterr().out
+    assert "(default: 0.003)" in out
+    log = str(tmp_path / "log.hdf5")
+    write_hdf5(corridor(400), log)
+    words = ["train", "--agent", "rebrac", "--preset", "maze2d", "--data", log, "--steps", "2", "--out", str(tmp_path / "run")]
+    assert main([*words, "--agent.actor-penalty", "0.5", "--agent.hidden", "8"]) == 0
+    agent: Any = agents_of(dr.load_run(tmp_path / "run").config)[0]
+    assert (agent.actor_penalty, agent.critic_penalty, agent.batch_size) == (0.5, 0.001, 256)
     assert main(["train", "--agent", "bc", "--preset", "maze2d", "--data", "x"]) == 2
     assert "bc has no presets" in capsys.readouterr().err

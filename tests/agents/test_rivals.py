@@ -1,5 +1,6 @@
 """AWR, KL-control, DQfD, REM, AlgaeDICE and FQL against numpy written from their equations, on fixed numbers."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,8 @@ from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import numpy_gaussian
 from tests.agents.test_offline import KEY, SMALL, SPEC, least_q, logged_log_prob, made, updated
 from tests.nets.test_mlp import numpy_mlp
+
+K_RESIDUAL = jax.random.split(jax.random.fold_in(KEY, 2))[0]  # of AlgaeDICE's critics
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +40,7 @@ def windows():
     return Batch(
         observation=jnp.asarray(rng.normal(size=(2, 3, 1)), jnp.float32), reward=jnp.asarray(rng.normal(size=(2, 3))),
         action=jnp.asarray(rng.uniform(-0.9, 0.9, (2, 3, 1))), terminal=jnp.asarray([[0.0, 1, 0], [0, 0, 0]]),
+        time=jnp.asarray([[0.0, 1, 2], [7, 8, 9]]),
         next_observation=jnp.asarray(rng.normal(size=(2, 3, 1)), jnp.float32), mask=jnp.asarray([[1.0, 1, 0], [1, 1, 1]]),
     )  # fmt: skip
 
@@ -71,15 +75,28 @@ def test_awr_imitates_by_standardised_advantages_of_the_rows_that_are_there():
     agent, state = made(AWR(temperature=0.5, max_weight=3.0, window=3, batch_size=6, **SMALL))
     after, metrics = updated(agent, state, rows)
     there = np.asarray(rows.mask, bool)
+    # The first row of an episode is in one window, the second in two, all later ones in three.
+    share = np.array([1.0, 1 / 2, 1 / 3, 1 / 3, 1 / 3])
+    mean = lambda of: (share * of).sum() / share.sum()  # noqa: E731
     target, _ = agent.returns(state.value, rows)
     error = (numpy_mlp(state.value, np.asarray(rows.observation))[..., 0] - np.asarray(target))[there]
-    np.testing.assert_allclose(metrics["value_loss"], np.square(error).mean(), rtol=1e-4)
+    np.testing.assert_allclose(metrics["value_loss"], mean(np.square(error)), rtol=1e-4)
     advantage = np.asarray(agent.returns(after.value, rows)[1])[there]
-    weight = np.minimum(np.exp((advantage - advantage.mean()) / (advantage.std() + 1e-5) / 0.5), 3.0)
+    away = advantage - mean(advantage)
+    weight = np.minimum(np.exp(away / (np.sqrt(mean(away**2)) + 1e-5) / 0.5), 3.0)
     assert (weight == 3.0).any()
-    expected = -(weight * logged_log_prob(state.actor, rows)[there]).mean()
+    expected = -mean(weight * logged_log_prob(state.actor, rows)[there])
     np.testing.assert_allclose(metrics["actor_loss"], expected, rtol=1e-3)
-    np.testing.assert_allclose(metrics["weight"], weight.mean(), rtol=1e-4)
+    np.testing.assert_allclose(metrics["weight"], mean(weight), rtol=1e-4)
+
+
+def test_awr_learns_nothing_from_a_batch_without_rows():
+    rows = windows()
+    agent, state = made(AWR(window=3, batch_size=6, **SMALL))
+    after, metrics = updated(agent, state, rows._replace(mask=jnp.zeros((2, 3))))
+    assert float(metrics["value_loss"]) == 0.0
+    for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(state.actor), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
 
 
 # ---- KL-control
@@ -105,12 +122,22 @@ def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch):
 
 
 def test_kl_control_pays_more_where_it_is_too_far_away(batch):
-    for target_kl, more in ((10.0, False), (0.0, True)):
+    for target_kl, more in ((30.0, False), (0.0, True)):
         agent, state = made(KLControl(target_kl=target_kl, temperature=0.4, **SMALL))
-        state = state._replace(actor=jax.tree.map(lambda leaf: 2.0 * leaf, state.actor))
+        moved = eqx.tree_at(lambda net: net.biases[-1], state.actor, state.actor.biases[-1] + jnp.asarray([4.0, 0.0]))
+        state = state._replace(actor=moved)
         after, metrics = updated(agent, state, batch)
-        assert 0.0 < float(metrics["divergence"]) < 10.0
+        assert 0.0 < float(metrics["divergence"]) < 30.0
         assert bool(after.log_temperature > state.log_temperature) == more
+
+
+def test_kl_control_may_pay_in_the_actor_alone_and_be_changed_when_resolved(batch):
+    agent, state = made(KLControl(discount=0.9, entropy_backup=False, **SMALL))
+    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
+    action = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (6, 1))))
+    expected = future(batch, least_q(state.target_critics, batch.next_observation, action))
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-4)
+    assert agent.replace(target_kl=2.0).resolve(SPEC, 10).held_entropy == -2.0
 
 
 def test_kl_control_has_no_entropy_to_hold():
@@ -167,7 +194,7 @@ def test_rem_asks_one_random_mixture_to_agree_with_its_own_target(batch):
     after = [q(state.target_critics, j, batch.next_observation, np.tanh(pre)) for j in range(3)]
     targets = np.stack([future(batch, each - 0.2 * log_prob(mean, log_std, pre)) for each in after])
     np.testing.assert_allclose(agent.target(state, batch, KEY), targets, atol=1e-4)
-    weight = np.asarray(jax.random.uniform(jax.random.fold_in(KEY, 1), (3,)))
+    weight = np.asarray(jax.random.uniform(jax.random.fold_in(KEY, 2), (3,)))
     weight = weight / weight.sum()
     now = np.stack([q(state.critics, j, batch.observation, batch.action) for j in range(3)])
     loss, _ = agent.critic_loss(state.critics, state, batch, jnp.asarray(targets), KEY)
@@ -185,9 +212,9 @@ def test_rem_mixes_on_the_simplex():
 # ---- AlgaeDICE
 
 
-def algae(batch, state, temperature):
+def algae(batch, state, temperature, key):
     """Residuals of both critics and their values at the first observations."""
-    k_residual, k_first = jax.random.split(KEY)
+    k_residual, k_first = jax.random.split(key)
     mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
     pre = mean + np.exp(log_std) * np.asarray(jax.random.normal(k_residual, (6, 1)))
     action = np.tanh(pre)
@@ -206,12 +233,13 @@ def algae(batch, state, temperature):
 def test_algae_dice_is_a_saddle_point_of_residuals_and_first_values(batch):
     agent, state = made(AlgaeDICE(discount=0.9, temperature=0.3, regularisation=2.0, exponent=1.5, **SMALL))
     state = state._replace(target_critics=jax.tree.map(lambda leaf: 1.1 * leaf, state.critics))
-    deltas, first = algae(batch, state, 0.3)
+    deltas, first = algae(batch, state, 0.3, jax.random.fold_in(KEY, 2))
     assert (deltas > 0).any()
     assert (deltas < 0).any()
     expected = np.abs(deltas) ** 1.5 / 1.5 + 0.1 * 2.0 * first
     loss, _ = agent.critic_loss(state.critics, state, batch, None, KEY)
     np.testing.assert_allclose(loss, expected.mean(1).sum(), rtol=1e-3)
+    deltas, first = algae(batch, state, 0.3, KEY)
     loss, _ = agent.actor_loss(state.actor, state, batch, KEY)
     expected = np.maximum(deltas, 0) ** 0.5 * deltas + 0.1 * 2.0 * first
     np.testing.assert_allclose(loss, -expected.mean(), rtol=1e-3)
@@ -219,7 +247,7 @@ def test_algae_dice_is_a_saddle_point_of_residuals_and_first_values(batch):
 
 def test_algae_dice_critics_are_moved_through_both_ends_of_the_equation(batch):
     agent, state = made(AlgaeDICE(discount=0.9, exponent=2.0, regularisation=0.0, **SMALL))
-    residual = lambda critics: agent.residual(critics, state.actor, state, batch, jax.random.split(KEY)[0])[0]  # noqa: E731
+    residual = lambda critics: agent.residual(critics, state.actor, state, batch, K_RESIDUAL)[0]  # noqa: E731
     value = lambda critics: q_values(critics, batch.observation, batch.action)  # noqa: E731
 
     def one_end(critics):  # as if what follows did not depend on them

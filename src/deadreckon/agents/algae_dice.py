@@ -53,7 +53,8 @@ class AlgaeDICE(SAC):
         pre = dist.sample(d, key)
         log_prob = dist.log_prob(d, pre)
         before, after = (q_values(each, batch.next_observation, jnp.tanh(pre)) for each in (state.target_critics, critics))
-        future = (1.0 - FRESH) * least(before) + FRESH * after - jnp.exp(state.log_temperature) * log_prob
+        bonus = -jnp.exp(state.log_temperature) * log_prob if self.entropy_backup else 0.0
+        future = (1.0 - FRESH) * least(before) + FRESH * after + bonus
         return backup(batch, self.discount, future) - q_values(critics, batch.observation, batch.action), log_prob
 
     def first(self, critics: MLP, actor: MLP, batch: Batch, key: Array) -> Float[Array, "k b"]:
@@ -63,7 +64,7 @@ class AlgaeDICE(SAC):
 
     def critic_loss(self, critics, state, batch, target, key):
         """E[f(delta_j)] + (1 - discount) regularisation E[Q_j(s_0, a_0)], summed over critics."""
-        k_residual, k_first = jax.random.split(key)
+        k_residual, k_first = jax.random.split(jax.random.fold_in(key, 2))
         delta, _ = self.residual(critics, state.actor, state, batch, k_residual)
         # |x|^p has no slope that autodiff could find at 0.
         size = jnp.abs(delta) + 1e-12

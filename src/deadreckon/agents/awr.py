@@ -45,7 +45,7 @@ class AWR(Agent):
 
     def needs(self, spec):
         """Windows of transitions."""
-        return Needs(batch_size=max(self.batch_size // self.window, 1), window=self.window)
+        return Needs((*Needs.columns, "time"), max(self.batch_size // self.window, 1), window=self.window)
 
     def init(self, spec, key):
         """Fresh networks."""
@@ -66,7 +66,9 @@ class AWR(Agent):
 
     def update(self, state, batch, *, step, key):
         """Values, then the actor by the advantages over them."""
-        mask = batch.mask / batch.mask.mean()
+        # A row early in its episode is in fewer windows than others, and counts for more in them.
+        mask = batch.mask / jnp.minimum(batch.time + 1.0, self.window)
+        mask = mask / jnp.maximum(mask.mean(), 1e-12)
         target, _ = self.returns(state.value, batch)
         value_loss, grads = jax.value_and_grad(
             lambda value: (mask * jnp.square(value(batch.observation)[..., 0] - target)).mean()

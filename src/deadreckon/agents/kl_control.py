@@ -29,14 +29,19 @@ class KLControl(SAC):
     behavior_steps: int = static(100_000)  # updates of the behaviour model, before all others
 
     def resolve(self, spec, steps):
-        """Minus the divergence is in the place of the entropy, and has its target."""
-        if self.target_entropy not in (None, -self.target_kl):
+        """There is no entropy to hold."""
+        if self.target_entropy not in (None, 0.0):
             raise UserError("KLControl holds a divergence, not an entropy: set target_kl and leave out target_entropy")
-        return super().resolve(spec, steps).replace(target_entropy=-self.target_kl)
+        return SAC.resolve(self.replace(target_entropy=0.0), spec, steps)
+
+    @property
+    def held_entropy(self):
+        """Minus the divergence is in the place of the entropy."""
+        return -self.target_kl
 
     def init(self, spec, key) -> Any:
         """SAC's state with a model of the log's policy, as yet unfitted."""
-        model = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, jax.random.fold_in(key, 1))
+        model = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, jax.random.fold_in(key, 2))
         return super().init(spec, key)._replace(model=model)
 
     def prepare(self, state, rows, key, fit):
@@ -45,9 +50,11 @@ class KLControl(SAC):
         return state._replace(model=model, actor=copy(model))
 
     def act(self, state, observation, noise):
-        """Actions of the present actor, and minus what they pay."""
+        """Actions of the present actor, and minus what they pay in targets."""
         d = dist.gaussian_head(state.actor(observation))
         pre = d.mean + jnp.exp(d.log_std) * noise
+        if not self.entropy_backup:
+            return jnp.tanh(pre), jnp.zeros(pre.shape[:-1])
         return jnp.tanh(pre), -jnp.exp(state.log_temperature) * divergence(d, state.model, observation, pre)
 
     def actor_loss(self, actor, state, batch, key):

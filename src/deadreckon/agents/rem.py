@@ -13,10 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import backup
 from deadreckon.agents.sac import SAC
-from deadreckon.nets.mlp import all_q_values, q_values
-from deadreckon.policies.policy import Categorical
+from deadreckon.nets.mlp import q_values
 from deadreckon.training.learner import static
 
 
@@ -32,19 +30,13 @@ class REM(SAC):
         """The mean."""
         return values.mean(0)
 
-    def target(self, state, batch, key) -> Float[Array, "k b"]:
-        """r + discount (Q'_k(s', a') - temperature log pi(a'|s')) of every critic; what is linear can be mixed later."""
-        if isinstance(state.actor, Categorical):
-            q = all_q_values(state.target_critics, batch.next_observation)
-            future = self.over_choices(state.actor, q, batch.next_observation, state.log_temperature)
-            return backup(batch, self.discount, future)
-        noise = jax.random.normal(key, batch.action.shape)
-        action, bonus = self.act(state, batch.next_observation, noise)
-        return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action) + bonus)
+    def ahead(self, values):
+        """All of them: what is linear can be mixed later."""
+        return values
 
     def critic_loss(self, critics, state, batch, target, key):
-        """The squared error of one random mixture."""
-        weight = simplex(jax.random.fold_in(key, 1), self.critics)
+        """The squared error of one random mixture, of critics and of their targets."""
+        weight = simplex(jax.random.fold_in(key, 2), self.critics)
         q = q_values(critics, batch.observation, batch.action)
         error = jnp.square(weight @ (q - jax.lax.stop_gradient(target)))
         return error.mean(), {"critic_loss": error.mean(), "q": q.mean()}

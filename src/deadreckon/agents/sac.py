@@ -72,6 +72,15 @@ class SAC(Agent):
         """What of the critics' values counts: the least."""
         return least(values)
 
+    def ahead(self, values):
+        """What of the target critics' values backups look forward to."""
+        return self.believed(values)
+
+    @property
+    def held_entropy(self):
+        """What the temperature holds the mean of -log pi at."""
+        return self.target_entropy
+
     def act(self, state, observation, noise):
         """Actions of the present actor by standard normal `noise`, and the entropy bonus for them that values hold."""
         d = dist.gaussian_head(state.actor(observation))
@@ -82,10 +91,10 @@ class SAC(Agent):
     def value(self, state, observation, noise):
         """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor; of discrete actions the mean over all."""
         if isinstance(state.actor, Categorical):
-            q = self.believed(all_q_values(state.target_critics, observation))
+            q = self.ahead(all_q_values(state.target_critics, observation))
             return self.over_choices(state.actor, q, observation, state.log_temperature)
         action, bonus = self.act(state, observation, noise)
-        return self.believed(q_values(state.target_critics, observation, action)) + bonus
+        return self.ahead(q_values(state.target_critics, observation, action)) + bonus
 
     def over_choices(self, actor: Categorical, q: Array, observation: Array, log_temperature: Array) -> Array:
         """sum_a pi(a|s) (Q(s, a) - temperature log pi(a|s)) of values (..., b, n), the bonus only where targets hold it."""
@@ -130,7 +139,7 @@ class SAC(Agent):
         actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
 
         # Falls where the policy is more random than asked for: d/dlog T of -log T (log pi + target entropy).
-        slope = -(log_prob + self.target_entropy)
+        slope = -(log_prob + self.held_entropy)
         log_temperature, temperature_opt = descend(
             state.log_temperature, slope, state.temperature_opt, self.temperature_lr
         )

@@ -121,7 +121,7 @@ class Rows:
         self._index = None if needs.window or usable.all() else np.flatnonzero(usable)
         self._blind = looks_ahead & ~log.usable[log.ends]  # (episodes,) whose last row has no known successor
         self.count = len(log) if self._index is None else len(self._index)
-        if self.count == 0:
+        if self.count == 0 or not usable.any():
             raise UserError(f"{log.name}: no row has a known successor")
         self.initial: dict[str, np.ndarray] | None = None
         if needs.initial:

@@ -16,7 +16,7 @@ import numpy as np
 from deadreckon.data.spec import Spec
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, Step
+from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, OneStep, Step
 
 BLOCK = 8192  # rows at a time
 LIMIT = 2**30  # bytes of a table above which it lies in a file
@@ -186,7 +186,9 @@ def _observation_size(policy: Any) -> int | None:
     """Of a policy of ours; None where it is not known."""
     if not isinstance(policy, Deployed) or not hasattr(policy.inner, "net"):
         return None
-    return int(policy.inner.net.weights[0].shape[0])  # pyright: ignore[reportAttributeAccessIssue]
+    net = policy.inner.net  # pyright: ignore[reportAttributeAccessIssue]
+    # What acts in one step sees as many numbers of noise as it has actions.
+    return int(net.weights[0].shape[0]) - (int(net.biases[-1].shape[-1]) if isinstance(policy.inner, OneStep) else 0)
 
 
 def _action_shape(policy: Deployed, observation_size: int) -> tuple[int, ...]:

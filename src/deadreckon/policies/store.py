@@ -62,7 +62,8 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
             return [encode(v, f"{name}.{i}") for i, v in enumerate(value)]
         if hasattr(value, "shape"):
             with np.errstate(over="ignore"):
-                arrays[name] = np.asarray(value, np.float16 if half and name.startswith("policy.inner.") else None)
+                small = half and name.startswith("policy.inner.") and value.ndim > 0  # single numbers stay as they are
+                arrays[name] = np.asarray(value, np.float16 if small else None)
             if np.isfinite(np.asarray(value)).all() and not np.isfinite(arrays[name]).all():
                 raise UserError(f"{path}: {name} holds numbers beyond float16; save it with half=False")
             return f"@{name}"

@@ -66,7 +66,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "sharpness": (0.0, math.inf), "reach": (0.0, math.inf), "diversity": (0.0, math.inf),
     "gap": (0.0, math.inf), "threshold": (0.0, math.inf), "margin": (0.0, math.inf), "kl": (0.0, math.inf),
     "share": (1e-6, 1.0), "dropout": (0.0, 1.0 - 1e-6), "warm_up": (1, math.inf),
-    "regularisation": (0.0, math.inf), "imitation": (0.0, math.inf), "exponent": (1.0, math.inf),
+    "regularisation": (0.0, math.inf), "imitation": (0.0, math.inf), "exponent": (1.0 + 1e-6, math.inf),
 }  # fmt: skip
 
 
