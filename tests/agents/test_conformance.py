@@ -52,7 +52,7 @@ def same(a, b):
 # and where there is a model SAC's and test_dreaming.py's.
 SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "bcq", "brac", "rebrac", "cql", "sac_n", "edac", "xql", "awac",
         "crr", "algae_dice", "rem", "kl_control", "dqfd",
-        "decision_transformer")  # fmt: skip
+        "fql", "decision_transformer")  # fmt: skip
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]
