@@ -14,37 +14,17 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import Deployed, store
-from deadreckon.policies.policy import Categorical, Supported, supported
+from deadreckon.policies.policy import Categorical, Supported, first_actions, supported
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests.agents.test_bear import lane
+from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
 
 KEY = jax.random.key(5)
 NAMES = [name for name in AGENTS if agent_class(name).choices]
-STEPS = np.array([-1.0, 0.0, 1.0])  # what each of three actions is on the line
 
-
-def line(rows=4000, seed=0):
-    """A point on a line that goes 0.2 to the left, stays, or goes to the right: reward -s'^2, episodes of 20 steps."""
-    rng = np.random.default_rng(seed)
-    length, episodes = 20, rows // 20
-    s, columns = rng.uniform(-1, 1, episodes), {"observations": [], "actions": [], "rewards": []}
-    for _ in range(length):
-        a = rng.integers(0, 3, episodes)
-        for name, column in (("observations", s), ("actions", a)):
-            columns[name].append(column)
-        s = np.clip(s + 0.2 * STEPS[a], -2, 2)
-        columns["rewards"].append(-(s**2))
-    flat = {name: np.stack(parts, 1).reshape(-1) for name, parts in columns.items()}
-    flat["observations"] = flat["observations"][:, None]
-    ends = np.tile(np.arange(length) == length - 1, episodes)
-    return Dataset.from_arrays(
-        **flat, timeouts=ends, final_observations=s[:, None], action_space=Discrete(3), name="line"
-    )  # fmt: skip
-
-
-LOG = line()
+LOG = corridor(actions="choices")
 
 
 @pytest.fixture(scope="module")
@@ -175,8 +155,6 @@ def test_a_categorical_draws_by_its_chances_and_tells_them():
     assert policy(seen).dtype == np.int32
     assert (policy(seen) == 1).all()
     np.testing.assert_allclose(policy.action_probs(seen[:2]), [[0.2, 0.5, 0.3]] * 2, rtol=1e-5)
-    from deadreckon.policies.policy import first_actions
-
     drawn = np.asarray(first_actions(policy, jnp.asarray(seen), KEY, False))
     np.testing.assert_allclose(np.bincount(drawn) / 6000, [0.2, 0.5, 0.3], atol=0.03)
     log_prob = policy.inner.log_prob(jnp.zeros((2, 1)), jnp.asarray([0, 2]))

@@ -127,13 +127,18 @@ __all__ = [
 ]  # fmt: skip
 
 
+def _key(name: str) -> str:
+    """Of `AGENTS`, from a name such as `td3-bc` or `TD3+BC`."""
+    return name.lower().replace("-", "_").replace("+", "_")
+
+
 def agent_class(name: str) -> "type[Agent]":
     """The class behind a name such as `td3_bc` (also `td3-bc`).
 
     Raises:
         UserError: no agent has this name.
     """
-    key = name.lower().replace("-", "_").replace("+", "_")
+    key = _key(name)
     if key not in AGENTS:
         raise unknown("agent", name, AGENTS)
     module, attribute, _ = AGENTS[key]
@@ -155,7 +160,7 @@ def preset(agent: str, name: str) -> dict[str, Any]:
     Raises:
         UserError: the agent has no preset of this name.
     """
-    known = presets().get(agent.lower().replace("-", "_"), {})
+    known = presets().get(_key(agent), {})
     if name not in known:
         raise unknown(f"preset of {agent}", name, known) if known else UserError(f"{agent} has no presets; leave {name!r} out")
     return dict(known[name])
@@ -163,7 +168,7 @@ def preset(agent: str, name: str) -> dict[str, Any]:
 
 def preset_for(agent: str, log: str) -> str | None:
     """The preset that was published for a log such as `hopper-medium-v2@dr1`, if there is one: its own, or its task's."""
-    known = presets().get(agent.lower().replace("-", "_"), {})
+    known = presets().get(_key(agent), {})
     own = re.sub(r"-v\d+(@.*)?$", "", log)
     return next((name for name in (own, own.partition("-")[0]) if name in known), None)
 

@@ -13,7 +13,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
-from deadreckon.policies.policy import Categorical, Inner, TanhGaussian
+from deadreckon.policies.policy import Categorical, Inner
 from deadreckon.training.learner import Metrics, check_fields
 
 
@@ -90,18 +90,6 @@ def create_critics(
     inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
     outputs = spec.action_size if spec.discrete else 1
     return ensemble(lambda k: MLP.create(inputs, hidden, outputs, k, activation=activation, normalise=normalise), count, key)
-
-
-def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | Categorical:
-    """A stochastic actor: a network to mean and log-deviation before the tanh, or the logits of discrete actions."""
-    if spec.discrete:
-        return Categorical.create(spec, hidden, key)
-    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
-
-
-def stochastic(actor: MLP | Categorical) -> Inner:
-    """What `create_actor` made as a policy; greedy is its mean, or its likeliest action."""
-    return actor if isinstance(actor, Categorical) else TanhGaussian(actor)
 
 
 def bellman_loss(

@@ -13,7 +13,7 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
-from deadreckon.policies.policy import Categorical
+from deadreckon.policies.policy import Categorical, create_actor
 from deadreckon.training.learner import static
 
 
@@ -46,8 +46,8 @@ class BC(Agent):
 
     def init(self, spec, key):
         """A fresh model."""
-        choices = spec.discrete
-        model = Categorical.create(spec, self.hidden, key) if choices else behavior.create(self.model, spec, self.hidden, key)
+        stochastic = self.model == "gaussian"
+        model = create_actor(spec, self.hidden, key) if stochastic else behavior.create(self.model, spec, self.hidden, key)
         return State(model, begin(model))
 
     def update(self, state, batch, *, step, key):

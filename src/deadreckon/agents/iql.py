@@ -11,20 +11,11 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from deadreckon.agents.agent import (
-    Agent,
-    backup,
-    bellman_loss,
-    capped_exp,
-    create_actor,
-    create_critics,
-    imitation_loss,
-    stochastic,
-)
+from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import Categorical
+from deadreckon.policies.policy import Categorical, create_actor, stochastic
 from deadreckon.training.learner import static
 
 

@@ -8,13 +8,12 @@ average.
 from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 
 from deadreckon.agents.bc import cloned
 from deadreckon.agents.sac import SAC
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import copy
 from deadreckon.training.learner import static
 
@@ -49,28 +48,11 @@ class KLControl(SAC):
         model = cloned(self, fit, key)
         return state._replace(model=model, actor=copy(model))
 
-    def act(self, state, observation, noise):
-        """Actions of the present actor, and minus what they pay in targets."""
-        d = dist.gaussian_head(state.actor(observation))
-        pre = d.mean + jnp.exp(d.log_std) * noise
-        if not self.entropy_backup:
-            return jnp.tanh(pre), jnp.zeros(pre.shape[:-1])
-        return jnp.tanh(pre), -jnp.exp(state.log_temperature) * divergence(d, state.model, observation, pre)
-
-    def actor_loss(self, actor, state, batch, key):
-        """temperature log(pi(a|s) / model(a|s)) - min_j Q_j(s, a), a reparameterised; also gives the mean divergence."""
-        d = dist.gaussian_head(actor(batch.observation))
-        pre = dist.sample(d, key)
-        away = divergence(d, state.model, batch.observation, pre)
-        q = self.believed(q_values(state.critics, batch.observation, jnp.tanh(pre)))
-        return (jnp.exp(state.log_temperature) * away - q).mean(), away.mean()
+    def paid(self, state, d, pre, observation):
+        """log pi(a|s) - log model(a|s): one draw's estimate of the KL divergence, (b,)."""
+        return super().paid(state, d, pre, observation) - dist.log_prob(dist.gaussian_head(state.model(observation)), pre)
 
     def update(self, state, batch, *, step, key):
         """SAC's, whose entropy is minus the divergence."""
         state, metrics = super().update(state, batch, step=step, key=key)
         return state, metrics | {"divergence": -metrics.pop("entropy")}
-
-
-def divergence(d: dist.Gaussian, model: MLP, observation, pre):
-    """log pi(a|s) - log model(a|s) of actions drawn from pi: one draw's estimate of the KL divergence, (b,)."""
-    return dist.log_prob(d, pre) - dist.log_prob(dist.gaussian_head(model(observation)), pre)

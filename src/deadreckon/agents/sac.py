@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, create_actor, create_critics, stochastic
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import Categorical
+from deadreckon.policies.policy import Categorical, create_actor, stochastic
 from deadreckon.training.learner import static
 
 
@@ -81,12 +81,17 @@ class SAC(Agent):
         """What the temperature holds the mean of -log pi at."""
         return self.target_entropy
 
+    def paid(self, state, d, pre, observation):
+        """What costs the temperature's worth, of actions `pre` before the tanh: their log-probability."""
+        return dist.log_prob(d, pre)
+
     def act(self, state, observation, noise):
         """Actions of the present actor by standard normal `noise`, and the entropy bonus for them that values hold."""
         d = dist.gaussian_head(state.actor(observation))
         pre = d.mean + jnp.exp(d.log_std) * noise
-        bonus = -jnp.exp(state.log_temperature) * dist.log_prob(d, pre) if self.entropy_backup else jnp.zeros(pre.shape[:-1])
-        return jnp.tanh(pre), bonus
+        if not self.entropy_backup:
+            return jnp.tanh(pre), jnp.zeros(pre.shape[:-1])
+        return jnp.tanh(pre), -jnp.exp(state.log_temperature) * self.paid(state, d, pre, observation)
 
     def value(self, state, observation, noise):
         """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor; of discrete actions the mean over all."""
@@ -123,7 +128,7 @@ class SAC(Agent):
             return loss, (jnp.exp(log_prob) * log_prob).sum(-1).mean()
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, key)
-        log_prob = dist.log_prob(d, pre)
+        log_prob = self.paid(state, d, pre, batch.observation)
         q = self.believed(q_values(state.critics, batch.observation, jnp.tanh(pre)))
         return (jnp.exp(state.log_temperature) * log_prob - q).mean(), log_prob.mean()
 

@@ -6,7 +6,6 @@ beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount)
 """
 
 import dataclasses
-import functools
 import hashlib
 import time
 from collections.abc import Callable, Sequence
@@ -27,7 +26,7 @@ from deadreckon.files import read_json, write_json
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import Categorical, Deployed, Policy
+from deadreckon.policies.policy import Deployed, Policy, create_actor
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Fit, Progress, complete
 from deadreckon.training.learner import check_fields, described, static
@@ -99,8 +98,7 @@ class BehaviorModel(eqx.Module):
 
     def init(self, spec, key):
         """Network and optimiser."""
-        make = Categorical.create if spec.discrete else functools.partial(models.create, "gaussian")
-        model = make(spec, self.hidden, key)
+        model = create_actor(spec, self.hidden, key)
         return model, begin(model)
 
     def update(self, state, batch: Batch, *, step, key):

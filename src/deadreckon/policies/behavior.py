@@ -9,7 +9,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import Categorical, Inner, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import Categorical, Inner, VAEDecoder, stochastic
 
 Kind = Literal["gaussian", "vae"]
 
@@ -37,6 +37,4 @@ def loss(
 
 def policy(model: MLP | VAE | Categorical) -> Inner:
     """The model as something that acts."""
-    if isinstance(model, Categorical):
-        return model
-    return VAEDecoder(model) if isinstance(model, VAE) else TanhGaussian(model)
+    return VAEDecoder(model) if isinstance(model, VAE) else stochastic(model)

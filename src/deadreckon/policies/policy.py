@@ -209,6 +209,18 @@ class Categorical(Inner):
         return (logits.argmax(-1) if greedy else jax.random.categorical(key, logits)).astype(jnp.int32), carry
 
 
+def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | Categorical:
+    """A stochastic actor: a network to mean and log-deviation before the tanh, or the logits of discrete actions."""
+    if spec.discrete:
+        return Categorical.create(spec, hidden, key)
+    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
+
+
+def stochastic(actor: MLP | Categorical) -> Inner:
+    """What `create_actor` made as a policy; greedy is its mean, or its likeliest action."""
+    return actor if isinstance(actor, Categorical) else TanhGaussian(actor)
+
+
 class Supported(Inner):
     """Of the discrete actions that a model of the log finds likely enough, the best by a critic (discrete BCQ).
 

@@ -36,8 +36,11 @@ _ELSEWHERE = {  # imported where a file has one: they need what needs policies
 }
 _KINDS: dict[str, Any] = {
     kind.__name__: kind
-    for kind in (Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical, Supported)
-} | {"MLP": MLP, "VAE": VAE, "Transformer": Transformer, "Block": Block}
+    for kind in (
+        Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical, Supported, MLP, VAE,
+        Transformer, Block,
+    )
+}
 
 
 def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:
