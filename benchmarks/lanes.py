@@ -1,0 +1,117 @@
+"""Many seeds as lanes of one program, as processes, or one after another: `python benchmarks/lanes.py`.
+
+Each way trains the same agent (TD3+BC, batch 256, networks 256x256) on the same synthetic log, and says how many updates of a seed
+it makes a second, all seeds together, and how long a process needs before its first update is done (start, imports, compiling).
+Processes are started together and wait for each other before they are timed; on a CPU each has a core of its own.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import protocol
+
+HERE = Path(__file__).resolve().parent
+
+
+def parse() -> argparse.Namespace:
+    add = (parser := argparse.ArgumentParser(description=__doc__.splitlines()[0])).add_argument
+    add("--agent", default="td3_bc")
+    add("--lanes", type=int, nargs="+", default=[1, 4, 16], help="seeds of one program, in one process; 1 is one after another")
+    add("--processes", type=int, nargs="+", default=[2], help="processes of one seed each, side by side")
+    add("--seconds", type=float, default=10.0, help="that each is timed")
+    add("--repeats", type=int, default=3)
+    add("--width", type=int, default=256, help="of both hidden layers")
+    add("--chunk", type=int, default=500, help="updates between two looks from outside")
+    add("--platform", default="cpu", help="of JAX: cpu, or cuda")
+    add("--worker", type=int, help=argparse.SUPPRESS)  # seeds of this worker
+    return parser.parse_args()
+
+
+def work(arguments: argparse.Namespace) -> None:
+    """A worker: builds, makes a chunk, and then makes chunks for so many seconds whenever it is asked to."""
+    began = time.perf_counter()
+    import jax
+
+    from deadreckon.agents import agent_class
+    from deadreckon.cli.main import cache_compiled_programs
+    from deadreckon.data.batch import Rows
+    from deadreckon.data.dataset import Dataset
+    from deadreckon.training.fit import Fit
+
+    cache_compiled_programs()
+    shape = protocol.options("td3_bc", batch=256, width=arguments.width, threads=1)
+    log = Dataset.from_arrays(**protocol.synthetic_log(shape))
+    agent = agent_class(arguments.agent)(hidden=(arguments.width,) * 2).resolve(log.spec, 10**9)
+    seeds = list(range(arguments.worker))
+    walk = Fit([agent] * len(seeds), Rows(log, agent.needs(log.spec)), seeds, 10**9, chunk=arguments.chunk).chunks()
+    jax.block_until_ready(next(walk).states)
+    print(json.dumps({"ready": time.perf_counter() - began}), flush=True)
+    for line in sys.stdin:
+        done, start = 0, time.perf_counter()
+        while time.perf_counter() - start < float(line):
+            jax.block_until_ready(next(walk).states)
+            done += arguments.chunk
+        print(json.dumps({"rate": done * len(seeds) / (time.perf_counter() - start)}), flush=True)
+
+
+def measure(arguments: argparse.Namespace, processes: int, lanes: int) -> dict[str, Any]:
+    """Updates of a seed a second, of all processes together: median, least and greatest of the repeats."""
+    cores = sorted(os.sched_getaffinity(0))
+    command = [sys.executable, str(HERE / "lanes.py"), "--worker", str(lanes), "--chunk", str(arguments.chunk)]
+    command += ["--agent", arguments.agent, "--width", str(arguments.width)]
+    workers = []
+    for index in range(processes):
+        # Processes of one seed share the cores evenly: a program that takes all of them would fight with its neighbours.
+        own = {cores[index % len(cores)]} if processes > 1 and arguments.platform == "cpu" else set(cores)
+        start = ["taskset", "-c", ",".join(map(str, sorted(own)))]
+        workers.append(
+            subprocess.Popen(
+                start + command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+                env={**os.environ, "JAX_PLATFORMS": arguments.platform},
+            )
+        )  # fmt: skip
+
+    def answers(key: str) -> list[float]:
+        lines = [worker.stdout.readline() for worker in workers]
+        if not all(lines):
+            raise protocol.BenchError(f"{processes} processes of {lanes} seeds: a worker ended; what it said stands above")
+        return [json.loads(line)[key] for line in lines]
+
+    ready, rates = max(answers("ready")), []
+    for _ in range(arguments.repeats):
+        for worker in workers:
+            worker.stdin.write(f"{arguments.seconds}\n")
+            worker.stdin.flush()
+        rates.append(sum(answers("rate")))
+    for worker in workers:
+        worker.stdin.close()
+        worker.wait()
+    return {"rate": statistics.median(rates), "least": min(rates), "most": max(rates), "ready": ready}
+
+
+def compare(arguments: argparse.Namespace) -> int:
+    if arguments.worker is not None:
+        work(arguments)
+        return 0
+    ways = [(1, lanes) for lanes in arguments.lanes] + [(count, 1) for count in arguments.processes]
+    print("| seeds at once | updates of a seed a second, all together | beside one after another | seconds to the first |")
+    print("|---|---:|---:|---:|", flush=True)
+    alone = None
+    for processes, lanes in ways:
+        took = measure(arguments, processes, lanes)
+        alone = alone or took["rate"]
+        name = f"{processes} processes" if processes > 1 else f"{lanes} lanes" if lanes > 1 else "one"
+        spread = f"{took['rate']:,.0f} [{took['least']:,.0f}, {took['most']:,.0f}]"
+        print(f"| {name} | {spread} | {took['rate'] / alone:.2f} | {took['ready']:.0f} |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(protocol.told(lambda: compare(parse())))
