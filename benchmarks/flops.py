@@ -51,12 +51,19 @@ def through(b: int, dims: Sequence[int], into: int) -> int:
     return forward(b, dims) + input_gradient(b, dims, into)
 
 
+def train_many(b: int, n: int, shared: int, dims: Sequence[int]) -> int:
+    """Training on `n` inputs a row as `forward_many` has them; nobody needs the inputs' own gradient."""
+    return 2 * forward_many(b, n, shared, dims) + n * b * 2 * products(dims[1:])
+
+
 def networks(opts: dict[str, Any]) -> dict[str, list[int]]:
     o, a, h, v = opts["observation"], opts["action"], opts["width"], opts["behaviour_width"]
     return {
         "actor": [o, h, h, a],  # deterministic
         "gaussian": [o, h, h, 2 * a],  # mean and log-std
         "critic": [o + a, h, h, 1],
+        "value": [o, h, h, 1],
+        "mover": [o + a, h, h, a],  # BCQ's
         "behaviour": [o, v, v, 2 * a],
         "encoder": [o + a, v, v, 4 * a],  # latent 2 a: mean and log-std
         "decoder": [o + 2 * a, v, v, a],
@@ -74,15 +81,31 @@ def needed(opts: dict[str, Any]) -> float:
     if case == "nemo":
         return nemo(b)
     critics = 2 * train(b, net["critic"])
-    if case == "td3_bc":
+    if case in ("td3_bc", "rebrac"):
         target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
-        actor = train(b, net["actor"]) + through(b, net["critic"], a)  # one critic
+        valued_by = {"td3_bc": 1, "rebrac": 2}[case]  # critics under the actor
+        actor = train(b, net["actor"]) + valued_by * through(b, net["critic"], a)
         return target + critics + actor / 2  # every other update
+    if case == "iql":  # target critics at the logged action, V before its step, after it, and at s'
+        values = 2 * forward(b, net["critic"]) + train(b, net["value"]) + 2 * forward(b, net["value"])
+        return values + critics + train(b, net["gaussian"])
+    if case == "awac":  # critics at the logged action and at a drawn one, after their step
+        target = forward(b, net["gaussian"]) + 2 * forward(b, net["critic"])
+        return target + critics + 4 * forward(b, net["critic"]) + train(b, net["gaussian"])
+    if case == "bcq":
+        n = opts["target_samples"]
+        behaviour = train(b, net["encoder"]) + train(b, net["decoder"], 2 * a)
+        made = forward_many(b, n, o, net["decoder"]) + forward_many(b, n, o, net["mover"])
+        target = made + 2 * forward_many(b, n, o, net["critic"])
+        mover = forward(b, net["decoder"]) + train(b, net["mover"]) + through(b, net["critic"], a)
+        return behaviour + target + critics + mover
     # SAC and BEAR: one sampled action goes through both critics.
     actor = train(b, net["gaussian"]) + 2 * through(b, net["critic"], a)
-    if case == "sac":
+    if case in ("sac", "cql"):
+        # The actions that CQL holds down come from the passes of the actor that are made anyway.
+        held = 2 * train_many(b, 3 * opts["cql_samples"], o, net["critic"]) if case == "cql" else 0
         target = forward(b, net["gaussian"]) + 2 * forward(b, net["critic"])
-        return target + critics + actor
+        return target + critics + held + actor
     target = forward(b, net["gaussian"]) + 2 * forward_many(b, opts["target_samples"], o, net["critic"])
     # The actor's head is evaluated once; its MMD samples are noise around it. The behaviour model is trained at every
     # update, then sampled as it is afterwards.
@@ -113,12 +136,30 @@ def peer(opts: dict[str, Any]) -> float:
     critics = 2 * train(b, net["critic"])
     # Critics under the actor get weight gradients and gradients for the states too, and TD3+BC runs both to use one.
     under_actor = 2 * train(b, net["critic"], o + a)
-    if case == "td3_bc":
+    if case in ("td3_bc", "rebrac"):
         target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
         return target + critics + (train(b, net["actor"]) + under_actor) / 2
+    if case == "iql":  # the deviation is a parameter; target critics are asked twice
+        values = 4 * forward(b, net["critic"]) + train(b, net["value"]) + 2 * forward(b, net["value"])
+        return values + critics + train(b, net["actor"])
+    if case == "awac":
+        target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
+        weights = forward(b, net["actor"]) + 4 * forward(b, net["critic"])
+        return target + critics + weights + train(b, net["actor"])
+    if case == "bcq":  # the mover's gradient runs on through the decoder
+        n = opts["target_samples"]
+        made = forward(n * b, net["decoder"]) + forward(n * b, net["mover"])
+        target = made + 2 * forward(n * b, net["critic"])
+        vae = train(b, net["encoder"]) + train(b, net["decoder"], o + 2 * a)
+        mover = train(b, net["decoder"]) + train(b, net["mover"], o + a) + under_actor
+        return vae + target + critics + mover
     actor = train(b, net["gaussian"]) + under_actor
     if case == "sac":
         return forward(b, net["gaussian"]) + 2 * forward(b, net["critic"]) + critics + actor
+    if case == "cql":  # the actor runs for the target, twice for the penalty and once for itself; critics three times for 10
+        target = forward(b, net["gaussian"]) + 2 * forward(b, net["critic"])
+        held = 2 * forward(b, net["gaussian"]) + 6 * train(opts["cql_samples"] * b, net["critic"])
+        return target + critics + held + 2 * train(b, net["critic"]) + actor
     target = forward(b, net["gaussian"]) + 2 * forward(opts["target_samples"] * b, net["critic"])
     vae = train(b, net["encoder"]) + train(b, net["decoder"], o + 2 * a)
     vae += forward(opts["mmd_samples"] * b, net["decoder"])

@@ -1,8 +1,8 @@
 """Many seeds as lanes of one program, as processes, or one after another: `python benchmarks/lanes.py`.
 
-Each way trains the same agent (TD3+BC, batch 256, networks 256x256) on the same synthetic log, and says how many updates of a seed
-it makes a second, all seeds together, and how long a process needs before its first update is done (start, imports, compiling).
-Processes are started together and wait for each other before they are timed; on a CPU each has a core of its own.
+Each way trains the same agent (TD3+BC, batch 256, networks 256x256) on the same synthetic log, and says how many updates of a
+seed it makes a second, all seeds together, and how long a process needs before its first update is done (start, imports,
+compiling). Processes are started together and wait for each other before they are timed; on a CPU each has a core of its own.
 """
 
 import argparse

@@ -41,7 +41,11 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
     if options["peer"] == "fqe":
         return _fqe(log, options)
     fields: dict[str, Any] = {"hidden": (options["width"],) * 2, "batch_size": options["batch"]}
-    if options["behaviour"]:
+    if options["peer"] == "cql":
+        fields |= {"draws": options["cql_samples"]}
+    if options["peer"] == "bcq":
+        fields |= {"behavior_hidden": (options["behaviour_width"],) * 2, "draws": options["target_samples"]}
+    if options["peer"] == "bear":
         fields |= {
             "behavior": options["behaviour"], "behavior_hidden": (options["behaviour_width"],) * 2, "warm_start": 0,
             "policy_samples": options["mmd_samples"], "behavior_samples": options["mmd_samples"],

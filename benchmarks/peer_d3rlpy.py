@@ -15,7 +15,17 @@ warnings.filterwarnings("ignore")
 import peer_nemo  # noqa: E402
 import protocol  # noqa: E402
 import torch  # noqa: E402
-from d3rlpy.algos import BCConfig, BEARConfig, SACConfig, TD3PlusBCConfig  # noqa: E402
+from d3rlpy.algos import (  # noqa: E402
+    AWACConfig,
+    BCConfig,
+    BCQConfig,
+    BEARConfig,
+    CQLConfig,
+    IQLConfig,
+    ReBRACConfig,
+    SACConfig,
+    TD3PlusBCConfig,
+)
 from d3rlpy.dataset import MDPDataset  # noqa: E402
 from d3rlpy.models.encoders import VectorEncoderFactory  # noqa: E402
 from d3rlpy.ope import FQE, FQEConfig  # noqa: E402
@@ -56,6 +66,19 @@ def config(opts: dict[str, Any]) -> Any:
         return TD3PlusBCConfig(**common, update_actor_interval=2)
     if opts["peer"] == "sac":
         return SACConfig(**common)
+    if opts["peer"] == "iql":
+        return IQLConfig(**common, value_encoder_factory=hidden)
+    if opts["peer"] == "awac":
+        return AWACConfig(**common)
+    if opts["peer"] == "rebrac":
+        layers = [opts["width"]] * 2
+        normalised = VectorEncoderFactory(hidden_units=layers, activation="relu", use_layer_norm=True)
+        return ReBRACConfig(**common | {"critic_encoder_factory": normalised}, update_actor_interval=2)
+    if opts["peer"] == "cql":
+        return CQLConfig(**common, n_action_samples=opts["cql_samples"])
+    if opts["peer"] == "bcq":
+        behaviour = encoder(opts["behaviour_width"])
+        return BCQConfig(**common, imitator_encoder_factory=behaviour, n_action_samples=opts["target_samples"])
     return BEARConfig(
         **common,
         imitator_encoder_factory=encoder(opts["behaviour_width"]),

@@ -24,6 +24,11 @@ CASES: dict[str, tuple[str, str | None, int | None]] = {
     "bear-gaussian": ("bear", "gaussian", None),
     "bear-vae": ("bear", "vae", None),
     "bear-vae-750": ("bear", "vae", 750),  # the width of the published code's VAE
+    "iql": ("iql", None, None),
+    "awac": ("awac", None, None),
+    "rebrac": ("rebrac", None, None),
+    "cql": ("cql", None, None),
+    "bcq": ("bcq", "vae", None),
     "fqe-11": ("fqe", None, None),  # fitted Q evaluation of 11 policies: an update is one of each policy's critic
     "nemo-40": ("nemo", None, None),  # an update of 40 models and 128 designs; the peer is a loop over models in PyTorch
 }
@@ -53,7 +58,8 @@ def options(case: str, *, batch: int, width: int, threads: int, rows: int = 100_
         "observation": 17,
         "action": 6,
         "mmd_samples": 4,
-        "target_samples": 10,
+        "target_samples": 10,  # actions that BEAR's and BCQ's targets take the best of
+        "cql_samples": 10,  # actions of each of three kinds
         "threads": threads,
         "rows": rows,
         "seed": seed,

@@ -7,9 +7,13 @@ import pytest
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
-@pytest.mark.parametrize("case", ["fqe-11", pytest.param("nemo-40", marks=pytest.mark.slow)])
+SLOW = pytest.mark.slow
+CASES = ["iql", "awac", "cql", "bcq", "fqe-11", pytest.param("rebrac", marks=SLOW), pytest.param("nemo-40", marks=SLOW)]
+
+
+@pytest.mark.parametrize("case", CASES)
 def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
-    """Of fitted Q evaluation and NEMO: the program may do a little more, never less than it is credited with."""
+    """The program may do a little more (what it does twice, which XLA finds), never less than it is credited with."""
     monkeypatch.syspath_prepend(str(FOLDER))
     import flops
     import ours
@@ -18,4 +22,4 @@ def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
     options = protocol.options(case, batch=64, width=64, threads=1, rows=500)
     program = ours.make_ours(case, options).flops
     assert flops.needed(options) <= program * 1.001
-    assert program == pytest.approx(flops.needed(options), rel=0.05)
+    assert program == pytest.approx(flops.needed(options), rel=0.12)

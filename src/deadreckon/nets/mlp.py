@@ -69,6 +69,14 @@ class MLP(eqx.Module):
         """The network's output."""
         return self.after_first(x @ self.weights[0] + self.biases[0])
 
+    def beside(self, row: Float[Array, "b i1"], many: Float[Array, "*n b i2"]) -> Float[Array, "*n b o"]:
+        """The output for each of `many`, joined behind its row; the rows' part of the first layer is done once for all."""
+        size = row.shape[-1]
+        # One a row: a single product of the joined input is the cheaper form.
+        if many.ndim == row.ndim:
+            return self(jnp.concatenate([row, many], -1))
+        return self.after_first(row @ self.weights[0][:size] + self.biases[0] + many @ self.weights[0][size:])
+
     def after_first(self, pre: Float[Array, "*b h"]) -> Float[Array, "*b o"]:
         """The rest of the network from the first layer's output before its activation."""
         x = pre
@@ -117,16 +125,7 @@ def q_values(
     """
     if jnp.issubdtype(action.dtype, jnp.integer):
         return jnp.take_along_axis(all_q_values(critics, observation), action[None, :, None], -1)[..., 0]
-    size = observation.shape[-1]
-
-    def one(net: MLP) -> Array:
-        # One action a state: a single product of the joined input is the cheaper form.
-        if action.ndim == observation.ndim:
-            return net(jnp.concatenate([observation, action], -1))[..., 0]
-        pre = observation @ net.weights[0][:size] + net.biases[0] + action @ net.weights[0][size:]
-        return net.after_first(pre)[..., 0]
-
-    return jax.vmap(one)(critics)
+    return jax.vmap(lambda net: net.beside(observation, action)[..., 0])(critics)
 
 
 def all_q_values(critics: MLP, observation: Float[Array, "b o"]) -> Float[Array, "k b n"]:

@@ -33,10 +33,8 @@ class VAE(eqx.Module):
         )
 
     def decode(self, observation: Float[Array, "b o"], latent: Float[Array, "*n b z"]) -> Float[Array, "*n b a"]:
-        """Actions before the tanh; the observations' part of the first layer is computed once for all latents."""
-        net, size = self.decoder, observation.shape[-1]
-        pre = observation @ net.weights[0][:size] + net.biases[0] + latent @ net.weights[0][size:]
-        return net.after_first(pre)
+        """Actions before the tanh."""
+        return self.decoder.beside(observation, latent)
 
     def sample(self, observation: Float[Array, "b o"], key: PRNGKeyArray, count: tuple[int, ...] = ()) -> Array:
         """Decoded actions BEFORE the tanh, `count` a state, from clamped standard-normal latents."""

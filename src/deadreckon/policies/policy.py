@@ -141,8 +141,7 @@ class VAEDecoder(Inner):
 
 def moved(mover: MLP, reach: Any, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n a"]:
     """Actions in [-1, 1], each moved by `reach` tanh(mover(s, a)) and kept within."""
-    seen = jnp.broadcast_to(observation, (*action.shape[:-1], observation.shape[-1]))
-    return jnp.clip(action + reach * jnp.tanh(mover(jnp.concatenate([seen, action], -1))), -1.0, 1.0)
+    return jnp.clip(action + reach * jnp.tanh(mover.beside(observation, action)), -1.0, 1.0)
 
 
 class Moved(Inner):
