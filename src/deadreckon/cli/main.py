@@ -23,6 +23,7 @@ COMMANDS = {
     "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench judges the estimators"),
     "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
+    "bench": ("bench", "bench", "run a whole declared table and show it beside published numbers; bench list, bench show"),
     "report": ("report", "report", "one self-contained HTML page from run folders"),
 }
 

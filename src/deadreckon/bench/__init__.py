@@ -1,0 +1,1 @@
+"""Benchmarks: suites of methods on tasks, their runs, and what the results say."""

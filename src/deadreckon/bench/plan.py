@@ -1,0 +1,178 @@
+"""A suite as cells, each with a name made of its content, and as jobs, which are cells of one program.
+
+A cell is one method on one log, task or problem with one seed. Its name depends on all that its numbers depend on: the code
+of the methods, every setting, the data, the seed. Which cells are one job is decided by the suite alone, never by what has been
+done already, so that a suite that was stopped goes on with the same programs.
+"""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from deadreckon.bench.suite import Method, Suite
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import digest
+
+UNUSED = ("bench", "cli", "report")  # parts of the package that no number depends on
+
+
+@dataclass(frozen=True)
+class Job:
+    """Cells that differ in their seed alone, and are run as one program.
+
+    Attributes:
+        kind: of the suite.
+        method: its name in tables.
+        agent: name of the agent or designer.
+        settings: all its fields.
+        preset: name of the published settings that it began from, or "".
+        on: name of the log, task or problem.
+        data: what tells the data from other data: a log's own name, or the fingerprint of a file.
+        asked: what else decides the numbers: steps, episodes, ...
+        seeds: one cell each.
+    """
+
+    kind: str
+    method: str
+    agent: str
+    settings: dict[str, Any]
+    preset: str
+    on: str
+    data: str
+    asked: dict[str, Any]
+    seeds: tuple[int, ...]
+
+    def cell(self, seed: int, with_code: bool = True) -> str:
+        """The name of the cell with that seed; without the code it is the same for all versions of the methods."""
+        content = [self.kind, self.agent, self.settings, self.data, self.asked, len(self.seeds), seed]
+        return digest([*content, code()] if with_code else content, 10)
+
+    @property
+    def cells(self) -> list[str]:
+        """Of all seeds."""
+        return [self.cell(seed) for seed in self.seeds]
+
+    @property
+    def name(self) -> str:
+        """Of the job's files: the method, where, and the first cell's name."""
+        text = f"{self.method}-{self.on}"
+        return "".join(c if c.isalnum() or c in "-+." else "_" for c in text)[:80] + f"-{self.cell(self.seeds[0])}"
+
+
+@cache
+def code() -> str:
+    """Tells versions of the package's methods apart: a digest of all source files that numbers depend on."""
+    found = hashlib.blake2b(digest_size=8)
+    root = files("deadreckon")
+    for name, content in sorted(_sources(root, "")):
+        found.update(name.encode() + b"\0" + content + b"\0")
+    return found.hexdigest()
+
+
+def _sources(folder: Any, prefix: str) -> Iterator[tuple[str, bytes]]:
+    for entry in folder.iterdir():
+        name = f"{prefix}{entry.name}"
+        if entry.is_dir():
+            if entry.name != "__pycache__" and name not in UNUSED:
+                yield from _sources(entry, f"{name}/")
+        elif entry.name.endswith((".py", ".json", ".xml")):
+            yield name, entry.read_bytes()
+
+
+def plan(suite: Suite) -> list[Job]:
+    """All jobs of a suite, in the order of its methods on each of what it is run on.
+
+    Raises:
+        UserError: an unknown method, log, task or problem, or a setting that a method does not have.
+    """
+    describe = {"learn": _learn, "online": _online, "design": _design}[suite.kind]
+    jobs = []
+    for on in suite.on:
+        for method in suite.methods:
+            one = describe(suite, method, on)
+            lanes = suite.lanes or suite.seeds
+            for first in range(0, suite.seeds, lanes):
+                jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + lanes, suite.seeds)))))
+    return jobs
+
+
+def agent_of(job: Job) -> Any:
+    """The agent of a job, as its settings say."""
+    from deadreckon.agents import agent_class
+
+    return agent_class(job.agent)(**{name: _tuples(value) for name, value in job.settings.items()})
+
+
+def _tuples(value: Any) -> Any:
+    """JSON knows lists alone; fields hold tuples."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _fields(made: Any) -> dict[str, Any]:
+    return json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}))
+
+
+def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
+    """All settings of a method's agent, and the preset that they began from."""
+    from deadreckon.agents import agent_class, preset, preset_for
+
+    kind = agent_class(method.agent)
+    known = {f.name for f in dataclasses.fields(kind)}
+    for name in method.fields:
+        if name not in known:
+            raise UserError(f"{suite.name}, method {method.name!r}: {unknown(f'field of {method.agent}', name, known)}")
+    published = preset_for(method.agent, on) if method.preset else None
+    given = {name: _tuples(value) for name, value in method.fields.items()}
+    return _fields(kind(**(preset(method.agent, published) if published else {}) | given)), published or ""
+
+
+def _learn(suite: Suite, method: Method, on: str) -> Job:
+    settings, published = _agent(suite, method, on)
+    data = log_identity(on, suite.rows)
+    return Job("learn", method.name, method.agent, settings, published, on, data, _run(suite, on), (0,))
+
+
+def _run(suite: Suite, on: str) -> dict[str, Any]:
+    steps = suite.steps[on]
+    return {"steps": steps, "episodes": suite.episodes, "every": steps // suite.evaluations}
+
+
+@cache
+def log_identity(name: str, rows: int | None) -> str:
+    """What tells a log from others: the name under which it is collected, or the fingerprint of a file."""
+    from deadreckon.collect.recipes import collected_name, recipe, recipe_names
+
+    if name in recipe_names():
+        return collected_name(recipe(name), rows, 0)
+    from deadreckon.data.catalogue import load
+
+    if rows is not None:
+        raise UserError(f"rows = {rows}: of {name}, which is no recipe, all rows are taken")
+    log = load(name)
+    return f"{log.name} {log.fingerprint}"
+
+
+def _online(suite: Suite, method: Method, on: str) -> Job:
+    from deadreckon.tasks.registry import task
+
+    settings, published = _agent(suite, method, on)
+    return Job("online", method.name, method.agent, settings, published, on, task(on).name, _run(suite, on), (0,))
+
+
+def _design(suite: Suite, method: Method, on: str) -> Job:
+    from deadreckon.mbo import PROBLEMS
+    from deadreckon.mbo.registry import sized
+
+    if on not in PROBLEMS:
+        raise unknown("problem", on, PROBLEMS)
+    made: Any = sized(method.agent, on, suite.budget)
+    if method.fields:
+        made = made.replace(**{name: _tuples(value) for name, value in method.fields.items()})
+    settings = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}, default=repr))
+    asked = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
+    return Job("design", method.name, method.agent, settings, "", on, on, asked, (0,))

@@ -1,0 +1,74 @@
+"""Numbers that others have published, kept as data files that say where they are from: `load`, `scores`, `reference`.
+
+They were made on the original logs and simulators: beside ours for orientation, never averaged with ours. What was wrong with
+the scan of a table, and where the thesis's tables contradict each other, is listed in the files and on the documentation's page
+on published numbers.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data.catalogue import ENTRIES
+from deadreckon.errors import UserError, unknown
+from deadreckon.tasks import Reference, names, task
+
+_FILES = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.json"))}
+
+
+def load(name: str) -> dict[str, Any]:
+    """A published table, with its `source` and `note`.
+
+    Args:
+        name: `table_7_1` (normalised scores) or `table_7_2` (returns) of the thesis, `b_1` (its settings of MBPO), `corl`, or
+            `references` (D4RL's returns of tasks that this package has not rebuilt).
+
+    Raises:
+        UserError: there is no such table; the message names the nearest or all.
+    """
+    if name not in _FILES:
+        raise unknown("published table", name, _FILES)
+    return json.loads(_FILES[name].read_text(encoding="utf-8"))
+
+
+def scores(task: str) -> dict[str, float]:
+    """Normalised scores by algorithm, thesis Table 7.1; empty where it has none.
+
+    Args:
+        task: a log, such as `hopper-medium-v2@dr1` or `hopper-medium`. Version and origin do not matter; `hopper-mixed` is the
+            thesis's other name of `hopper-medium-replay`.
+    """
+    table, name = load("table_7_1")["scores"], _plain(task)
+    if name not in table and name.endswith("-mixed"):
+        name = name.removesuffix("mixed") + "medium-replay"
+    return table.get(name, {})
+
+
+def reference(domain: str) -> Reference:
+    """D4RL's returns of random actions and of the expert, the 0 and 100 of its scores.
+
+    Args:
+        domain: a task or log, such as `maze2d-umaze`, `hopper`, `hopper-medium-v2@dr1` or `pen-human`, or what tasks share,
+            such as `pen` and `flow-ring`.
+
+    Raises:
+        UserError: D4RL has none, or the name is not known.
+    """
+    name = _plain(domain)
+    judged = {_plain(log): entry.task for log, entry in ENTRIES.items()} | {known: known for known in names()}
+    if name in judged:
+        found = task(judged[name]).published
+        if found is None:
+            raise UserError(f"D4RL has no reference returns of {domain!r}")
+        return found
+    others = load("references")
+    for known, (random, expert) in others["returns"].items():
+        if name == known or name.startswith(known + "-"):
+            return Reference(random, expert, others["source"])
+    raise unknown("domain", domain, {*judged, *others["returns"]})
+
+
+def _plain(name: str) -> str:
+    """Without origin and version: `hopper-medium` of `hopper-medium-v2@dr1`."""
+    return re.sub(r"-v\d+$", "", name.partition("@")[0])

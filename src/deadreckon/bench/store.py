@@ -1,0 +1,126 @@
+"""Results: one row a cell, and the curves behind them, in Parquet parts that are written once and never changed.
+
+    results/JOB.parquet    a row a cell
+    curves/JOB.parquet     a row an evaluation of a cell
+    failed/JOB.json        why a job ended without results; gone when it has some
+    runs/JOB               the job's run folder
+
+Every part has a name of its own and appears whole, so any number of writers may share a folder.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from deadreckon.bench.plan import Job, code
+from deadreckon.files import read_json, replacing, write_json
+
+RESULT = pa.schema(
+    [
+        ("cell", pa.string()),  # content-derived name, the code included
+        ("content", pa.string()),  # the same without the code
+        ("suite", pa.string()),
+        ("kind", pa.string()),
+        ("method", pa.string()),
+        ("agent", pa.string()),
+        ("settings", pa.string()),  # JSON
+        ("preset", pa.string()),
+        ("on", pa.string()),
+        ("data", pa.string()),
+        ("asked", pa.string()),  # JSON
+        ("seed", pa.int64()),
+        ("score", pa.float64()),  # normalised; of designs the best
+        ("raw", pa.float64()),  # undiscounted return, or the best design's score by the judge
+        ("median", pa.float64()),  # of designs: the median's normalised score
+        ("failure", pa.string()),  # of this seed: which metric went bad, and when
+        ("seconds", pa.float64()),  # of the whole job
+        ("steps", pa.int64()),
+        ("code", pa.string()),
+        ("versions", pa.string()),  # JSON
+        ("job", pa.string()),
+    ]
+)
+CURVE = pa.schema(
+    [("cell", pa.string()), ("step", pa.int64()), ("score", pa.float64()), ("raw", pa.float64()), ("spread", pa.float64())]
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a job brought: its rows and its curves, as columns."""
+
+    rows: list[dict[str, Any]]
+    curves: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Store:
+    """A folder of results."""
+
+    path: Path
+
+    def run(self, job: Job) -> Path:
+        """The job's run folder."""
+        return self.path / "runs" / job.name
+
+    def _part(self, kind: str, job: Job) -> Path:
+        return self.path / kind / f"{job.name}.parquet"
+
+    def has(self, job: Job) -> bool:
+        """Whether the job's results are there."""
+        return self._part("results", job).exists()
+
+    def keep(self, suite: str, job: Job, found: Found) -> None:
+        """Writes a job's results; the rows come last, as they say that it is done."""
+        common = {
+            "suite": suite, "kind": job.kind, "method": job.method, "agent": job.agent, "settings": json.dumps(job.settings),
+            "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.asked), "code": code(),
+            "job": job.name,
+        }  # fmt: skip
+        rows = [
+            common | {"cell": job.cell(row["seed"]), "content": job.cell(row["seed"], with_code=False)} | row
+            for row in found.rows
+        ]
+        for kind, schema, table in (("curves", CURVE, found.curves), ("results", RESULT, rows)):
+            with replacing(self._part(kind, job)) as temporary:
+                pq.write_table(pa.Table.from_pylist(table, schema=schema), temporary)
+        self._failed(job).unlink(missing_ok=True)
+
+    def fail(self, job: Job, error: str, trace: str) -> None:
+        """Takes note of why a job ended without results."""
+        about = {"method": job.method, "on": job.on, "seeds": list(job.seeds), "error": error, "trace": trace}
+        write_json(self._failed(job), about)
+
+    def _failed(self, job: Job) -> Path:
+        return self.path / "failed" / f"{job.name}.json"
+
+    def failure(self, job: Job) -> dict[str, Any] | None:
+        """Why a job ended without results, where it did."""
+        path = self._failed(job)
+        return read_json(path) if path.exists() and not self.has(job) else None
+
+    def results(self) -> pa.Table:
+        """All rows."""
+        return self._all("results", RESULT)
+
+    def curves(self) -> pa.Table:
+        """All curves."""
+        return self._all("curves", CURVE)
+
+    def _all(self, kind: str, schema: pa.Schema) -> pa.Table:
+        parts = sorted((self.path / kind).glob("*.parquet"))
+        return pa.concat_tables([pq.read_table(part, schema=schema) for part in parts]) if parts else schema.empty_table()
+
+    def of(self, jobs: list[Job], any_code: bool = False) -> pa.Table:
+        """The rows of these jobs' cells; with `any_code` also those made by other versions of the methods' code."""
+        if any_code:
+            wanted, column = [job.cell(seed, with_code=False) for job in jobs for seed in job.seeds], "content"
+        else:
+            wanted, column = [cell for job in jobs for cell in job.cells], "cell"
+        found = self.results()
+        return found.filter(pc.is_in(found[column], pa.array(wanted, pa.string())))

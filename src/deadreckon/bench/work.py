@@ -1,0 +1,123 @@
+"""What a job is: a run that goes on where it was stopped, and its numbers as rows."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.bench.plan import Job, agent_of
+from deadreckon.bench.store import Found
+
+Watch = Callable[[int, int], None]  # updates done, and in all
+
+
+def perform(job: Job, folder: Path, watch: Watch = lambda done, total: None) -> Found:
+    """Does a job, or the rest of it.
+
+    Args:
+        job: the job.
+        folder: where its run lies.
+        watch: called as it goes.
+    """
+    return {"learn": _learn, "online": _online, "design": _design}[job.kind](job, folder, watch)
+
+
+def prepare(job: Job) -> None:
+    """Makes what several jobs share and only one process should make: the log, where it is missing."""
+    if job.kind == "learn":
+        _log(job)
+
+
+def _log(job: Job) -> Any:
+    from deadreckon.collect.recipes import collect, collected_name, recipe, recipe_names
+    from deadreckon.data.catalogue import load
+
+    if job.on not in recipe_names():
+        return load(job.on)
+    known = recipe(job.on)
+    # The log's own name says how many rows it has, if these are not all.
+    parts = {collected_name(known, None, 0): None}
+    steps = parts[job.data] if job.data in parts else int(job.data.removesuffix("-steps").rpartition("-")[2])
+    return load(collect(job.on, steps=steps))
+
+
+def _learn(job: Job, folder: Path, watch: Watch) -> Found:
+    from deadreckon.runs.train import train
+
+    asked, began = job.asked, time.perf_counter()
+    run = train(
+        agent_of(job), _log(job), steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
+        evaluate_every=asked["every"], episodes=asked["episodes"], chunk=min(1000, asked["every"]), resume=True,
+        watch=lambda progress, steps: watch(progress.step, steps),
+    )  # fmt: skip
+    return _found(job, run, time.perf_counter() - began)
+
+
+def _online(job: Job, folder: Path, watch: Watch) -> Found:
+    from deadreckon.collect.online import Online
+    from deadreckon.runs.online import train_online
+
+    asked, agent, began = job.asked, agent_of(job), time.perf_counter()
+    run = train_online(
+        agent, job.on, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
+        settings=Online(**type(agent).acting(job.on)), evaluate_every=asked["every"], episodes=asked["episodes"], resume=True,
+        watch=lambda progress, steps: watch(progress.step, steps),
+    )  # fmt: skip
+    return _found(job, run, time.perf_counter() - began)
+
+
+def _found(job: Job, run: Any, seconds: float) -> Found:
+    """Rows and curves of a run: means over the episodes of its evaluations."""
+    import json
+
+    told = run.evaluations.to_pydict()
+    judged = "score" in told
+    step, seed = np.asarray(told["step"]), np.asarray(told["seed"])
+    rows, curves = [], []
+    for number, failure in zip(run.seeds, run.failures):
+        own = seed == number
+        for at in np.unique(step[own]):
+            here = own & (step == at)
+            score, raw = (np.asarray(told[name])[here] if judged else np.array([np.nan]) for name in ("score", "return"))
+            spread = float(score.std(ddof=1)) if len(score) > 1 else None
+            point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
+            curves.append({"cell": job.cell(number), "spread": spread} | point)
+        last = curves[-1]
+        rows.append(
+            {
+                "seed": number, "score": last["score"], "raw": last["raw"], "steps": job.asked["steps"], "seconds": seconds,
+                "failure": "" if failure is None else f"{failure.metric} was not finite at update {failure.step}",
+                "versions": json.dumps(run.config["versions"]),
+            }
+        )  # fmt: skip
+    return Found(rows, curves)
+
+
+def _design(job: Job, folder: Path, watch: Watch) -> Found:
+    import json
+
+    from deadreckon.mbo import problem
+    from deadreckon.mbo.protocol import judge
+    from deadreckon.mbo.registry import sized
+    from deadreckon.versions import versions
+
+    designer: Any = sized(job.agent, job.on, job.asked["budget"])
+    if job.asked["fields"]:
+        designer = designer.replace(**{k: tuple(v) if isinstance(v, list) else v for k, v in job.asked["fields"].items()})
+    told = lambda what, step, steps: watch(step, steps)  # noqa: E731
+    [result] = judge(
+        problem(job.on), [(job.method, designer)], job.asked["designs"], seeds=list(job.seeds), out=folder, watch=told
+    )
+    rows = []
+    for i, seed in enumerate(job.seeds):
+        scores = result.scores(i)
+        best, median = (float(scores.percentile(q, True)) for q in (100, 50))
+        rows.append(
+            {
+                "seed": seed, "score": 100.0 * best, "raw": float(scores.percentile(100, False)), "median": 100.0 * median,
+                "steps": 0, "seconds": result.seconds, "failure": "", "versions": json.dumps(versions()),
+            }
+        )  # fmt: skip
+    return Found(rows, [])

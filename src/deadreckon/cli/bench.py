@@ -1,0 +1,138 @@
+"""`deadreckon bench`: a declared table, run to its end; `bench list`, `bench show SUITE`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from deadreckon.cli.parse import parse
+from deadreckon.errors import UserError
+
+
+@dataclass
+class Bench:
+    """Run what is missing of a suite: one of the package by name, or your own TOML file. See also bench list, bench show."""
+
+    suite: Annotated[str, tyro.conf.Positional]  # name or file
+    out: str = "runs/bench"  # folder of results, of any number of suites; what is there is not run again
+    workers: int | None = None  # processes; None: one a core, or one for a GPU
+    dry_run: bool = False  # print what would be run, and how long it may take, and run nothing
+
+
+@dataclass
+class Show:
+    """A suite's results as a table, as far as they are there."""
+
+    suite: Annotated[str, tyro.conf.Positional]  # name or file
+    out: str = "runs/bench"  # folder of results
+    format: Literal["text", "markdown", "csv", "latex"] = "text"  # of the table
+    any_code: bool = False  # also results of other versions of the methods' code
+
+
+@dataclass
+class List:
+    """The suites of the package."""
+
+
+def bench(args: Sequence[str]) -> None:
+    """Runs, shows or lists."""
+    if args and args[0] == "list":
+        return _list(args[1:])
+    if args and args[0] == "show":
+        return _show(args[1:])
+    return _run(parse(Bench, args, "bench"))
+
+
+def _list(args: Sequence[str]) -> None:
+    from deadreckon.bench.suite import names, read
+    from deadreckon.cli.show import table
+
+    parse(List, args, "bench list")
+    suites = [read(name) for name in names()]
+    print(table([["suite", "what"], *([suite.name, suite.about] for suite in suites)]))
+
+
+def _show(args: Sequence[str]) -> None:
+    from deadreckon.bench.plan import plan
+    from deadreckon.bench.store import Store
+    from deadreckon.bench.suite import read
+    from deadreckon.bench.tables import rendered, table
+
+    options = parse(Show, args, "bench show")
+    suite = read(options.suite)
+    print(rendered(table(suite, plan(suite), Store(Path(options.out)), options.any_code), options.format))
+
+
+def _run(options: Bench) -> None:
+    from deadreckon.bench.local import run as run_jobs
+    from deadreckon.bench.local import shares
+    from deadreckon.bench.plan import plan
+    from deadreckon.bench.store import Store
+    from deadreckon.bench.suite import read
+    from deadreckon.bench.tables import rendered, table
+    from deadreckon.bench.times import forecast, text
+    from deadreckon.bench.work import prepare
+
+    if options.workers is not None and options.workers < 1:
+        raise UserError(f"--workers must be 1 or more, got {options.workers}")
+    suite = read(options.suite)
+    jobs, store = plan(suite), Store(Path(options.out))
+    waiting = [job for job in jobs if not store.has(job)]
+    cells = sum(len(job.seeds) for job in jobs)
+    done = len(jobs) - len(waiting)
+    print(f"{suite.name}: {cells:,} cells in {len(jobs):,} jobs, {done:,} of them done; results in {options.out}")
+    seconds = forecast(waiting, store)
+    workers = len(shares(options.workers))
+    if options.dry_run:
+        for job in waiting:
+            took = seconds[job.name]
+            about = "no job like it yet" if took is None else f"about {text(took)}"
+            print(f"  {job.method} on {job.on}, seeds {job.seeds[0]} to {job.seeds[-1]}: {about}")
+    known = [took for took in seconds.values() if took is not None]
+    if waiting and known:
+        more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
+        print(f"about {text(sum(known) / workers)} with {workers} workers, by the times of jobs that are done{more}")
+    if options.dry_run:
+        return
+    for job in {job.data: job for job in waiting}.values():
+        prepare(job)  # here, so that no two workers collect the same log
+    run_jobs(suite.name, jobs, store, _Lines(len(jobs), done), options.workers)
+    print("\n" + rendered(table(suite, jobs, store)))
+    if page := _page(suite, jobs, store):
+        print(page)
+    if any(not store.has(job) for job in jobs):
+        raise SystemExit(1)
+
+
+class _Lines:
+    """Tells what happens: a line a job that begins, ends or fails."""
+
+    def __init__(self, total: int, done: int):
+        self.total, self.done = total, done
+
+    def __call__(self, event) -> None:
+        job = f"{event.job.method} on {event.job.on}"
+        if event.what == "done":
+            self.done += 1
+            seconds = event.told.rows[0]["seconds"]
+            print(f"{self.done} of {self.total}: {job}, {seconds:,.0f} s", flush=True)
+        elif event.what == "failed":
+            print(f"FAILED: {job}: {event.told[0]}", flush=True)
+        elif event.what == "died":
+            print(f"{job}: its process ended with code {event.told}; it is begun again where it was", flush=True)
+
+
+def _page(suite, jobs, store):
+    """A page a log or task; the last one's path."""
+    from deadreckon.report import write
+
+    if suite.kind == "design":
+        return None
+    pages = []
+    for on in suite.on:
+        runs = [store.run(job) for job in jobs if job.on == on and store.has(job)]
+        if runs:
+            pages.append(write(runs, store.path / "reports" / f"{suite.name}-{on}.html", title=f"{suite.name}: {on}"))
+    return "\n".join(map(str, pages))
