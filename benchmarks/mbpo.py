@@ -99,18 +99,16 @@ def ours() -> dict[str, Any]:
     return {"fit": fit, "rollout": rollout, "update": update}
 
 
-def serve(parts: dict[str, Any]) -> None:
-    """Answers how many seconds a unit takes, and what rate of products the machine has."""
+def serve(parts: dict[str, Any], **more: Any) -> None:
+    """Answers how many seconds a unit takes, and what `more` answers."""
     import time
-
-    import worker_ours
 
     def timed(request: dict[str, Any]) -> dict[str, Any]:
         start = time.perf_counter()
         made = parts[request["part"]]()
         return {"seconds": (time.perf_counter() - start) / made}
 
-    protocol.serve({"time": timed, "matmul": worker_ours.matmul})
+    protocol.serve({"time": timed, **more})
 
 
 def report(arguments: argparse.Namespace) -> int:
@@ -168,7 +166,9 @@ def main() -> int:
     parser.add_argument("--serve", action="store_true", help="what the driver starts")
     arguments = parser.parse_args()
     if arguments.serve:
-        serve(ours())
+        import worker_ours
+
+        serve(ours(), matmul=worker_ours.matmul)
         return 0
     return protocol.told(lambda: report(arguments))
 

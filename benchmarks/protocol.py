@@ -3,6 +3,7 @@
 Both Pythons import this file (ours and the peer's), so it needs nothing but the standard library and numpy.
 """
 
+import contextlib
 import json
 import os
 import select
@@ -201,7 +202,8 @@ class Worker:
 
     def close(self) -> None:
         if self._process.stdin:
-            self._process.stdin.close()
+            with contextlib.suppress(BrokenPipeError):  # it is gone already
+                self._process.stdin.close()
         try:
             self._process.wait(5)
         except subprocess.TimeoutExpired:

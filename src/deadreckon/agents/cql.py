@@ -96,15 +96,13 @@ def soft_maximum(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: in
         return jax.nn.logsumexp(all_q_values(critics, batch.observation), axis=-1)
     k_uniform, k_now, k_next = jax.random.split(key, 3)
     rows, size = batch.action.shape
-    actions = [jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)]
-    log_probs = [jnp.full((draws, rows), -size * jnp.log(2.0))]
+    uniform = jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)
+    parts = [q_values(critics, batch.observation, uniform) + size * jnp.log(2.0)]
     for k, seen in ((k_now, batch.observation), (k_next, batch.next_observation)):
         d = dist.gaussian_head(actor(seen))
         pre = dist.sample(d, k, (draws,))
-        actions.append(jnp.tanh(pre))
-        log_probs.append(dist.log_prob(d, pre))
-    q = q_values(critics, batch.observation, jnp.concatenate(actions))
-    return jax.nn.logsumexp(q - jnp.concatenate(log_probs), axis=1)
+        parts.append(q_values(critics, batch.observation, jnp.tanh(pre)) - dist.log_prob(d, pre))
+    return jax.nn.logsumexp(jnp.concatenate(parts, 1), axis=1)
 
 
 def weighted_mean(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:

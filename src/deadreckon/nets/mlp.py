@@ -70,12 +70,12 @@ class MLP(eqx.Module):
         return self.after_first(x @ self.weights[0] + self.biases[0])
 
     def beside(self, row: Float[Array, "b i1"], many: Float[Array, "*n b i2"]) -> Float[Array, "*n b o"]:
-        """The output for each of `many`, joined behind its row; the rows' part of the first layer is done once for all."""
-        size = row.shape[-1]
-        # One a row: a single product of the joined input is the cheaper form.
-        if many.ndim == row.ndim:
-            return self(jnp.concatenate([row, many], -1))
-        return self.after_first(row @ self.weights[0][:size] + self.biases[0] + many @ self.weights[0][size:])
+        """The output for each of `many`, joined behind its row."""
+        # Doing the rows' part of the first layer once saves products of narrow inputs, and costs more than that: its gradient
+        # is a sum over `many`, which XLA does slowly on a CPU (measured: 34 ms instead of 14 for 10 actions of 256 rows).
+        rows = jnp.broadcast_to(row, (*many.shape[:-1], row.shape[-1]))
+        joined = jnp.concatenate([rows, many], -1)
+        return self(joined.reshape(-1, joined.shape[-1])).reshape(*many.shape[:-1], -1)
 
     def after_first(self, pre: Float[Array, "*b h"]) -> Float[Array, "*b o"]:
         """The rest of the network from the first layer's output before its activation."""
@@ -120,8 +120,7 @@ def q_values(
 ) -> Float[Array, "k *n b"]:
     """Q of every critic of an ensemble, for one action a state or for several (leading axes of `action`).
 
-    The first layer's product with the observations is done once, however many actions are asked for. Of discrete actions,
-    which are integers, critics have an output each.
+    Of discrete actions, which are integers, critics have an output each.
     """
     if jnp.issubdtype(action.dtype, jnp.integer):
         return jnp.take_along_axis(all_q_values(critics, observation), action[None, :, None], -1)[..., 0]
