@@ -18,6 +18,8 @@ import tyro
 import deadreckon as dr
 from deadreckon.agents import agent_class, preset, preset_for
 from deadreckon.agents.agent import Agent
+from deadreckon.bench.published import scores
+from deadreckon.bench.tables import THEIRS
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.report import write
@@ -55,16 +57,6 @@ BUDGET: dict[str, dict[str, Any]] = {
     "fql": {"hidden": (256,) * 4},
     "decision_transformer": {"batch_size": 16, "lr": 1e-3, "warm_up": 1000},
 }
-# Thesis Table 7.1, normalised scores after 500,000 updates on D4RL's own logs. CQL's on hopper-medium disagrees with the return
-# in the thesis's Table 7.2, which has it at 79.
-THESIS = {
-    "maze2d-umaze": {"BC": 3.8, "SAC-off": 88.2, "BEAR": 3.4, "BRAC-p": 4.7, "BRAC-v": -16.0, "AWR": 1.0, "BCQ": 12.8,
-                     "AlgaeDICE": -15.7, "CQL": 5.7},
-    "hopper-medium": {"BC": 29.0, "SAC-off": 0.8, "BEAR": 52.1, "BRAC-p": 32.7, "BRAC-v": 31.1, "AWR": 35.9, "BCQ": 54.5,
-                      "AlgaeDICE": 1.2, "CQL": 58.0},
-}  # fmt: skip
-
-
 @dataclass
 class Options:
     """All agents on the same logs."""
@@ -118,7 +110,6 @@ def main(options: Options) -> None:
 def markdown(folders: dict[str, dict[str, Path]]) -> str:
     """Scores of the last evaluation with 95 % intervals over seeds and episodes, a row an agent, the thesis's beside them."""
     logs = list(folders)
-    stems = {log: log.rpartition("-v")[0] for log in logs}
     behaviour = [f"{gym_tables.behaviour(dr.load_run(next(iter(runs.values())))):.1f}" for runs in folders.values()]
     heads = [head for log in logs for head in (f"{log}: score", "thesis")]
     lines = ["| agent | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
@@ -127,7 +118,7 @@ def markdown(folders: dict[str, dict[str, Path]]) -> str:
         cells = []
         for log in logs:
             run = dr.load_run(folders[log][label])
-            cells += [gym_tables.last_score(run), str(THESIS.get(stems[log], {}).get(label, ""))]
+            cells += [gym_tables.last_score(run), str(scores(log).get(THEIRS.get(label, label), ""))]
         lines.append(f"| {label} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -16,7 +16,7 @@ from deadreckon._version import __version__
 from deadreckon.errors import UserError
 
 if TYPE_CHECKING:
-    from deadreckon import agents, collect, data, mbo, ope, policies, report, runs, tasks, theory
+    from deadreckon import agents, bench, collect, data, mbo, ope, policies, report, runs, tasks, theory
     from deadreckon.collect.recipes import collect as collect_log
     from deadreckon.data.catalogue import load
     from deadreckon.data.dataset import Dataset
@@ -43,10 +43,10 @@ _HOMES = {
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
 }
-_PACKAGES = ("agents", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
+_PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
-    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "collect", "collect_log", "data", "dope", "evaluate",
-    "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train",
+    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "data", "dope",
+    "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train",
     "train_online",
 ]  # fmt: skip
 

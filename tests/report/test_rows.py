@@ -6,7 +6,7 @@ import pytest
 from run_folders import TASK, write_run
 
 from deadreckon.report.entries import read
-from deadreckon.report.rows import against, paired, published, rows, versus
+from deadreckon.report.rows import against, paired, rows, versus
 from deadreckon.report.terminal import headline, table
 from deadreckon.report.verdict import verdict
 from deadreckon.runs.evaluate import Interval, mean_interval
@@ -115,10 +115,3 @@ def test_terminal_table_shows_the_same_numbers(runs):
         line = next(line for line in text.splitlines() if line.startswith(r.label + " "))
         assert f"{r.score.mean:.1f} [{r.score.low:.1f}, {r.score.high:.1f}]" in line
     assert headline(runs).startswith("Deploy TD3+BC: score ")
-
-
-def test_published_numbers():
-    known = published()
-    assert known["suites"][0]["maze2d-large"] == [2.7, 5.0, -1.9, 4.6]
-    assert known["suites"][1]["hopper-medium"] == [100.0, 29.0, 0.8, 52.1]  # 8.0 in print, read upside down
-    assert len(known["methods"]) == 4

@@ -16,8 +16,8 @@ from deadreckon.training.learner import static
 
 LEARNED = "learned"  # when episodes end is then the model's to say
 
-# Table B.1 and the public code's target entropies. Of the two columns with G = 40 only HalfCheetah is sure (ERRATA of the
-# thesis's scan); InvertedPendulum has 10 in the public code. `length` is k: first, last, from epoch, to epoch.
+# Table B.1 and the public code's target entropies. Of the two columns with G = 40 only HalfCheetah is sure in the
+# thesis's scan; InvertedPendulum has 10 in the public code. `length` is k: first, last, from epoch, to epoch.
 PRESETS: dict[str, dict[str, Any]] = {
     "inverted-pendulum": {"length": (1, 1, 1, 2), "target_entropy": -0.05, "updates_per_step": 10},
     "hopper": {"length": (1, 15, 20, 100), "target_entropy": -1.0},

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from deadreckon.bench.plan import Job, code
@@ -123,4 +123,4 @@ class Store:
         else:
             wanted, column = [cell for job in jobs for cell in job.cells], "cell"
         found = self.results()
-        return found.filter(pc.is_in(found[column], pa.array(wanted, pa.string())))
+        return found.filter(pa.array(np.isin(found[column].to_pylist(), wanted), pa.bool_()))

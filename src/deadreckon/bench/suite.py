@@ -144,7 +144,7 @@ def _suite(name: str, where: str, told: dict[str, Any]) -> Suite:
 
 def _steps(where: str, told: Any, on: list[str]) -> dict[str, int]:
     """Of each of `on`, from one number for all or one each."""
-    each = told if isinstance(told, dict) else dict.fromkeys(on, told)
+    each: dict[str, Any] = told if isinstance(told, dict) else dict.fromkeys(on, told)
     if set(each) != set(on):
         raise UserError(f"{where}: steps must be one number, or name each of {', '.join(on)}; it names {', '.join(each)}")
     for name, value in each.items():

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from deadreckon.bench import published
 from deadreckon.bench.plan import Job
@@ -122,7 +121,7 @@ def _notes(suite: Suite, jobs: Sequence[Job], store: Store, found: pa.Table) -> 
     waiting = [job for job in missing if store.failure(job) is None]
     if waiting:
         notes.append(f"not run yet: {len(waiting)} of {len(jobs)} jobs")
-    for row in found.filter(pc.not_equal(found["failure"], "")).to_pylist():
+    for row in (row for row in found.to_pylist() if row["failure"]):
         told = f"{row['failure']}; its last good policy counts"
         notes.append(f"seed {row['seed']} of {row['method']} on {row['on']} failed: {told}")
     return notes

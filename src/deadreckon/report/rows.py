@@ -1,9 +1,6 @@
 """The numbers of a report: one row a policy, and intervals of their differences. Page and terminal both show these."""
 
-import json
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
 
 import numpy as np
 
@@ -168,11 +165,6 @@ def rows(page: Page) -> list[Row]:
     runs = [row(entry) for entry in page.entries]
     runs.sort(key=lambda r: -np.inf if r.worth is None or np.isnan(r.worth.mean) else r.worth.mean, reverse=True)
     return log_rows(page) + runs
-
-
-def published() -> dict[str, Any]:
-    """Scores of the thesis, to be shown apart."""
-    return json.loads(resources.files("deadreckon.report").joinpath("assets", "published.json").read_text())
 
 
 def _mean(values: np.ndarray | None) -> float | None:

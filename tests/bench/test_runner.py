@@ -1,0 +1,160 @@
+"""Jobs are run once, by processes that may die; what they bring is kept, and shown."""
+
+import dataclasses
+import json
+import multiprocessing
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from deadreckon.bench.local import run, shares
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import Found, Store
+from deadreckon.bench.suite import read
+from deadreckon.bench.tables import rendered, table
+from deadreckon.bench.times import forecast, text
+from deadreckon.bench.work import perform, prepare
+from deadreckon.cli.main import main
+
+SUITE = """
+seeds = 2
+steps = 60
+evaluations = 2
+episodes = 2
+logs = ["maze2d-umaze-v1"]
+rows = 600
+
+[methods]
+BC = { agent = "bc", fields = { hidden = [8], batch_size = 16 } }
+TD3 = { agent = "td3", fields = { hidden = [8], batch_size = 16 } }
+"""
+
+
+@pytest.fixture
+def suite(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SUITE)
+    return read(path)
+
+
+def made(job, scores, failure=""):
+    """Results as a job would bring them."""
+    versions = json.dumps({"jax": "1", "mujoco": "2"})
+    rows = [
+        {"seed": seed, "score": score, "raw": 2 * score, "steps": 60, "seconds": 30.0, "failure": failure, "versions": versions}
+        for seed, score in zip(job.seeds, scores)
+    ]
+    return Found(rows, [])
+
+
+def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
+    jobs = plan(suite)
+    prepare(jobs[0])
+    lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log")
+    store, events = Store(tmp_path / "out"), []
+
+    def told(event):
+        events.append((event.what, event.job.method))
+        if event.what == "begun" and len(events) == 1:  # the first process, as soon as it has its job
+            [child] = multiprocessing.active_children()
+            os.kill(child.pid, signal.SIGKILL)
+
+    run("small", [*jobs, lost], store, told, workers=1)
+    whats = [event for event in events if event[0] != "progress"]
+    assert whats == [("begun", "BC"), ("died", "BC"), ("begun", "BC"), ("done", "BC"), ("begun", "TD3"), ("done", "TD3"),
+                     ("begun", "lost"), ("failed", "lost")]  # fmt: skip
+    assert "no-such-log" in store.failure(lost)["error"]
+    found = store.of(jobs)
+    assert sorted(found["cell"].to_pylist()) == sorted(cell for job in jobs for cell in job.cells)
+    assert np.isfinite(found["score"].to_numpy()).all()
+    assert len(store.curves()) == 2 * 2 * 2  # evaluations, seeds, jobs
+
+    events.clear()
+    run("small", jobs, store, told, workers=1)
+    assert events == []  # nothing is done twice
+
+    # The numbers are those of the same job in this process, to the last bit of their means.
+    again = perform(jobs[0], tmp_path / "again")
+    mine = found.filter(np.asarray(found["method"]) == "BC")
+    assert [row["score"] for row in again.rows] == pytest.approx(mine["score"].to_pylist(), rel=1e-4)
+
+
+def test_a_process_that_always_dies_is_given_up_and_the_others_go_on(suite, tmp_path):
+    jobs, store = plan(suite), Store(tmp_path / "out")
+    deaths = []
+
+    def told(event):
+        if event.what == "begun" and event.job.method == "BC":
+            for child in multiprocessing.active_children():
+                os.kill(child.pid, signal.SIGKILL)
+            deaths.append(event)
+
+    run("small", jobs[:1], store, told, workers=1)
+    assert len(deaths) == 3
+    assert "died 3 times" in store.failure(jobs[0])["error"]
+
+
+def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
+    jobs, store = plan(suite), Store(tmp_path)
+    store.fail(jobs[1], "out of luck", "")
+    store.keep("small", jobs[0], made(jobs[0], (10.0, 12.0)))
+    shown = table(suite, jobs, store)
+    assert str(shown.cells["BC"]["maze2d-umaze-v1"].estimate) == "11 [-1.706, 23.71]"  # 11 -+ 12.706 * 1
+    plain = rendered(shown)
+    assert "11.0 [-1.7, 23.7]" in plain
+    assert "FAILED: TD3 on maze2d-umaze-v1: out of luck" in plain
+    assert "3.8" in plain  # the thesis's BC
+    assert not shown.cells["TD3"]["maze2d-umaze-v1"].bold
+
+    store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1), "critic_loss was not finite at update 7"))
+    shown = table(suite, jobs, store)
+    assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
+    assert "**50.0 [49.4, 50.7]**" in rendered(shown, "markdown")
+    assert r"\textbf{50.0 [49.4, 50.7]}" in rendered(shown, "latex")
+    head, bc, td3 = rendered(shown, "csv").split("\n")
+    assert td3.startswith("maze2d-umaze-v1,TD3,2,50.05,")
+    assert "FAILED" not in rendered(shown)
+    assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered(shown)
+
+
+def test_results_of_other_code_are_shown_when_asked_for(suite, tmp_path, monkeypatch):
+    jobs, store = plan(suite), Store(tmp_path)
+    store.keep("small", jobs[0], made(jobs[0], (1.0, 2.0)))
+    monkeypatch.setattr("deadreckon.bench.plan.code", lambda: "another")
+    assert len(store.of(jobs)) == 0
+    assert len(store.of(jobs, any_code=True)) == 2
+    assert "1.5" in rendered(table(suite, jobs, store, any_code=True))
+    assert "not run yet: 2 of 2 jobs" in rendered(table(suite, jobs, store))
+
+
+def test_times_come_from_jobs_that_are_done(suite, tmp_path):
+    jobs, store = plan(suite), Store(tmp_path)
+    assert forecast(jobs, store) == {job.name: None for job in jobs}
+    store.keep("small", jobs[0], made(jobs[0], (1.0, 2.0)))
+    longer = dataclasses.replace(jobs[0], asked=jobs[0].asked | {"steps": 600})
+    assert forecast([longer, jobs[1]], store) == {longer.name: 300.0, jobs[1].name: None}
+    assert [text(seconds) for seconds in (5, 300, 7200)] == ["5 s", "5 min", "2.0 h"]
+
+
+def test_workers_share_the_cores():
+    cores = sorted(os.sched_getaffinity(0))
+    assert shares(1) == [cores]
+    assert [len(share) for share in shares(len(cores))] == [1] * len(cores)
+    assert len(shares(len(cores) + 3)) == len(cores) + 3
+
+
+def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):
+    assert main(["bench", "list"]) == 0
+    assert "quick" in capsys.readouterr().out
+    assert main(["bench", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "4 cells in 2 jobs, 0 of them done" in out
+    assert "TD3 on maze2d-umaze-v1, seeds 0 to 1: no job like it yet" in out
+    assert not (tmp_path / "out").exists()
+    assert main(["bench", "quik"]) == 2
+    assert "did you mean quick" in capsys.readouterr().err
+    assert main(["bench", "quick", "--workers", "0"]) == 2
+    assert main(["bench", "show", "quick", "--out", str(tmp_path / "out"), "--format", "markdown"]) == 0
+    assert "not run yet: 4 of 4 jobs" in capsys.readouterr().out

@@ -1,0 +1,134 @@
+"""Suites say what is to be run; cells are named by content."""
+
+import dataclasses
+import subprocess
+import sys
+
+import pytest
+
+from deadreckon import UserError
+from deadreckon.bench.plan import agent_of, plan
+from deadreckon.bench.suite import names, read
+
+SMALL = """
+kind = "learn"
+seeds = 3
+steps = 40
+evaluations = 2
+episodes = 2
+logs = ["maze2d-umaze-v1"]
+rows = 600
+
+[methods]
+BC = { agent = "bc", fields = { hidden = [8] } }
+CQL = { agent = "cql", preset = true }
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="small"):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_suite_of_the_package_can_be_planned(name):
+    suite = read(name)
+    jobs = plan(suite)
+    assert suite.about
+    assert len(jobs) == len(suite.methods) * len(suite.on)
+    cells = [cell for job in jobs for cell in job.cells]
+    assert len(set(cells)) == len(cells) == len(jobs) * suite.seeds
+    assert len({job.name for job in jobs}) == len(jobs)
+
+
+def test_the_thesis_has_suites():
+    assert {"bear", "d4rl-gym", "d4rl-maze2d", "mbpo", "nemo", "quick"} <= set(names())
+
+
+def test_a_plan_holds_settings_presets_and_data(written):
+    bc, cql = plan(read(written(SMALL)))
+    assert (bc.settings["hidden"], bc.data) == ([8], "maze2d-umaze-v1@dr1-600-steps")
+    assert bc.asked == {"steps": 40, "episodes": 2, "every": 20}
+    assert agent_of(bc).hidden == (8,)
+    assert cql.preset == "maze2d"
+    assert cql.settings["lagrange"] is True
+
+
+def test_cells_are_named_by_all_that_their_numbers_depend_on(written):
+    job = plan(read(written(SMALL)))[0]
+    others = [
+        dataclasses.replace(job, settings=job.settings | {"lr": 0.5}), dataclasses.replace(job, data="another"),
+        dataclasses.replace(job, asked=job.asked | {"steps": 41}), dataclasses.replace(job, seeds=(0, 1)),
+        dataclasses.replace(job, agent="td3"),
+    ]  # fmt: skip
+    assert len({job.cell(0), job.cell(1), *(other.cell(0) for other in others)}) == 7
+    # What a table calls it changes nothing.
+    assert dataclasses.replace(job, method="cloning").cell(0) == job.cell(0)
+    assert job.cell(0, with_code=False) != job.cell(0)
+
+
+def test_names_are_the_same_in_every_process(written):
+    path = written(SMALL)
+    told = "from deadreckon.bench.plan import plan; from deadreckon.bench.suite import read; import sys; "
+    told += "print([job.cells for job in plan(read(sys.argv[1]))])"
+    out = subprocess.run([sys.executable, "-c", told, path], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == str([job.cells for job in plan(read(path))])
+
+
+def test_lanes_split_seeds_into_jobs(written):
+    jobs = plan(read(written(SMALL.replace("seeds = 3", "seeds = 5\nlanes = 2"))))
+    assert [job.seeds for job in jobs[:3]] == [(0, 1), (2, 3), (4,)]
+
+
+def test_steps_may_differ_by_log(written):
+    two = SMALL.replace('["maze2d-umaze-v1"]', '["maze2d-umaze-v1", "maze2d-medium-v1"]')
+    jobs = plan(read(written(two.replace("steps = 40", "steps = { maze2d-umaze-v1 = 40, maze2d-medium-v1 = 60 }"))))
+    assert [job.asked["steps"] for job in jobs] == [40, 40, 60, 60]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seeds = 3", "sedes = 3", "unknown key of a suite of kind learn 'sedes': did you mean seeds"),
+        ("seeds = 3", "seeds = 0", "seeds must be a whole number of 1 or more, got 0"),
+        ("seeds = 3", "seeds = true", "seeds must be a whole number of 1 or more, got True"),
+        ("steps = 40", "steps = { maze2d-medium-v1 = 40 }", "steps must be one number, or name each of maze2d-umaze-v1"),
+        ("evaluations = 2", "evaluations = 50", "50 evaluations are more than its 40 steps"),
+        ('kind = "learn"', 'kind = "lern"', "kind must be one of learn, online, design, got 'lern'"),
+        ('logs = ["maze2d-umaze-v1"]', "logs = []", "logs must be a list of different names"),
+        ('agent = "bc", ', "", "method 'BC' must say its agent"),
+        ('agent = "bc", ', 'agent = "bc", preset = 1, ', "preset of method 'BC' must be a bool, got 1"),
+        ('agent = "bc", ', 'agent = "bc", felds = 1, ', "unknown key of method 'BC' 'felds': did you mean fields"),
+        ("rows = 600", "designs = 5", "unknown key of a suite of kind learn 'designs'"),
+        ("seeds = 3", "seeds = ", "is not TOML"),
+    ],
+)
+def test_wrong_suites_are_refused_in_one_line(written, old, new, message):
+    assert old in SMALL
+    with pytest.raises(UserError, match=r"small\.toml") as error:
+        read(written(SMALL.replace(old, new)))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('agent = "bc"', 'agent = "bcc"', "unknown agent 'bcc'"),
+        ("hidden = [8]", "hiden = [8]", "unknown field of bc 'hiden': did you mean hidden"),
+        ('"maze2d-umaze-v1"', '"maze2d-umaze-v9"', "maze2d-umaze-v9"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_is(written, old, new, message):
+    with pytest.raises(UserError, match=message):
+        plan(read(written(SMALL.replace(old, new))))
+
+
+def test_an_unknown_suite_names_the_nearest():
+    with pytest.raises(UserError, match="did you mean quick"):
+        read("quik")
