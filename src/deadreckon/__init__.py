@@ -46,8 +46,8 @@ _HOMES = {
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "data", "dope",
-    "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory", "train",
-    "train_online",
+    "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory",
+    "train", "train_online",
 ]  # fmt: skip
 
 

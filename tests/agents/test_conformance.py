@@ -48,10 +48,10 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-# What this suite looks at is others' too: of TD3 and its kin TD3+BC's, of SAC and its kin SAC's, of weighted imitation IQL's,
-# and where there is a model SAC's and test_dreaming.py's.
+# What this suite looks at is others' too: of TD3 and its kin TD3+BC's, of SAC and its kin SAC's, of weighted imitation IQL's
+# (of AWR's windows more in test_rivals.py), and where there is a model SAC's and test_dreaming.py's.
 SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "bcq", "brac", "rebrac", "cql", "sac_n", "edac", "xql", "awac",
-        "crr", "algae_dice", "rem", "kl_control", "dqfd",
+        "crr", "awr", "algae_dice", "rem", "kl_control", "dqfd",
         "fql", "decision_transformer")  # fmt: skip
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
