@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.agents import AGENTS
 from deadreckon.collect.online import Online
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
@@ -17,7 +18,11 @@ from deadreckon.runs.train import Run
 from deadreckon.tasks import registry
 from deadreckon.tasks.task import Task
 
-NAMES = {"bc": "BC", "td3": "TD3", "td3_bc": "TD3+BC", "sac": "SAC", "bear": "BEAR", "bear_is": "IS-BEAR"}
+# How agents are written, where that is not the name of their class.
+NAMES = {
+    "td3_bc": "TD3+BC", "bear_is": "IS-BEAR", "sac_n": "SAC-N", "kl_control": "KL-control",
+    "decision_transformer": "Decision Transformer",
+}  # fmt: skip
 Columns = dict[str, np.ndarray]
 
 
@@ -192,8 +197,13 @@ def _config(path: Path) -> dict[str, Any]:
     return found
 
 
+def _written(agent: str) -> str:
+    known = AGENTS.get(agent)
+    return NAMES.get(agent) or (known[1] if known else agent)
+
+
 def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
-    names = [str(NAMES.get(c["agent"]["name"], c["agent"]["name"])) + (" online" if "online" in c else "") for _, c in raw]
+    names = [_written(c["agent"]["name"]) + (" online" if "online" in c else "") for _, c in raw]
     labels = [name if names.count(name) == 1 else f"{name} ({path.name})" for name, (path, _) in zip(names, raw)]
     return [label if labels.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(labels)]
 
