@@ -19,7 +19,6 @@ import deadreckon as dr
 from deadreckon.agents import agent_class, preset, preset_for
 from deadreckon.agents.agent import Agent
 from deadreckon.bench.published import scores
-from deadreckon.bench.tables import THEIRS
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.report import write
@@ -118,7 +117,7 @@ def markdown(folders: dict[str, dict[str, Path]]) -> str:
         cells = []
         for log in logs:
             run = dr.load_run(folders[log][label])
-            cells += [gym_tables.last_score(run), str(scores(log).get(THEIRS.get(label, label), ""))]
+            cells += [gym_tables.last_score(run), str(scores(log).get({"AlgaeDICE": "aDICE"}.get(label, label), ""))]
         lines.append(f"| {label} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -52,7 +52,7 @@ def made(job, scores, failure=""):
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
     jobs = plan(suite)
     prepare(jobs[0])
-    lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log")
+    lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log")
     store, events = Store(tmp_path / "out"), []
 
     def told(event):
@@ -75,13 +75,13 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
     run("small", jobs, store, told, workers=1)
     assert events == []  # nothing is done twice
 
-    # The numbers are those of the same job in this process, to the last bit of their means.
+    # The numbers are those of the same job in this process, which has other threads.
     again = perform(jobs[0], tmp_path / "again")
     mine = found.filter(np.asarray(found["method"]) == "BC")
     assert [row["score"] for row in again.rows] == pytest.approx(mine["score"].to_pylist(), rel=1e-4)
 
 
-def test_a_process_that_always_dies_is_given_up_and_the_others_go_on(suite, tmp_path):
+def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path / "out")
     deaths = []
 
@@ -110,23 +110,69 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
 
     store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1), "critic_loss was not finite at update 7"))
     shown = table(suite, jobs, store)
+    # What went bad is not best, whatever it scored.
+    assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [True, False]
+    assert "50.0 [49.4, 50.7] (2 failed)" in rendered(shown)
+    assert "FAILED" not in rendered(shown)
+    assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered(shown)
+
+    store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1)))
+    shown = table(suite, jobs, store)
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
     assert "**50.0 [49.4, 50.7]**" in rendered(shown, "markdown")
     assert r"\textbf{50.0 [49.4, 50.7]}" in rendered(shown, "latex")
     head, bc, td3 = rendered(shown, "csv").split("\n")
     assert td3.startswith("maze2d-umaze-v1,TD3,2,50.05,")
-    assert "FAILED" not in rendered(shown)
-    assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered(shown)
 
 
 def test_results_of_other_code_are_shown_when_asked_for(suite, tmp_path, monkeypatch):
     jobs, store = plan(suite), Store(tmp_path)
-    store.keep("small", jobs[0], made(jobs[0], (1.0, 2.0)))
-    monkeypatch.setattr("deadreckon.bench.plan.code", lambda: "another")
+    def by(name):
+        for place in ("plan", "store", "tables"):
+            monkeypatch.setattr(f"deadreckon.bench.{place}.code", lambda: name)
+
+    for version, scores in (("a", (1.0, 2.0)), ("d", (3.0, 4.0)), ("c", (5.0, 6.0))):
+        by(version)
+        store.keep("small", jobs[0], made(jobs[0], scores))
+    by("b")
     assert len(store.of(jobs)) == 0
-    assert len(store.of(jobs, any_code=True)) == 2
-    assert "1.5" in rendered(table(suite, jobs, store, any_code=True))
+    assert len(store.of(jobs, any_code=True)) == 6
+    assert "5.5" in rendered(table(suite, jobs, store, any_code=True))  # the newest
     assert "not run yet: 2 of 2 jobs" in rendered(table(suite, jobs, store))
+    assert "not run yet: 1 of 2 jobs" in rendered(table(suite, jobs, store, any_code=True))
+    by("d")
+    assert "3.5" in rendered(table(suite, jobs, store, any_code=True))  # the present code's, though another is newer
+
+
+def test_jobs_that_are_the_same_by_content_are_done_once(suite, tmp_path):
+    jobs, store = plan(suite), Store(tmp_path)
+    twin = dataclasses.replace(jobs[0], method="cloning")
+    assert store.undone([*jobs, twin]) == jobs
+    store.keep("small", twin, made(twin, (1.0, 2.0)))
+    assert store.undone([*jobs, twin]) == [jobs[1]]
+    assert "1.5" in rendered(table(suite, jobs, store))
+
+
+def test_a_log_without_a_simulator_has_no_scores_and_says_so(suite, tmp_path):
+    jobs, store = plan(suite), Store(tmp_path)
+    for job in jobs:
+        store.keep("small", job, made(job, (np.nan, np.nan)))
+    assert "no simulator to judge in, so no scores: maze2d-umaze-v1" in rendered(table(suite, jobs, store))
+    assert "nan" not in rendered(table(suite, jobs, store))
+
+
+def test_a_design_suite_runs_through(tmp_path):
+    path = tmp_path / "d.toml"
+    path.write_text('kind = "design"\nseeds = 2\nproblems = ["branin"]\ndesigns = 8\n'
+                    '[methods]\nbest = { agent = "best" }\nrandom = { agent = "random" }\n')  # fmt: skip
+    store = Store(tmp_path / "out")
+    jobs = plan(read(path))
+    for job in jobs:
+        store.keep("d", job, perform(job, store.run(job)))
+    found = store.of(jobs).to_pylist()
+    assert len(found) == 4
+    assert all(row["median"] <= row["score"] for row in found)
+    assert "branin" in rendered(table(read(path), jobs, store))
 
 
 def test_times_come_from_jobs_that_are_done(suite, tmp_path):

@@ -129,6 +129,16 @@ def test_what_cannot_be_run_is_refused_before_anything_is(written, old, new, mes
         plan(read(written(SMALL.replace(old, new))))
 
 
+@pytest.mark.parametrize(
+    ("agent", "steps", "message"),
+    [("bc", 20_000, "method 'A': bc does not learn online"), ("sac", 300, "more steps")],
+)
+def test_an_online_suite_needs_agents_that_act_and_steps_enough(written, agent, steps, message):
+    told = f'kind = "online"\ntasks = ["inverted-pendulum"]\nsteps = {steps}\n[methods]\nA = {{ agent = "{agent}" }}\n'
+    with pytest.raises(UserError, match=message):
+        plan(read(written(told)))
+
+
 def test_an_unknown_suite_names_the_nearest():
     with pytest.raises(UserError, match="did you mean quick"):
         read("quik")

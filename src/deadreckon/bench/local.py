@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deadreckon.bench.plan import Job
+from deadreckon.bench.plan import Job, code
 from deadreckon.bench.store import Store
 
 TRIES = 3  # of a job whose process dies; what went on until then is on disk and is not done again
@@ -49,7 +49,7 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, workers: int 
         told: called with what happens.
         workers: processes; None: one a core, or one for a GPU.
     """
-    waiting = [job for job in jobs if not store.has(job)]
+    waiting = store.undone(jobs)
     tries = dict.fromkeys((job.name for job in waiting), 0)
     team = [_Worker(cores, store.path) for cores in shares(workers)[: len(waiting)]]
     try:
@@ -73,6 +73,11 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, workers: int 
                         waiting.insert(0, job)
                     else:
                         event = Event("failed", job, (f"its process died {TRIES} times, the last with code {event.told}", ""))
+                if event.what == "done":
+                    found, made_by = event.told
+                    event = event._replace(told=found)
+                    if made_by != code():  # under its name lie results of that code alone
+                        event = Event("failed", job, ("the package's source was changed while it ran; run it again", ""))
                 if event.what == "done":
                     store.keep(suite, job, event.told)
                     told(event)
@@ -130,6 +135,7 @@ def _serve(pipe: Connection, cores: list[int], path: Path) -> None:
         os.sched_setaffinity(0, cores)  # before anything starts threads
     from deadreckon.bench.work import perform
     from deadreckon.errors import UserError
+    from deadreckon.files import alone
 
     store = Store(path)
     while True:
@@ -138,10 +144,16 @@ def _serve(pipe: Connection, cores: list[int], path: Path) -> None:
         except (EOFError, KeyboardInterrupt):
             return
         try:
-            found = perform(job, store.run(job), lambda done, total: pipe.send(("progress", (done, total))))
+            with alone(store.run(job)):  # of all that write to this folder
+                found = perform(job, store.run(job), lambda done, total: pipe.send(("progress", (done, total))))
+            answer: Any = ("done", (found, code()))
+        except BrokenPipeError:
+            return  # nobody listens any more; what is on disk is gone on with
         except UserError as error:
-            pipe.send(("failed", (str(error), "")))
+            answer = ("failed", (str(error), ""))
         except Exception as error:  # noqa: BLE001 - told in the list of failures, with its trace; the other jobs go on
-            pipe.send(("failed", (f"{type(error).__name__}: {error}", traceback.format_exc())))
-        else:
-            pipe.send(("done", found))
+            answer = ("failed", (f"{type(error).__name__}: {error}", traceback.format_exc()))
+        try:
+            pipe.send(answer)
+        except OSError:
+            return

@@ -16,9 +16,11 @@ from typing import Any
 
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import digest
+from deadreckon.files import digest, home
 
-UNUSED = ("bench", "cli", "report")  # parts of the package that no number depends on
+# Parts of the package that no number depends on.
+UNUSED = ("cli", "report", "bench/published", "bench/statistics.py", "bench/suites", "bench/tables.py", "bench/times.py")
+SOURCES = (".py", ".json", ".xml", ".npz", ".csv")  # policies that make logs among them
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,12 @@ class Job:
     @property
     def name(self) -> str:
         """Of the job's files: the method, where, and the first cell's name."""
-        text = f"{self.method}-{self.on}"
-        return "".join(c if c.isalnum() or c in "-+." else "_" for c in text)[:80] + f"-{self.cell(self.seeds[0])}"
+        return f"{file_name(f'{self.method}-{self.on}')}-{self.cell(self.seeds[0])}"
+
+
+def file_name(text: str) -> str:
+    """A name as a part of a file's."""
+    return "".join(c if c.isalnum() or c in "-+." else "_" for c in text)[:80].lstrip(".")
 
 
 @cache
@@ -80,7 +86,7 @@ def _sources(folder: Any, prefix: str) -> Iterator[tuple[str, bytes]]:
         if entry.is_dir():
             if entry.name != "__pycache__" and name not in UNUSED:
                 yield from _sources(entry, f"{name}/")
-        elif entry.name.endswith((".py", ".json", ".xml")):
+        elif entry.name.endswith(SOURCES) and name not in UNUSED:
             yield name, entry.read_bytes()
 
 
@@ -117,11 +123,16 @@ def _fields(made: Any) -> dict[str, Any]:
     return json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}))
 
 
+_WAYS = {"learn": "from a log", "online": "online"}
+
+
 def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     """All settings of a method's agent, and the preset that they began from."""
     from deadreckon.agents import agent_class, preset, preset_for
 
     kind = agent_class(method.agent)
+    if not (kind.online if suite.kind == "online" else kind.offline):
+        raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} does not learn {_WAYS[suite.kind]}")
     known = {f.name for f in dataclasses.fields(kind)}
     for name in method.fields:
         if name not in known:
@@ -161,7 +172,16 @@ def _online(suite: Suite, method: Method, on: str) -> Job:
     from deadreckon.tasks.registry import task
 
     settings, published = _agent(suite, method, on)
-    return Job("online", method.name, method.agent, settings, published, on, task(on).name, _run(suite, on), (0,))
+    job = Job("online", method.name, method.agent, settings, published, on, task(on).name, _run(suite, on), (0,))
+    turns(job).updates(suite.steps[on])  # refuses what is too short
+    return job
+
+
+def turns(job: Job) -> Any:
+    """How acting and learning take turns in an online job."""
+    from deadreckon.collect.online import Online
+
+    return Online(**type(agent_of(job)).acting(job.on))
 
 
 def _design(suite: Suite, method: Method, on: str) -> Job:
@@ -171,8 +191,29 @@ def _design(suite: Suite, method: Method, on: str) -> Job:
     if on not in PROBLEMS:
         raise unknown("problem", on, PROBLEMS)
     made: Any = sized(method.agent, on, suite.budget)
-    if method.fields:
-        made = made.replace(**{name: _tuples(value) for name, value in method.fields.items()})
-    settings = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}, default=repr))
+    for name in method.fields:
+        if name not in vars(made):
+            raise UserError(f"{suite.name}, method {method.name!r}: {unknown(f'field of {method.agent}', name, vars(made))}")
     asked = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
-    return Job("design", method.name, method.agent, settings, "", on, on, asked, (0,))
+    job = Job("design", method.name, method.agent, {}, "", on, _problem_identity(on, PROBLEMS[on].file), asked, (0,))
+    made = designer_of(job)
+    settings = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}, default=repr))
+    return dataclasses.replace(job, settings=settings)
+
+
+def designer_of(job: Job) -> Any:
+    """The designer of a job, as its suite says."""
+    from deadreckon.mbo.registry import sized
+
+    made: Any = sized(job.agent, job.on, job.asked["budget"])
+    changes = {name: _tuples(value) for name, value in job.asked["fields"].items()}
+    return made.replace(**changes) if changes else made
+
+
+@cache
+def _problem_identity(name: str, file: str | None) -> str:
+    """A problem's name, and what tells its file from others, where it has one."""
+    path = None if file is None else home() / "designs" / file
+    if path is None or not path.is_file():
+        return name
+    return f"{name} {hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()}"

@@ -9,6 +9,7 @@ Every part has a name of its own and appears whole, so any number of writers may
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ RESULT = pa.schema(
         ("raw", pa.float64()),  # undiscounted return, or the best design's score by the judge
         ("median", pa.float64()),  # of designs: the median's normalised score
         ("failure", pa.string()),  # of this seed: which metric went bad, and when
-        ("seconds", pa.float64()),  # of the whole job
+        ("seconds", pa.float64()),  # of the whole job, since it was last begun
         ("steps", pa.int64()),
         ("code", pa.string()),
         ("versions", pa.string()),  # JSON
@@ -71,9 +72,14 @@ class Store:
     def _part(self, kind: str, job: Job) -> Path:
         return self.path / kind / f"{job.name}.parquet"
 
-    def has(self, job: Job) -> bool:
-        """Whether the job's results are there."""
-        return self._part("results", job).exists()
+    def undone(self, jobs: Sequence[Job]) -> list[Job]:
+        """The jobs without results, one of those that are the same by content."""
+        done = set(self.results()["cell"].to_pylist())
+        waiting: dict[tuple[str, ...], Job] = {}
+        for job in jobs:
+            if not done.issuperset(job.cells):
+                waiting.setdefault(tuple(job.cells), job)
+        return list(waiting.values())
 
     def keep(self, suite: str, job: Job, found: Found) -> None:
         """Writes a job's results; the rows come last, as they say that it is done."""
@@ -100,9 +106,9 @@ class Store:
         return self.path / "failed" / f"{job.name}.json"
 
     def failure(self, job: Job) -> dict[str, Any] | None:
-        """Why a job ended without results, where it did."""
+        """Why a job ended without results, where that is the last thing that happened to it."""
         path = self._failed(job)
-        return read_json(path) if path.exists() and not self.has(job) else None
+        return read_json(path) if path.exists() else None
 
     def results(self) -> pa.Table:
         """All rows."""
@@ -113,10 +119,11 @@ class Store:
         return self._all("curves", CURVE)
 
     def _all(self, kind: str, schema: pa.Schema) -> pa.Table:
-        parts = sorted((self.path / kind).glob("*.parquet"))
+        # The newest last, of which `tables` makes use.
+        parts = sorted((self.path / kind).glob("*.parquet"), key=lambda part: (part.stat().st_mtime_ns, part.name))
         return pa.concat_tables([pq.read_table(part, schema=schema) for part in parts]) if parts else schema.empty_table()
 
-    def of(self, jobs: list[Job], any_code: bool = False) -> pa.Table:
+    def of(self, jobs: Sequence[Job], any_code: bool = False) -> pa.Table:
         """The rows of these jobs' cells; with `any_code` also those made by other versions of the methods' code."""
         if any_code:
             wanted, column = [job.cell(seed, with_code=False) for job in jobs for seed in job.seeds], "content"

@@ -99,8 +99,8 @@ def read(name: Path | str) -> Suite:
     else:
         try:
             text, where = path.read_text("utf-8"), str(path)
-        except OSError as error:
-            raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+        except (OSError, UnicodeDecodeError) as error:
+            raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
     try:
         told = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -164,4 +164,7 @@ def _method(where: str, name: str, told: Any) -> Method:
     for key, value in told.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
+    for key, value in told.get("fields", {}).items():
+        if not isinstance(value, bool | int | float | str | list):
+            raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
     return Method(name, **told)

@@ -1,16 +1,17 @@
 """A suite's results as a table: means with intervals, the bold rule, published numbers beside them, and what is missing."""
 
 import csv
+import dataclasses
 import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from deadreckon.bench import published
-from deadreckon.bench.plan import Job
+from deadreckon.bench.plan import Job, code
 from deadreckon.bench.statistics import Estimate, bold, interval, iqm
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
@@ -18,8 +19,8 @@ from deadreckon.errors import unknown
 from deadreckon.ope.intervals import student
 
 FORMATS = ("text", "markdown", "csv", "latex")
-# Names of methods in the thesis's tables, where they differ from ours.
-THEIRS = {"AlgaeDICE": "aDICE"}
+# Agents in the thesis's Table 7.1; BRAC has a name for each form.
+THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,11 @@ class Cell:
     missing: int
     failed: int
     bold: bool = False
+
+    @property
+    def sound(self) -> bool:
+        """Whether all seeds are there, have a score, and none went bad."""
+        return not (self.missing or self.failed) and len(self.scores) > 0 and bool(np.isfinite(self.scores).all())
 
     @property
     def estimate(self) -> Estimate:
@@ -66,41 +72,42 @@ def table(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = Fals
         store: where results lie.
         any_code: take results of other versions of the methods' code, too.
     """
-    found = store.of(list(jobs), any_code)
-    cells: dict[str, dict[str, Cell]] = {}
-    for job in jobs:
-        own = _rows(found, job, any_code)
-        before = cells.setdefault(job.method, {}).get(job.on, Cell(np.zeros(0), 0, 0))
-        scores = np.concatenate([before.scores, own["score"].to_numpy(zero_copy_only=False)])
-        failed = sum(text != "" for text in own["failure"].to_pylist())
-        missing = before.missing + len(job.seeds) - len(own)
-        cells[job.method][job.on] = Cell(scores, missing, before.failed + failed)
-    full = {m: on for m, on in cells.items() if all(not c.missing and np.isfinite(c.scores).all() for c in on.values())}
-    if full:
-        marks = bold({method: {on: cell.scores for on, cell in row.items()} for method, row in full.items()})
-        for method, row in full.items():
-            for (on, cell), mark in zip(list(row.items()), marks[method]):
-                cells[method][on] = Cell(cell.scores, 0, cell.failed, bool(mark))
-    whole = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
-    printed = {on: _printed(suite, on) for on in suite.on} if suite.kind == "learn" else {}
-    return Table(suite, cells, printed, whole, tuple(_notes(suite, jobs, store, found)))
-
-
-def _rows(found: pa.Table, job: Job, any_code: bool) -> pa.Table:
-    """One row a seed; of several versions of the code the one that was read last."""
     column = "content" if any_code else "cell"
-    wanted = {job.cell(seed, with_code=not any_code) for seed in job.seeds}
-    last = {name: i for i, name in enumerate(found[column].to_pylist()) if name in wanted}
-    return found.take(pa.array(sorted(last.values()), pa.int64()))
+    by_cell: dict[str, dict[str, Any]] = {}
+    for row in store.of(jobs, any_code).to_pylist():  # the newest last; of the present code, where there are any
+        known = by_cell.get(row[column])
+        if known is None or row["code"] == code() or known["code"] != code():
+            by_cell[row[column]] = row
+    cells: dict[str, dict[str, Cell]] = {}
+    shown: list[dict[str, Any]] = []
+    for job in jobs:
+        names = [job.cell(seed, with_code=not any_code) for seed in job.seeds]
+        own = [by_cell[name] | {"method": job.method, "on": job.on} for name in names if name in by_cell]
+        shown += own
+        before = cells.setdefault(job.method, {}).get(job.on, Cell(np.zeros(0), 0, 0))
+        scores = np.concatenate([before.scores, np.array([row["score"] for row in own], float)])
+        failed = before.failed + sum(row["failure"] != "" for row in own)
+        cells[job.method][job.on] = Cell(scores, before.missing + len(names) - len(own), failed)
+    for on in suite.on:
+        whole = {method: row[on].scores for method, row in cells.items() if row[on].sound}
+        for method, marks in (bold({method: [scores] for method, scores in whole.items()}) if whole else {}).items():
+            cells[method][on] = dataclasses.replace(cells[method][on], bold=bool(marks[0]))
+    full = {method: row for method, row in cells.items() if all(cell.sound for cell in row.values())}
+    means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
+    printed = {on: _printed(suite, on) for on in suite.on} if suite.kind == "learn" else {}
+    missing = [job for job in jobs if not all(job.cell(seed, with_code=not any_code) in by_cell for seed in job.seeds)]
+    return Table(suite, cells, printed, means, tuple(_notes(suite, jobs, missing, store, shown)))
 
 
 def _printed(suite: Suite, on: str) -> dict[str, float]:
-    scores = published.scores(on)
-    names = {method.name: THEIRS.get(method.name, method.name) for method in suite.methods}
+    scores, names = published.scores(on), {}
+    for method in suite.methods:
+        form = "BRAC-v" if method.fields.get("value_form", True) else "BRAC-p"
+        names[method.name] = form if method.agent == "brac" else THEIRS.get(method.agent, "")
     return {ours: scores[theirs] for ours, theirs in names.items() if theirs in scores}
 
 
-def _notes(suite: Suite, jobs: Sequence[Job], store: Store, found: pa.Table) -> list[str]:
+def _notes(suite: Suite, jobs: Sequence[Job], missing: Sequence[Job], store: Store, found: list[dict[str, Any]]) -> list[str]:
     notes = [f"{suite.seeds} seeds; means with Student's 95 % intervals over seeds, wide where these are few"]
     again = sorted({job.on for job in jobs if "@dr" in job.data})
     if again:
@@ -108,20 +115,22 @@ def _notes(suite: Suite, jobs: Sequence[Job], store: Store, found: pa.Table) -> 
     if any(_printed(suite, on) for on in suite.on) and suite.kind == "learn":
         notes.append("thesis: Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator")
     notes += _tuned(jobs)
-    codes = sorted(set(found["code"].to_pylist()))
+    blind = sorted({row["on"] for row in found if np.isnan(row["score"])})
+    if blind:
+        notes.append(f"no simulator to judge in, so no scores: {', '.join(blind)}")
+    codes = {row["code"] for row in found}
     if len(codes) > 1:
         notes.append(f"results of {len(codes)} versions of the methods' code stand side by side")
-    versions = {json.dumps({k: v for k, v in json.loads(text).items() if k in ("jax", "mujoco", "device", "python")})
-                for text in found["versions"].to_pylist()}  # fmt: skip
+    told = ("jax", "mujoco", "device", "python")
+    versions = {json.dumps({k: v for k, v in json.loads(row["versions"]).items() if k in told}) for row in found}
     notes += [f"made with {', '.join(f'{k} {v}' for k, v in json.loads(text).items())}" for text in sorted(versions)]
-    missing = [job for job in jobs if not store.has(job)]
     for job in missing:
         if failure := store.failure(job):
             notes.append(f"FAILED: {job.method} on {job.on}: {failure['error']}")
     waiting = [job for job in missing if store.failure(job) is None]
     if waiting:
         notes.append(f"not run yet: {len(waiting)} of {len(jobs)} jobs")
-    for row in (row for row in found.to_pylist() if row["failure"]):
+    for row in (row for row in found if row["failure"]):
         told = f"{row['failure']}; its last good policy counts"
         notes.append(f"seed {row['seed']} of {row['method']} on {row['on']} failed: {told}")
     return notes
@@ -168,9 +177,10 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
         row = [on]
         for method in methods:
             cell = table.cells[method][on]
-            text = _shown(cell.estimate) if len(cell.scores) else "-"
+            text = _shown(cell.estimate) if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
             text = mark.format(text) if cell.bold else text
-            row.append(text + (f" ({cell.missing} missing)" if cell.missing and len(cell.scores) else ""))
+            counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
+            row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
         rows.append(row)
         if any(table.printed.get(on, {}).values()):
             rows.append(["  thesis", *(f"{table.printed[on][m]:.1f}" if m in table.printed[on] else "" for m in methods)])
@@ -189,7 +199,7 @@ def _text(table: Table) -> str:
 
 
 def _markdown(table: Table) -> str:
-    head, *rows = _grid(table, "**{}**")
+    head, *rows = ([cell.replace("|", r"\|") for cell in row] for row in _grid(table, "**{}**"))
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
     lines += ["| " + " | ".join(cell.strip() for cell in row) + " |" for row in rows]
     return "\n".join([*lines, "", *(f"- {note}" for note in table.notes)])
@@ -197,9 +207,9 @@ def _markdown(table: Table) -> str:
 
 def _latex(table: Table) -> str:
     def safe(text: str) -> str:
-        for sign in "&%_#":
+        for sign in "&%_#$":
             text = text.replace(sign, f"\\{sign}")
-        return text
+        return text.replace("^", r"\^{}").replace("~", r"\~{}")
 
     head, *rows = ([safe(cell.strip()) for cell in row] for row in _grid(table, r"\textbf{{{}}}"))
     lines = [r"\begin{tabular}{l" + "r" * (len(head) - 1) + "}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]

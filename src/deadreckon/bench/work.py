@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.bench.plan import Job, agent_of
+from deadreckon.bench.plan import Job, agent_of, designer_of, turns
 from deadreckon.bench.store import Found
 
 Watch = Callable[[int, int], None]  # updates done, and in all
@@ -56,13 +56,12 @@ def _learn(job: Job, folder: Path, watch: Watch) -> Found:
 
 
 def _online(job: Job, folder: Path, watch: Watch) -> Found:
-    from deadreckon.collect.online import Online
     from deadreckon.runs.online import train_online
 
-    asked, agent, began = job.asked, agent_of(job), time.perf_counter()
+    asked, began = job.asked, time.perf_counter()
     run = train_online(
-        agent, job.on, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
-        settings=Online(**type(agent).acting(job.on)), evaluate_every=asked["every"], episodes=asked["episodes"], resume=True,
+        agent_of(job), job.on, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
+        settings=turns(job), evaluate_every=asked["every"], episodes=asked["episodes"], resume=True,
         watch=lambda progress, steps: watch(progress.step, steps),
     )  # fmt: skip
     return _found(job, run, time.perf_counter() - began)
@@ -85,9 +84,10 @@ def _found(job: Job, run: Any, seconds: float) -> Found:
             point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
             curves.append({"cell": job.cell(number), "spread": spread} | point)
         last = curves[-1]
+        steps = last["step"] if failure and job.kind == "learn" else job.asked["steps"]
         rows.append(
             {
-                "seed": number, "score": last["score"], "raw": last["raw"], "steps": job.asked["steps"], "seconds": seconds,
+                "seed": number, "score": last["score"], "raw": last["raw"], "steps": steps, "seconds": seconds,
                 "failure": "" if failure is None else f"{failure.metric} was not finite at update {failure.step}",
                 "versions": json.dumps(run.config["versions"]),
             }
@@ -100,15 +100,11 @@ def _design(job: Job, folder: Path, watch: Watch) -> Found:
 
     from deadreckon.mbo import problem
     from deadreckon.mbo.protocol import judge
-    from deadreckon.mbo.registry import sized
     from deadreckon.versions import versions
 
-    designer: Any = sized(job.agent, job.on, job.asked["budget"])
-    if job.asked["fields"]:
-        designer = designer.replace(**{k: tuple(v) if isinstance(v, list) else v for k, v in job.asked["fields"].items()})
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
     [result] = judge(
-        problem(job.on), [(job.method, designer)], job.asked["designs"], seeds=list(job.seeds), out=folder, watch=told
+        problem(job.on), [(job.method, designer_of(job))], job.asked["designs"], seeds=list(job.seeds), out=folder, watch=told
     )
     rows = []
     for i, seed in enumerate(job.seeds):

@@ -79,7 +79,7 @@ def _run(options: Bench) -> None:
         raise UserError(f"--workers must be 1 or more, got {options.workers}")
     suite = read(options.suite)
     jobs, store = plan(suite), Store(Path(options.out))
-    waiting = [job for job in jobs if not store.has(job)]
+    waiting = store.undone(jobs)
     cells = sum(len(job.seeds) for job in jobs)
     done = len(jobs) - len(waiting)
     print(f"{suite.name}: {cells:,} cells in {len(jobs):,} jobs, {done:,} of them done; results in {options.out}")
@@ -96,13 +96,20 @@ def _run(options: Bench) -> None:
         print(f"about {text(sum(known) / workers)} with {workers} workers, by the times of jobs that are done{more}")
     if options.dry_run:
         return
-    for job in {job.data: job for job in waiting}.values():
-        prepare(job)  # here, so that no two workers collect the same log
+    for data, job in {job.data: job for job in waiting}.items():
+        try:
+            prepare(job)  # here, so that no two workers collect the same log
+        except UserError as error:
+            print(f"FAILED: {job.on}: {error}", flush=True)
+            for one in (one for one in waiting if one.data == data):
+                store.fail(one, str(error), "")
+            jobs = [one for one in jobs if one.data != data]
     run_jobs(suite.name, jobs, store, _Lines(len(jobs), done), options.workers)
+    jobs = plan(suite)
     print("\n" + rendered(table(suite, jobs, store)))
     if page := _page(suite, jobs, store):
         print(page)
-    if any(not store.has(job) for job in jobs):
+    if store.undone(jobs):
         raise SystemExit(1)
 
 
@@ -126,13 +133,16 @@ class _Lines:
 
 def _page(suite, jobs, store):
     """A page a log or task; the last one's path."""
+    from deadreckon.bench.plan import file_name
     from deadreckon.report import write
 
     if suite.kind == "design":
         return None
     pages = []
+    folders = {row["cell"]: store.path / "runs" / row["job"] for row in store.of(jobs).to_pylist()}
     for on in suite.on:
-        runs = [store.run(job) for job in jobs if job.on == on and store.has(job)]
+        runs = {folders[job.cells[0]]: None for job in jobs if job.on == on and job.cells[0] in folders}
         if runs:
-            pages.append(write(runs, store.path / "reports" / f"{suite.name}-{on}.html", title=f"{suite.name}: {on}"))
+            page = store.path / "reports" / f"{file_name(f'{suite.name}-{on}')}.html"
+            pages.append(write(list(runs), page, title=f"{suite.name}: {on}"))
     return "\n".join(map(str, pages))
