@@ -41,9 +41,9 @@ WORLDS = {
 }
 
 
-def cases(names, everywhere=()):
-    """Every method in every world. Fast tests have one world of fitted methods, and all but the grid of those `everywhere`."""
-    slow = lambda world, name: world == "grid" or (world != "ends" and name not in everywhere)  # noqa: E731
+def cases(names, everywhere=(), nowhere=()):
+    """Every method in every world. Fast: one world of fitted methods, all but the grid of `everywhere`, none of `nowhere`."""
+    slow = lambda world, name: world == "grid" or (world != "ends" and name not in everywhere) or name in nowhere  # noqa: E731
     return pytest.mark.parametrize(
         ("world", "name"), indirect=["world"],
         argvalues=[pytest.param(w, n, marks=pytest.mark.slow if slow(w, n) else ()) for w in WORLDS for n in names],
@@ -60,7 +60,7 @@ def world(request):
     return case, true, policies
 
 
-@cases(FITTED, everywhere=["fqe"])
+@cases(FITTED, everywhere=["fqe"], nowhere=["dual-dice", "gen-dice"])  # whose ratios are looked at below
 def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     case, _, policies = world
     seen = MDP.of(case.data)
@@ -70,7 +70,7 @@ def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     np.testing.assert_allclose(found.value, exact, atol=0.05 * scale, err_msg=name)
 
 
-@cases([name for name in FITTED if "dice" in name or name == "vpm"])
+@cases([name for name in FITTED if "dice" in name or name == "vpm"], nowhere=["best-dice", "vpm"])
 def test_ratios_are_those_of_exact_occupancies(world, name):
     case, _, policies = world
     data, seen = case.data, MDP.of(case.data)
@@ -83,7 +83,7 @@ def test_ratios_are_those_of_exact_occupancies(world, name):
         assert np.abs(found - exact).mean() < 0.1 * exact.mean()
 
 
-@cases(WEIGHTED, everywhere=WEIGHTED)
+@cases(WEIGHTED, everywhere=[name for name in WEIGHTED if name != "magic"])
 def test_weighted_values_are_true_within_their_intervals(world, name):
     case, true, policies = world
     exact = np.array([true.value(p, DISCOUNT) for p in policies])
