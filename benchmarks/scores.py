@@ -23,6 +23,9 @@ from deadreckon.runs.evaluate import mean_interval
 from deadreckon.tasks.registry import of_log
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "examples"))
+import gym_tables  # noqa: E402 - the rows that the example learns from, and how it shows scores
+
 ALGORITHMS = {"td3_bc": "TD3+BC", "iql": "IQL", "cql": "CQL", "bear": "BEAR"}  # and their names in the example's runs
 WIDTH = {"maze2d": 64}  # of the networks there; 256 elsewhere
 
@@ -56,14 +59,6 @@ def parse() -> argparse.Namespace:
     add("--ours", type=Path, default=Path("runs/agents"), help="runs of examples/agents_table.py")
     add("--out", type=Path, default=Path("runs/scores"), help="what is measured is OUT/LOG/ALGORITHM-SEED.json")
     return parser.parse_args()
-
-
-def log_of(name: str, steps: int) -> dr.Dataset:
-    """The rows that the example learns from."""
-    sys.path.insert(0, str(HERE.parent / "examples"))
-    import gym_tables  # the example's own way to them
-
-    return gym_tables.log_of(name, steps)
 
 
 def measure(name: str, log: dr.Dataset, worker: Worker, arguments: argparse.Namespace) -> None:
@@ -109,8 +104,7 @@ def table(arguments: argparse.Namespace) -> str:
             steps = np.asarray(run.evaluations["step"])
             if steps.max() != arguments.steps:
                 raise BenchError(f"{run.path} has {steps.max():,} updates, d3rlpy {arguments.steps:,}")
-            last = run.evaluations.filter(steps == steps.max())
-            ours.append(str(mean_interval(np.asarray(last["score"]).reshape(len(run.seeds), -1))))
+            ours.append(gym_tables.last_score(run))
         lines += [f"| {name} | deadreckon | " + " | ".join(ours) + " |", "| | d3rlpy | " + " | ".join(theirs) + " |"]
     return "\n".join(lines)
 
@@ -123,7 +117,7 @@ def compare(arguments: argparse.Namespace) -> int:
     worker = Worker("peer", command, {**os.environ, "PYTHONWARNINGS": "ignore"}, arguments.timeout)
     try:
         for name in arguments.logs:
-            measure(name, log_of(name, arguments.log_steps), worker, arguments)
+            measure(name, gym_tables.log_of(name, arguments.log_steps), worker, arguments)
     finally:
         worker.close()
     print(table(arguments))

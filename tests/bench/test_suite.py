@@ -99,6 +99,7 @@ def test_steps_may_differ_by_log(written):
         ("seeds = 3", "seeds = true", "seeds must be a whole number of 1 or more, got True"),
         ("steps = 40", "steps = { maze2d-medium-v1 = 40 }", "steps must be one number, or name each of maze2d-umaze-v1"),
         ("evaluations = 2", "evaluations = 50", "50 evaluations are more than its 40 steps"),
+        ("steps = 40\nevaluations = 2", "steps = 5", "10 evaluations are more than its 5 steps"),
         ('kind = "learn"', 'kind = "lern"', "kind must be one of learn, online, design, got 'lern'"),
         ('logs = ["maze2d-umaze-v1"]', "logs = []", "logs must be a list of different names"),
         ('agent = "bc", ', "", "method 'BC' must say its agent"),

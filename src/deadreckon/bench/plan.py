@@ -37,6 +37,7 @@ class Job:
         data: what tells the data from other data: a log's own name, or the fingerprint of a file.
         asked: what else decides the numbers: steps, episodes, ...
         seeds: one cell each.
+        rows: of a log that is collected; None: all. `data` tells it too.
     """
 
     kind: str
@@ -48,6 +49,7 @@ class Job:
     data: str
     asked: dict[str, Any]
     seeds: tuple[int, ...]
+    rows: int | None = None
 
     def cell(self, seed: int, with_code: bool = True) -> str:
         """The name of the cell with that seed; without the code it is the same for all versions of the methods."""
@@ -145,7 +147,7 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
 def _learn(suite: Suite, method: Method, on: str) -> Job:
     settings, published = _agent(suite, method, on)
     data = log_identity(on, suite.rows)
-    return Job("learn", method.name, method.agent, settings, published, on, data, _run(suite, on), (0,))
+    return Job("learn", method.name, method.agent, settings, published, on, data, _run(suite, on), (0,), suite.rows)
 
 
 def _run(suite: Suite, on: str) -> dict[str, Any]:
@@ -186,14 +188,9 @@ def turns(job: Job) -> Any:
 
 def _design(suite: Suite, method: Method, on: str) -> Job:
     from deadreckon.mbo import PROBLEMS
-    from deadreckon.mbo.registry import sized
 
     if on not in PROBLEMS:
         raise unknown("problem", on, PROBLEMS)
-    made: Any = sized(method.agent, on, suite.budget)
-    for name in method.fields:
-        if name not in vars(made):
-            raise UserError(f"{suite.name}, method {method.name!r}: {unknown(f'field of {method.agent}', name, vars(made))}")
     asked = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
     job = Job("design", method.name, method.agent, {}, "", on, _problem_identity(on, PROBLEMS[on].file), asked, (0,))
     made = designer_of(job)
@@ -205,9 +202,8 @@ def designer_of(job: Job) -> Any:
     """The designer of a job, as its suite says."""
     from deadreckon.mbo.registry import sized
 
-    made: Any = sized(job.agent, job.on, job.asked["budget"])
     changes = {name: _tuples(value) for name, value in job.asked["fields"].items()}
-    return made.replace(**changes) if changes else made
+    return sized(job.agent, job.on, job.asked["budget"], **changes)
 
 
 @cache

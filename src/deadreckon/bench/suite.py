@@ -130,16 +130,21 @@ def _suite(name: str, where: str, told: dict[str, Any]) -> Suite:
     whole = "seeds", "episodes", "evaluations", "rows", "designs", "lanes"
     counts = {key: told[key] for key in whole if key in told}
     for key, value in counts.items():
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise UserError(f"{where}: {key} must be a whole number of 1 or more, got {value!r}")
+        _check_count(where, key, value)
     if told.get("budget", "full") not in BUDGETS:
         raise UserError(f"{where}: budget must be one of {', '.join(BUDGETS)}, got {told['budget']!r}")
     steps = _steps(where, told.get("steps", STEPS), on)
-    if told.get("evaluations", 10) > min(steps.values()):
-        raise UserError(f"{where}: {told['evaluations']} evaluations are more than its {min(steps.values())} steps")
     rest = {key: told[key] for key in ("budget", "about") if key in told}
     ways = tuple(_method(where, *each) for each in methods.items())
-    return Suite(name, kind, tuple(on), ways, steps=steps, **counts, **rest)
+    suite = Suite(name, kind, tuple(on), ways, steps=steps, **counts, **rest)
+    if suite.evaluations > min(steps.values()):
+        raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
+    return suite
+
+
+def _check_count(where: str, what: str, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise UserError(f"{where}: {what} must be a whole number of 1 or more, got {value!r}")
 
 
 def _steps(where: str, told: Any, on: list[str]) -> dict[str, int]:
@@ -148,19 +153,17 @@ def _steps(where: str, told: Any, on: list[str]) -> dict[str, int]:
     if set(each) != set(on):
         raise UserError(f"{where}: steps must be one number, or name each of {', '.join(on)}; it names {', '.join(each)}")
     for name, value in each.items():
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise UserError(f"{where}: steps on {name} must be a whole number of 1 or more, got {value!r}")
+        _check_count(where, f"steps on {name}", value)
     return {name: each[name] for name in on}
 
 
 def _method(where: str, name: str, told: Any) -> Method:
-    known = {f.name: f.type for f in fields(Method) if f.name != "name"}
+    kinds = {"agent": str, "fields": dict, "preset": bool}
     if not isinstance(told, dict) or "agent" not in told:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
     for key in told:
-        if key not in known:
-            raise UserError(f"{where}: {unknown(f'key of method {name!r}', key, known)}")
-    kinds = {"agent": str, "fields": dict, "preset": bool}
+        if key not in kinds:
+            raise UserError(f"{where}: {unknown(f'key of method {name!r}', key, kinds)}")
     for key, value in told.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")

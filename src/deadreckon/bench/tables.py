@@ -50,7 +50,7 @@ class Table:
 
     Attributes:
         suite: what was asked for.
-        cells: method -> what it was run on -> scores; cells without any are left out.
+        cells: method -> what it was run on -> scores, of which there may be none yet.
         printed: what it was run on -> method -> the thesis's score.
         whole: method -> interquartile mean over all, of methods that have all seeds of all.
         notes: what a reader must know, one line each.
@@ -96,7 +96,10 @@ def table(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = Fals
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
     printed = {on: _printed(suite, on) for on in suite.on} if suite.kind == "learn" else {}
     missing = [job for job in jobs if not all(job.cell(seed, with_code=not any_code) in by_cell for seed in job.seeds)]
-    return Table(suite, cells, printed, means, tuple(_notes(suite, jobs, missing, store, shown)))
+    notes = [f"{suite.seeds} seeds; means with Student's 95 % intervals over seeds, wide where these are few"]
+    if any(printed.values()):
+        notes.append("thesis: Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator")
+    return Table(suite, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
 
 
 def _printed(suite: Suite, on: str) -> dict[str, float]:
@@ -107,13 +110,11 @@ def _printed(suite: Suite, on: str) -> dict[str, float]:
     return {ours: scores[theirs] for ours, theirs in names.items() if theirs in scores}
 
 
-def _notes(suite: Suite, jobs: Sequence[Job], missing: Sequence[Job], store: Store, found: list[dict[str, Any]]) -> list[str]:
-    notes = [f"{suite.seeds} seeds; means with Student's 95 % intervals over seeds, wide where these are few"]
+def _notes(jobs: Sequence[Job], missing: Sequence[Job], store: Store, found: list[dict[str, Any]]) -> list[str]:
+    notes = []
     again = sorted({job.on for job in jobs if "@dr" in job.data})
     if again:
         notes.append(f"collected again by this package, not the original files: {', '.join(again)}")
-    if any(_printed(suite, on) for on in suite.on) and suite.kind == "learn":
-        notes.append("thesis: Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator")
     notes += _tuned(jobs)
     blind = sorted({row["on"] for row in found if np.isnan(row["score"])})
     if blind:
@@ -121,8 +122,8 @@ def _notes(suite: Suite, jobs: Sequence[Job], missing: Sequence[Job], store: Sto
     codes = {row["code"] for row in found}
     if len(codes) > 1:
         notes.append(f"results of {len(codes)} versions of the methods' code stand side by side")
-    told = ("jax", "mujoco", "device", "python")
-    versions = {json.dumps({k: v for k, v in json.loads(row["versions"]).items() if k in told}) for row in found}
+    named = ("jax", "mujoco", "device", "python")
+    versions = {json.dumps({k: v for k, v in json.loads(row["versions"]).items() if k in named}) for row in found}
     notes += [f"made with {', '.join(f'{k} {v}' for k, v in json.loads(text).items())}" for text in sorted(versions)]
     for job in missing:
         if failure := store.failure(job):

@@ -1,5 +1,6 @@
 """What a job is: a run that goes on where it was stopped, and its numbers as rows."""
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,28 +28,23 @@ def perform(job: Job, folder: Path, watch: Watch = lambda done, total: None) -> 
 def prepare(job: Job) -> None:
     """Makes what several jobs share and only one process should make: the log, where it is missing."""
     if job.kind == "learn":
-        _log(job)
+        _source(job)
 
 
-def _log(job: Job) -> Any:
-    from deadreckon.collect.recipes import collect, collected_name, recipe, recipe_names
-    from deadreckon.data.catalogue import load
+def _source(job: Job) -> Path | str:
+    """Where the job's log is read from; one with a recipe is collected first."""
+    from deadreckon.collect.recipes import collect, recipe_names
 
-    if job.on not in recipe_names():
-        return load(job.on)
-    known = recipe(job.on)
-    # The log's own name says how many rows it has, if these are not all.
-    parts = {collected_name(known, None, 0): None}
-    steps = parts[job.data] if job.data in parts else int(job.data.removesuffix("-steps").rpartition("-")[2])
-    return load(collect(job.on, steps=steps))
+    return collect(job.on, steps=job.rows) if job.on in recipe_names() else job.on
 
 
 def _learn(job: Job, folder: Path, watch: Watch) -> Found:
+    from deadreckon.data.catalogue import load
     from deadreckon.runs.train import train
 
     asked, began = job.asked, time.perf_counter()
     run = train(
-        agent_of(job), _log(job), steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
+        agent_of(job), load(_source(job)), steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
         evaluate_every=asked["every"], episodes=asked["episodes"], chunk=min(1000, asked["every"]), resume=True,
         watch=lambda progress, steps: watch(progress.step, steps),
     )  # fmt: skip
@@ -69,8 +65,6 @@ def _online(job: Job, folder: Path, watch: Watch) -> Found:
 
 def _found(job: Job, run: Any, seconds: float) -> Found:
     """Rows and curves of a run: means over the episodes of its evaluations."""
-    import json
-
     told = run.evaluations.to_pydict()
     judged = "score" in told
     step, seed = np.asarray(told["step"]), np.asarray(told["seed"])
@@ -96,8 +90,6 @@ def _found(job: Job, run: Any, seconds: float) -> Found:
 
 
 def _design(job: Job, folder: Path, watch: Watch) -> Found:
-    import json
-
     from deadreckon.mbo import problem
     from deadreckon.mbo.protocol import judge
     from deadreckon.versions import versions

@@ -96,6 +96,7 @@ def _run(options: Bench) -> None:
         print(f"about {text(sum(known) / workers)} with {workers} workers, by the times of jobs that are done{more}")
     if options.dry_run:
         return
+    able = jobs
     for data, job in {job.data: job for job in waiting}.items():
         try:
             prepare(job)  # here, so that no two workers collect the same log
@@ -103,9 +104,8 @@ def _run(options: Bench) -> None:
             print(f"FAILED: {job.on}: {error}", flush=True)
             for one in (one for one in waiting if one.data == data):
                 store.fail(one, str(error), "")
-            jobs = [one for one in jobs if one.data != data]
-    run_jobs(suite.name, jobs, store, _Lines(len(jobs), done), options.workers)
-    jobs = plan(suite)
+            able = [one for one in able if one.data != data]
+    run_jobs(suite.name, able, store, _Lines(len(jobs), done), options.workers)
     print("\n" + rendered(table(suite, jobs, store)))
     if page := _page(suite, jobs, store):
         print(page)
@@ -132,7 +132,7 @@ class _Lines:
 
 
 def _page(suite, jobs, store):
-    """A page a log or task; the last one's path."""
+    """A page a log or task: their paths, a line each."""
     from deadreckon.bench.plan import file_name
     from deadreckon.report import write
 

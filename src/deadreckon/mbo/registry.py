@@ -74,6 +74,6 @@ def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
     return found.replace(**PRESETS.get(name, {}).get(problem or "", {}) | changes)
 
 
-def sized(name: str, problem: str | None, budget: str) -> Designer:
-    """A designer by name, with a problem's published settings, and where `budget` is `cpu` the sizes of `CPU_BUDGET`."""
-    return designer(name, problem, **(CPU_BUDGET.get(name, {}) if budget == "cpu" else {}))
+def sized(name: str, problem: str | None, budget: str, **changes: Any) -> Designer:
+    """A designer by name with a problem's published settings; where `budget` is `cpu` with the sizes of `CPU_BUDGET`."""
+    return designer(name, problem, **(CPU_BUDGET.get(name, {}) if budget == "cpu" else {}) | changes)

@@ -1,11 +1,10 @@
 """The score table, and the published numbers beside it."""
 
 import math
-import re
 from collections.abc import Callable
 from typing import Any
 
-from deadreckon.bench.published import load
+from deadreckon.bench.published import load, plain
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
@@ -96,7 +95,7 @@ def left_out(page: Page) -> tuple[str, ...]:
 def _published(page: Page) -> Markup | None:
     """The published suite that has the page's task or logs in it, those rows marked."""
     known = load("table_7_1")
-    logs = {re.sub(r"-v\d+(@.*)?$", "", entry.config["data"]["name"]) for entry in page.entries}
+    logs = {plain(entry.config["data"]["name"]) for entry in page.entries}
     here = {page.task_name, *logs} & known["scores"].keys()
     if not here:
         return None

@@ -39,7 +39,7 @@ def scores(task: str) -> dict[str, float]:
         task: a log, such as `hopper-medium-v2@dr1` or `hopper-medium`. Version and origin do not matter; `hopper-mixed` is the
             thesis's other name of `hopper-medium-replay`.
     """
-    table, name = load("table_7_1")["scores"], _plain(task)
+    table, name = load("table_7_1")["scores"], plain(task)
     if name not in table and name.endswith("-mixed"):
         name = name.removesuffix("mixed") + "medium-replay"
     return table.get(name, {})
@@ -55,8 +55,8 @@ def reference(domain: str) -> Reference:
     Raises:
         UserError: D4RL has none, or the name is not known.
     """
-    name = _plain(domain)
-    judged = {_plain(log): entry.task for log, entry in ENTRIES.items()} | {known: known for known in names()}
+    name = plain(domain)
+    judged = {plain(log): entry.task for log, entry in ENTRIES.items()} | {known: known for known in names()}
     if name in judged:
         found = task(judged[name]).published
         if found is None:
@@ -69,6 +69,6 @@ def reference(domain: str) -> Reference:
     raise unknown("domain", domain, {*judged, *others["returns"]})
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
     """Without origin and version: `hopper-medium` of `hopper-medium-v2@dr1`."""
     return re.sub(r"-v\d+$", "", name.partition("@")[0])
