@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -119,8 +120,12 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
 
 
 @contextlib.contextmanager
-def alone(path: Path) -> Iterator[None]:
+def alone(path: Path, wait: bool = False) -> Iterator[None]:
     """Lets one process at a time work on what will be `path`. The system frees the lock of a killed one.
+
+    Args:
+        path: need not be there yet.
+        wait: for another process that is at it, instead of refusing.
 
     Raises:
         UserError: another process is at it, or the folder cannot be made. A folder made for nothing is removed.
@@ -133,7 +138,7 @@ def alone(path: Path) -> Iterator[None]:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror or error}") from error
-        with _locked(lock):
+        with _locked(lock, wait):
             yield
     finally:
         for folder in made:  # innermost first; one that holds something stays
@@ -142,7 +147,7 @@ def alone(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _locked(lock: Path) -> Iterator[None]:
+def _locked(lock: Path, wait: bool) -> Iterator[None]:
     while True:
         with open(lock, "ab") as file:
             try:
@@ -155,6 +160,9 @@ def _locked(lock: Path) -> Iterator[None]:
 
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except (BlockingIOError, PermissionError) as error:
+                if wait:
+                    time.sleep(0.2)
+                    continue
                 raise UserError(f"another process is at work on this already: {lock} is locked") from error
             # Whoever had it may have removed it between our opening and our locking it; then it is locked in vain.
             try:

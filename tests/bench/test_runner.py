@@ -9,13 +9,14 @@ import signal
 import numpy as np
 import pytest
 
-from deadreckon.bench.local import run, shares
+from deadreckon.bench.executor import run
+from deadreckon.bench.local import Local, shares
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import rendered, table
 from deadreckon.bench.times import forecast, text
-from deadreckon.bench.work import perform, prepare
+from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
 
 SUITE = """
@@ -51,17 +52,16 @@ def made(job, scores, failure=""):
 
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
     jobs = plan(suite)
-    prepare(jobs[0])
     lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log")
     store, events = Store(tmp_path / "out"), []
 
     def told(event):
         events.append((event.what, event.job.method))
-        if event.what == "begun" and len(events) == 1:  # the first process, as soon as it has its job
+        if event.what == "begun" and len(events) == 1:  # the first process, when it has just begun
             [child] = multiprocessing.active_children()
             os.kill(child.pid, signal.SIGKILL)
 
-    run("small", [*jobs, lost], store, told, workers=1)
+    run("small", [*jobs, lost], store, told, Local(store.path, workers=1))
     whats = [event for event in events if event[0] != "progress"]
     assert whats == [("begun", "BC"), ("died", "BC"), ("begun", "BC"), ("done", "BC"), ("begun", "TD3"), ("done", "TD3"),
                      ("begun", "lost"), ("failed", "lost")]  # fmt: skip
@@ -72,7 +72,7 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
     assert len(store.curves()) == 2 * 2 * 2  # evaluations, seeds, jobs
 
     events.clear()
-    run("small", jobs, store, told, workers=1)
+    run("small", jobs, store, told, Local(store.path, workers=1))
     assert events == []  # nothing is done twice
 
     # The numbers are those of the same job in this process, which has other threads.
@@ -91,7 +91,7 @@ def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
                 os.kill(child.pid, signal.SIGKILL)
             deaths.append(event)
 
-    run("small", jobs[:1], store, told, workers=1)
+    run("small", jobs[:1], store, told, Local(store.path, workers=1))
     assert len(deaths) == 3
     assert "died 3 times" in store.failure(jobs[0])["error"]
 

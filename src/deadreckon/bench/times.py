@@ -13,6 +13,8 @@ def forecast(jobs: Sequence[Job], store: Store) -> dict[str, float | None]:
 
     By the median seconds a step of the method's jobs of as many seeds: of those on the same data where there are some.
     """
+    if not jobs:
+        return {}
     done: dict[str, list[dict[str, Any]]] = {}
     for row in store.results().to_pylist():
         done.setdefault(row["job"], []).append(row)

@@ -10,6 +10,8 @@ import numpy as np
 
 from deadreckon.bench.plan import Job, agent_of, designer_of, turns
 from deadreckon.bench.store import Found
+from deadreckon.errors import UserError
+from deadreckon.files import alone
 
 Watch = Callable[[int, int], None]  # updates done, and in all
 
@@ -25,26 +27,26 @@ def perform(job: Job, folder: Path, watch: Watch = lambda done, total: None) -> 
     return {"learn": _learn, "online": _online, "design": _design}[job.kind](job, folder, watch)
 
 
-def prepare(job: Job) -> None:
-    """Makes what several jobs share and only one process should make: the log, where it is missing."""
-    if job.kind == "learn":
-        _source(job)
-
-
 def _source(job: Job) -> Path | str:
-    """Where the job's log is read from; one with a recipe is collected first."""
-    from deadreckon.collect.recipes import collect, recipe_names
+    """Where the job's log is read from; one with a recipe is collected first, by one process while the others wait."""
+    from deadreckon.collect.recipes import collect, default_path, recipe, recipe_names
 
-    return collect(job.on, steps=job.rows) if job.on in recipe_names() else job.on
+    if job.on not in recipe_names():
+        return job.on
+    path = default_path(recipe(job.on), job.rows, 0)
+    with alone(path.with_name(f"{path.name}.wanted"), wait=True):
+        return collect(job.on, steps=job.rows)
 
 
 def _learn(job: Job, folder: Path, watch: Watch) -> Found:
     from deadreckon.data.catalogue import load
     from deadreckon.runs.train import train
 
-    asked, began = job.asked, time.perf_counter()
+    asked, began, log = job.asked, time.perf_counter(), load(_source(job))
+    if "@" not in job.data and job.data != f"{log.name} {log.fingerprint}":  # here, or on the machine that made the plan
+        raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
     run = train(
-        agent_of(job), load(_source(job)), steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
+        agent_of(job), log, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
         evaluate_every=asked["every"], episodes=asked["episodes"], chunk=min(1000, asked["every"]), resume=True,
         watch=lambda progress, steps: watch(progress.step, steps),
     )  # fmt: skip

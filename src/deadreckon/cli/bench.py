@@ -17,7 +17,11 @@ class Bench:
 
     suite: Annotated[str, tyro.conf.Positional]  # name or file
     out: str = "runs/bench"  # folder of results, of any number of suites; what is there is not run again
-    workers: int | None = None  # processes; None: one a core, or one for a GPU
+    executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine, or a Ray cluster
+    workers: int | None = None  # local: processes; None: one a core, or one for a GPU
+    address: str | None = None  # ray: of the cluster; None: RAY_ADDRESS, or one on this machine, else a new one
+    cpus: int = 1  # ray: cores of a job
+    gpus: float = 0.0  # ray: of a job; a fraction where several share one
     dry_run: bool = False  # print what would be run, and how long it may take, and run nothing
 
 
@@ -66,17 +70,13 @@ def _show(args: Sequence[str]) -> None:
 
 
 def _run(options: Bench) -> None:
-    from deadreckon.bench.local import run as run_jobs
-    from deadreckon.bench.local import shares
+    from deadreckon.bench.executor import run
     from deadreckon.bench.plan import plan
     from deadreckon.bench.store import Store
     from deadreckon.bench.suite import read
     from deadreckon.bench.tables import rendered, table
     from deadreckon.bench.times import forecast, text
-    from deadreckon.bench.work import prepare
 
-    if options.workers is not None and options.workers < 1:
-        raise UserError(f"--workers must be 1 or more, got {options.workers}")
     suite = read(options.suite)
     jobs, store = plan(suite), Store(Path(options.out))
     waiting = store.undone(jobs)
@@ -84,7 +84,7 @@ def _run(options: Bench) -> None:
     done = len(jobs) - len(waiting)
     print(f"{suite.name}: {cells:,} cells in {len(jobs):,} jobs, {done:,} of them done; results in {options.out}")
     seconds = forecast(waiting, store)
-    workers = len(shares(options.workers))
+    executor = _executor(options)
     if options.dry_run:
         for job in waiting:
             took = seconds[job.name]
@@ -93,24 +93,33 @@ def _run(options: Bench) -> None:
     known = [took for took in seconds.values() if took is not None]
     if waiting and known:
         more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
-        print(f"about {text(sum(known) / workers)} with {workers} workers, by the times of jobs that are done{more}")
+        spread = f"{text(sum(known) / executor.workers)} with {executor.workers} workers"
+        print(f"about {spread}, by the times of jobs that are done{more}")
     if options.dry_run:
-        return
-    able = jobs
-    for data, job in {job.data: job for job in waiting}.items():
-        try:
-            prepare(job)  # here, so that no two workers collect the same log
-        except UserError as error:
-            print(f"FAILED: {job.on}: {error}", flush=True)
-            for one in (one for one in waiting if one.data == data):
-                store.fail(one, str(error), "")
-            able = [one for one in able if one.data != data]
-    run_jobs(suite.name, able, store, _Lines(len(jobs), done), options.workers)
+        return executor.close()
+    run(suite.name, jobs, store, _Lines(len(jobs), done), executor)
     print("\n" + rendered(table(suite, jobs, store)))
     if page := _page(suite, jobs, store):
         print(page)
     if store.undone(jobs):
         raise SystemExit(1)
+
+
+def _executor(options: Bench):
+    if options.executor == "ray":
+        if options.workers is not None:
+            raise UserError("--workers is of --executor local; a Ray cluster runs as many jobs as --cpus and --gpus let it")
+        from deadreckon.bench.cluster import Cluster
+
+        return Cluster(Path(options.out), options.address, options.cpus, options.gpus)
+    from deadreckon.bench.local import Local
+
+    for name, default in (("address", None), ("cpus", 1), ("gpus", 0.0)):
+        if getattr(options, name) != default:
+            raise UserError(f"--{name} is of --executor ray")
+    if options.workers is not None and options.workers < 1:
+        raise UserError(f"--workers must be 1 or more, got {options.workers}")
+    return Local(Path(options.out), options.workers)
 
 
 class _Lines:
@@ -142,7 +151,8 @@ def _page(suite, jobs, store):
     folders = {row["cell"]: store.path / "runs" / row["job"] for row in store.of(jobs).to_pylist()}
     for on in suite.on:
         runs = {folders[job.cells[0]]: None for job in jobs if job.on == on and job.cells[0] in folders}
+        runs = [folder for folder in runs if folder.exists()]  # those of a cluster's nodes may lie there
         if runs:
             page = store.path / "reports" / f"{file_name(f'{suite.name}-{on}')}.html"
-            pages.append(write(list(runs), page, title=f"{suite.name}: {on}"))
+            pages.append(write(runs, page, title=f"{suite.name}: {on}"))
     return "\n".join(map(str, pages))

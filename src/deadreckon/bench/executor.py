@@ -1,0 +1,119 @@
+"""Jobs until all are done, wherever they run: what an executor is, and what becomes of a job that fails or is lost."""
+
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from deadreckon.bench.plan import Job, code
+from deadreckon.bench.store import Found, Store
+from deadreckon.errors import UserError
+from deadreckon.files import alone
+
+TRIES = 3  # of a job whose process dies; what went on until then is on disk and is not done again
+
+
+class Event(NamedTuple):
+    """What happens to a job: `begun`, `progress` (done, total), `done`, `failed` (why) or `died` (and is begun again)."""
+
+    what: str
+    job: Job
+    told: Any = None
+
+
+Told = Callable[[Event], None]
+Work = Callable[[Job, Path, Callable[[int, int], None]], Found]  # `bench.work.perform`; a module's function, so that it travels
+
+
+class Executor(Protocol):
+    """Where jobs run, each in a process that may die."""
+
+    @property
+    def workers(self) -> int:
+        """How many jobs run side by side."""
+        ...
+
+    @property
+    def room(self) -> bool:
+        """Whether it takes another job now."""
+        ...
+
+    def begin(self, job: Job) -> None:
+        """Takes a job; returns at once."""
+        ...
+
+    def wait(self) -> Event:
+        """The next thing that happens to a job that it has taken: `done` tells (what was found, by which code)."""
+        ...
+
+    def close(self) -> None:
+        """Ends all processes, whatever they do."""
+        ...
+
+
+def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Executor) -> None:
+    """Does what is not done yet, and keeps results as they come. A job that fails is noted, and the others go on.
+
+    Args:
+        suite: name of the suite.
+        jobs: all of it.
+        store: where results lie.
+        told: called with what happens.
+        executor: who does it; closed at the end.
+    """
+    waiting, lost, running = deque(store.undone(jobs)), Counter[str](), 0
+    with closing(executor):
+        while waiting or running:
+            while waiting and executor.room:
+                executor.begin(waiting.popleft())
+                running += 1
+            event = executor.wait()
+            if event.what in ("begun", "progress"):
+                told(event)
+                continue
+            running -= 1
+            event = _judged(event, lost)
+            if event.what == "died":
+                waiting.appendleft(event.job)
+            elif event.what == "failed":
+                store.fail(event.job, *event.told)
+            else:
+                store.keep(suite, event.job, event.told)
+            told(event)
+
+
+def _judged(event: Event, lost: Counter[str]) -> Event:
+    """An end as it counts: too many deaths are a failure, and so is what other code has found."""
+    if event.what == "died":
+        lost[event.job.name] += 1
+        if lost[event.job.name] >= TRIES:
+            return Event("failed", event.job, (f"its process died {TRIES} times, the last with {event.told}", ""))
+    if event.what == "done":
+        found, made_by = event.told
+        if made_by != code():  # under its name lie results of that code alone
+            return Event("failed", event.job, ("the package's source is another where it ran; run it again", ""))
+        return event._replace(told=found)
+    return event
+
+
+def attempt(job: Job, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
+    """In a worker: does a job, and says how it ended: `done` or `failed`, and what goes with it.
+
+    Args:
+        job: the job.
+        path: the store's folder.
+        work: does it.
+        watch: called as it goes; its `BrokenPipeError` passes, because then nobody listens.
+    """
+    folder = Store(path).run(job)
+    try:
+        with alone(folder):  # of all that write to it
+            return "done", (work(job, folder, watch), code())
+    except BrokenPipeError:
+        raise
+    except UserError as error:
+        return "failed", (str(error), "")
+    except Exception as error:  # noqa: BLE001 - told in the list of failures, with its trace; the other jobs go on
+        return "failed", (f"{type(error).__name__}: {error}", traceback.format_exc())

@@ -1,0 +1,100 @@
+"""A Ray cluster of two node processes gives what this machine gives, though its workers are killed."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from deadreckon.bench.cluster import Cluster
+from deadreckon.bench.executor import run
+from deadreckon.bench.local import Local
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import Store
+from deadreckon.bench.suite import read
+from deadreckon.cli.main import main
+from deadreckon.errors import UserError
+
+SUITE = """
+seeds = 6
+lanes = 2
+steps = 6000
+evaluations = 2
+episodes = 2
+logs = ["maze2d-umaze-v1"]
+rows = 2000
+
+[methods]
+BC = { agent = "bc", fields = { hidden = [8], batch_size = 16 } }
+TD3 = { agent = "td3", fields = { hidden = [8], batch_size = 16 } }
+"""
+
+
+def test_what_no_cluster_can_do_is_refused(tmp_path, capsys, monkeypatch):
+    assert main(["bench", "quick", "--cpus", "2"]) == 2
+    assert "--cpus is of --executor ray" in capsys.readouterr().err
+    assert main(["bench", "quick", "--executor", "ray", "--workers", "2"]) == 2
+    assert "--workers is of --executor local" in capsys.readouterr().err
+    with pytest.raises(UserError, match="1 or more cpus"):
+        Cluster(tmp_path, cpus=0)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UserError, match=r"pip install 'deadreckon\[ray\]'"):
+        Cluster(tmp_path)
+
+
+@pytest.fixture
+def nodes():
+    """The address of a cluster of two nodes with a core each, on this machine."""
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster as Nodes
+
+    made = Nodes(initialize_head=True, head_node_args={"num_cpus": 1})
+    made.add_node(num_cpus=1)
+    yield made.address
+    made.shutdown()
+
+
+def at_work() -> list[int]:
+    """Processes of Ray's that run one of our tasks."""
+    found = subprocess.run(["pgrep", "-f", "^ray::_task"], capture_output=True, text=True, check=False)
+    return [int(number) for number in found.stdout.split()]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes, tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SUITE)
+    jobs = plan(read(path))
+    assert len(jobs) == 6
+    events, rng, killed = [], random.Random(0), []
+
+    def told(event):
+        events.append(event)
+        # A job may lose three processes before it is given up, so each loses one at most.
+        wanted = event.what == "progress" and event.job.name not in killed and len(killed) < 3 and rng.random() < 0.3
+        if wanted and (victims := at_work()):
+            os.kill(rng.choice(victims), signal.SIGKILL)
+            killed.append(event.job.name)
+
+    store = Store(tmp_path / "ray")
+    cluster = Cluster(store.path, nodes)
+    assert cluster.workers == 2
+    run("small", jobs, store, told, cluster)
+    whats = [event.what for event in events]
+    assert killed
+    assert whats.count("died") == len(killed)
+    assert whats.count("failed") == 0
+    assert sorted(event.job.name for event in events if event.what == "done") == sorted(job.name for job in jobs)  # each once
+
+    here = Store(tmp_path / "local")
+    run("small", jobs, here, lambda event: None, Local(here.path, workers=2))
+    for kind in ("results", "curves"):
+        tables = [getattr(each, kind)().drop_columns(["seconds"] if kind == "results" else []) for each in (store, here)]
+        by = [("cell", "ascending"), ("seed" if kind == "results" else "step", "ascending")]
+        assert tables[0].sort_by(by).equals(tables[1].sort_by(by)), kind  # bit by bit
+    time.sleep(1)
+    assert at_work() == []
