@@ -1,6 +1,11 @@
 """What every test shares: the compilation cache, a private home, and the real files where they are at hand."""
 
+import html
+import json
 import os
+import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -58,6 +63,36 @@ def real_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"no real data at {DATA} (set DEADRECKON_TEST_DATA)")
     return DATA
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+LISTEN = "<script>window.errors = []; addEventListener('error', (e) => errors.push(String(e.message)));</script>"
+
+
+@pytest.fixture(scope="session")
+def browse(tmp_path_factory):
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if browser is None:
+        pytest.skip("no Chromium on this machine")
+
+    def run(page, script):
+        """What the script puts into `#found` after the page has loaded, and what the console said."""
+        text = page.read_text()
+        page = page.with_name(f"checked-{page.name}")
+        page.write_text(text.replace("<style>", LISTEN + "<style>", 1).replace("</body>", script + "</body>"))
+        profile = tmp_path_factory.mktemp("profile")
+        done = subprocess.run(
+            [browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+             "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}", "--window-size=1280,1600",
+             "--enable-logging=stderr", "--virtual-time-budget=4000", "--dump-dom", page.as_uri()],
+            capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        found = re.search(r'<pre id="found">(.*?)</pre>', done.stdout, re.S)
+        if found is None:
+            pytest.fail(f"the page's script did not end: {done.stderr[-2000:]}")
+        return json.loads(html.unescape(found[1])), [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return run
 
 
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"

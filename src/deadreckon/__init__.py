@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.online import train_online
+    from deadreckon.runs.recommend import recommend
     from deadreckon.runs.train import Run, train
     from deadreckon.runs.train import load as load_run
 
@@ -40,14 +41,15 @@ _HOMES = {
     "load_policies": ("policies.library", "load_policies"),
     "load_run": ("runs.train", "load"),
     "read": ("data.io", "read"),
+    "recommend": ("runs.recommend", "recommend"),
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
 }
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "data", "dope",
-    "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "report", "runs", "tasks", "theory",
-    "train", "train_online",
+    "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend", "report", "runs", "tasks",
+    "theory", "train", "train_online",
 ]  # fmt: skip
 
 

@@ -29,14 +29,17 @@ def write_run(
     finished: bool = True,
     paths: bool = False,
     seed: int = 0,
+    first: int = 0,
     online: dict[str, float] | None = None,
 ) -> Path:
     """A run whose returns lie around `level` after 200 updates; failed lanes have NaN metrics from their step on.
 
+    Its seeds begin with `first`; `failures` are of lanes.
     With `online` (copies, explore, updates_per_step, block) it learned in the simulator and has no log.
     """
     rng = np.random.default_rng([seed, len(agent)])
-    folder, lanes, failures = Folder(path), list(range(seeds)), failures or {}
+    folder, lanes = Folder(path), list(range(first, first + seeds))
+    failures = {first + lane: failure for lane, failure in (failures or {}).items()}
     known = None
     if task and behavior is not None:
         known = {"mean": behavior, "low": behavior - 2, "high": behavior + 2, "how": "mean logged reward a step"}
@@ -69,7 +72,7 @@ def write_run(
         count = episodes if task else 1
         columns = {"step": np.full(seeds * count, step), "seed": np.repeat(lanes, count),
                    "episode": np.tile(np.arange(count), seeds), "mmd_to_data": np.full(seeds * count, 0.05 * len(agent)),
-                   "outside_range": np.repeat([0.1 * lane for lane in lanes], count)}  # fmt: skip
+                   "outside_range": np.repeat([0.1 * lane for lane in range(seeds)], count)}  # fmt: skip
         if online:
             columns = {key: column for key, column in columns.items() if key in ("step", "seed", "episode")}
         if task:

@@ -79,6 +79,24 @@ def test_labels_tell_runs_of_one_agent_apart(tmp_path):
     assert [e.label for e in page.entries] == ["BEAR (small)", "BEAR (large)"]
 
 
+def test_runs_that_differ_in_their_seeds_alone_are_one(tmp_path):
+    paths = [write_run(tmp_path / name, "bear", 40.0 + 20 * i, seed=i, first=first, paths=True, failures=failures)
+             for i, (name, first, failures) in enumerate([("a", 0, None), ("b", 2, {1: ("loss", 150)})])]  # fmt: skip
+    [entry] = read(paths).entries
+    assert (entry.label, entry.seeds) == ("BEAR", [0, 1, 2, 3])
+    assert entry.failed == [(3, "loss", 150)]
+    alone = [read([path]).entries[0] for path in paths]
+    for name in ("return", "score"):
+        assert np.array_equal(entry.last(name), np.concatenate([each.last(name) for each in alone]))
+    assert np.array_equal(entry.curve("loss")[1], np.concatenate([each.curve("loss")[1] for each in alone], 1), equal_nan=True)
+    assert len(entry.trajectories) == 4
+    first, second = command(entry).split("\n")
+    assert "--seeds 2 --seed 2" in second
+    assert first.endswith(str(paths[0]))
+    again = write_run(tmp_path / "again", "bear", seed=5, first=3)  # has seed 3 too
+    assert [each.label for each in read([*paths, again]).entries] == ["BEAR (a)", "BEAR (b)", "BEAR (again)"]
+
+
 @pytest.mark.parametrize("kind", ["nothing", "no run", "other task", "broken", "empty"])
 def test_refusals_are_one_line(tmp_path, kind):
     good = write_run(tmp_path / "good", "bc")

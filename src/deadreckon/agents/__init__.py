@@ -173,6 +173,18 @@ def preset_for(agent: str, log: str) -> str | None:
     return next((name for name in (own, own.partition("-")[0]) if name in known), None)
 
 
+def space(agent: str) -> dict[str, list[Any]]:
+    """Values of an agent's fields that its paper, or papers about it, varied: what to try where nothing else is known.
+
+    Raises:
+        UserError: none are known.
+    """
+    known = json.loads(importlib.resources.files(__name__).joinpath("spaces.json").read_text())
+    if _key(agent) not in known:
+        raise UserError(f"no values to try are known for {agent}; name some, such as --values lr=1e-4,3e-4")
+    return known[_key(agent)]
+
+
 def agent_name(agent: object) -> str:
     """The name under which an agent is registered; for others their class's name."""
     return next((k for k, (_, cls, _) in AGENTS.items() if cls == type(agent).__name__), type(agent).__name__)

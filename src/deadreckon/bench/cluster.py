@@ -40,6 +40,7 @@ class Cluster:
             raise UserError(f"a job takes 1 or more cpus and 0 or more gpus, got {cpus} and {gpus:g}")
         self._ray: Any = ray  # most of its functions are made by decorators that types do not follow
         self._path, self._work = path.absolute(), work
+        self.lanes = None if gpus else 1  # see `Local`
         self._news: deque[Event] = deque()
         self._running: dict[Any, Job] = {}
         self._own = not ray.is_initialized()

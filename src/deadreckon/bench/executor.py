@@ -36,6 +36,11 @@ class Executor(Protocol):
         ...
 
     @property
+    def lanes(self) -> int | None:
+        """Seeds of one program, where a suite does not say; None: all of them."""
+        ...
+
+    @property
     def room(self) -> bool:
         """Whether it takes another job now."""
         ...

@@ -12,21 +12,18 @@ from deadreckon.bench.plan import Job
 from deadreckon.bench.work import perform
 
 
-def shares(workers: int | None) -> list[list[int]]:
-    """The cores of each worker: one core each on a CPU, where a program of several lanes is no faster on more.
-
-    A GPU has one worker with all cores: there seeds are lanes of one program.
-    """
+def shares(workers: int | None, accelerator: bool) -> list[list[int]]:
+    """The cores of each worker: where None says how many, one core each on a CPU, and one worker with all of them for a GPU."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    if workers is None:
-        import jax
-
-        workers = 1 if jax.default_backend() != "cpu" else len(cores)
+    workers = workers or (1 if accelerator else len(cores))
     return [cores[i::workers] or [cores[i % len(cores)]] for i in range(workers)]
 
 
 class Local:
     """Processes on this machine, made when the first job needs them.
+
+    On a CPU seeds as lanes of one program are no faster than one after another, and a program on several cores is slower than
+    one on each: so seeds are jobs of their own there. On a GPU they are lanes of one program (`benchmarks/lanes.py` measures).
 
     Args:
         path: the store's folder.
@@ -35,7 +32,11 @@ class Local:
     """
 
     def __init__(self, path: Path, workers: int | None = None, work: Work = perform):
-        self._team = [_Worker(cores, path, work) for cores in shares(workers)]
+        import jax
+
+        accelerator = jax.default_backend() != "cpu"
+        self.lanes = None if accelerator else 1
+        self._team = [_Worker(cores, path, work) for cores in shares(workers, accelerator)]
 
     @property
     def workers(self) -> int:

@@ -1,8 +1,7 @@
 """A suite as cells, each with a name made of its content, and as jobs, which are cells of one program.
 
 A cell is one method on one log, task or problem with one seed. Its name depends on all that its numbers depend on: the code
-of the methods, every setting, the data, the seed. Which cells are one job is decided by the suite alone, never by what has been
-done already, so that a suite that was stopped goes on with the same programs.
+of the methods, every setting, the data, the seed. Which cells are one job, and so share a program, depends on where they run.
 """
 
 import dataclasses
@@ -53,7 +52,7 @@ class Job:
 
     def cell(self, seed: int, with_code: bool = True) -> str:
         """The name of the cell with that seed; without the code it is the same for all versions of the methods."""
-        content = [self.kind, self.agent, self.settings, self.data, self.asked, len(self.seeds), seed]
+        content = [self.kind, self.agent, self.settings, self.data, self.asked, seed]
         return digest([*content, code()] if with_code else content, 10)
 
     @property
@@ -63,8 +62,8 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Of the job's files: the method, where, and the first cell's name."""
-        return f"{file_name(f'{self.method}-{self.on}')}-{self.cell(self.seeds[0])}"
+        """Of the job's files: the method, where, and what tells its cells from others."""
+        return f"{file_name(f'{self.method}-{self.on}')}-{digest(self.cells, 10)}"
 
 
 def file_name(text: str) -> str:
@@ -92,8 +91,12 @@ def _sources(folder: Any, prefix: str) -> Iterator[tuple[str, bytes]]:
             yield name, entry.read_bytes()
 
 
-def plan(suite: Suite) -> list[Job]:
+def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
     """All jobs of a suite, in the order of its methods on each of what it is run on.
+
+    Args:
+        suite: the suite.
+        lanes: seeds of one program, where the suite does not say; None: all of them.
 
     Raises:
         UserError: an unknown method, log, task or problem, or a setting that a method does not have.
@@ -103,9 +106,9 @@ def plan(suite: Suite) -> list[Job]:
     for on in suite.on:
         for method in suite.methods:
             one = describe(suite, method, on)
-            lanes = suite.lanes or suite.seeds
-            for first in range(0, suite.seeds, lanes):
-                jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + lanes, suite.seeds)))))
+            together = suite.lanes or lanes or suite.seeds
+            for first in range(0, suite.seeds, together):
+                jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + together, suite.seeds)))))
     return jobs
 
 

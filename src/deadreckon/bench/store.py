@@ -2,12 +2,13 @@
 
     results/JOB.parquet    a row a cell
     curves/JOB.parquet     a row an evaluation of a cell
-    failed/JOB.json        why a job ended without results; gone when it has some
+    failed/CELL.json       why a cell's job ended without results; gone when it has some
     runs/JOB               the job's run folder
 
 Every part has a name of its own and appears whole, so any number of writers may share a folder.
 """
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from deadreckon.bench.plan import Job, code
+from deadreckon.bench.plan import Job, code, file_name
 from deadreckon.files import read_json, replacing, write_json
 
 RESULT = pa.schema(
@@ -74,13 +75,17 @@ class Store:
         return self.path / kind / f"{job.name}.parquet"
 
     def undone(self, jobs: Sequence[Job]) -> list[Job]:
-        """The jobs without results, one of those that are the same by content."""
-        done = {_first(part) for part in self._parts("results")}
-        waiting: dict[str, Job] = {}
+        """What is to be done for cells without results, each of them once: of a job that is done in part the rest."""
+        done = set(self.results()["cell"].to_pylist())
+        waiting = []
         for job in jobs:
-            if (first := job.cell(job.seeds[0])) not in done:
-                waiting.setdefault(first, job)
-        return list(waiting.values())
+            missing = [seed for seed, cell in zip(job.seeds, job.cells) if cell not in done]
+            done.update(job.cells)
+            # A run has consecutive seeds.
+            starts = [i for i, seed in enumerate(missing) if i == 0 or seed != missing[i - 1] + 1]
+            for start, end in zip(starts, [*starts[1:], len(missing)]):
+                waiting.append(dataclasses.replace(job, seeds=tuple(missing[start:end])))
+        return waiting
 
     def keep(self, suite: str, job: Job, found: Found) -> None:
         """Writes a job's results; the rows come last, as they say that it is done."""
@@ -96,52 +101,41 @@ class Store:
         for kind, schema, table in (("curves", CURVE, found.curves), ("results", RESULT, rows)):
             with replacing(self._part(kind, job)) as temporary:
                 pq.write_table(pa.Table.from_pylist(table, schema=schema), temporary)
-        self._failed(job).unlink(missing_ok=True)
+        for seed in job.seeds:
+            self._failed(job, seed).unlink(missing_ok=True)
 
     def fail(self, job: Job, error: str, trace: str) -> None:
         """Takes note of why a job ended without results."""
         about = {"method": job.method, "on": job.on, "seeds": list(job.seeds), "error": error, "trace": trace}
-        write_json(self._failed(job), about)
+        for seed in job.seeds:
+            write_json(self._failed(job, seed), about)
 
-    def _failed(self, job: Job) -> Path:
-        return self.path / "failed" / f"{job.name}.json"
+    def _failed(self, job: Job, seed: int) -> Path:
+        return self.path / "failed" / f"{file_name(f'{job.method}-{job.on}')}-{job.cell(seed)}.json"
 
-    def failure(self, job: Job) -> dict[str, Any] | None:
-        """Why a job ended without results, where that is the last thing that happened to it."""
-        path = self._failed(job)
+    def failure(self, job: Job, seed: int) -> dict[str, Any] | None:
+        """Why the job of that cell ended without results, where that is the last thing that happened to it."""
+        path = self._failed(job, seed)
         return read_json(path) if path.exists() else None
 
     def results(self) -> pa.Table:
         """All rows."""
-        return _together(self._parts("results"), RESULT)
+        return self._all("results", RESULT)
 
     def curves(self) -> pa.Table:
         """All curves."""
-        return _together(self._parts("curves"), CURVE)
+        return self._all("curves", CURVE)
 
-    def _parts(self, kind: str) -> list[Path]:
-        return list((self.path / kind).glob("*.parquet"))
+    def _all(self, kind: str, schema: pa.Schema) -> pa.Table:
+        # The newest last, of which `tables` makes use.
+        parts = sorted((part.stat().st_mtime_ns, part.name, part) for part in (self.path / kind).glob("*.parquet"))
+        return pa.concat_tables([_read(part, when) for when, _, part in parts]) if parts else schema.empty_table()
 
     def of(self, jobs: Sequence[Job], any_code: bool = False) -> pa.Table:
         """The rows of these jobs' cells; with `any_code` also those made by other versions of the methods' code."""
-        parts = self._parts("results")
-        if not any_code:  # a part is named after its first cell, and holds the cells of one job
-            firsts = {job.cell(job.seeds[0]) for job in jobs}
-            return _together([part for part in parts if _first(part) in firsts], RESULT)
-        wanted = [job.cell(seed, with_code=False) for job in jobs for seed in job.seeds]
-        found = _together(parts, RESULT)
-        return found.filter(pa.array(np.isin(found["content"].to_pylist(), wanted), pa.bool_()))
-
-
-def _first(part: Path) -> str:
-    """The first cell in a part."""
-    return part.stem.rpartition("-")[2]
-
-
-def _together(parts: Sequence[Path], schema: pa.Schema) -> pa.Table:
-    """All their rows, the newest part last, of which `tables` makes use."""
-    written = sorted((part.stat().st_mtime_ns, part.name, part) for part in parts)
-    return pa.concat_tables([_read(part, when) for when, _, part in written]) if written else schema.empty_table()
+        wanted = [job.cell(seed, with_code=not any_code) for job in jobs for seed in job.seeds]
+        found = self.results()
+        return found.filter(np.isin(found["content" if any_code else "cell"].to_numpy(), wanted))
 
 
 @cache

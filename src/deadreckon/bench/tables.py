@@ -95,7 +95,7 @@ def table(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = Fals
     full = {method: row for method, row in cells.items() if all(cell.sound for cell in row.values())}
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
     printed = {on: _printed(suite, on) for on in suite.on} if suite.kind == "learn" else {}
-    missing = [job for job in jobs if not all(job.cell(seed, with_code=not any_code) in by_cell for seed in job.seeds)]
+    missing = [(job, s) for job in jobs for s in job.seeds if job.cell(s, with_code=not any_code) not in by_cell]
     notes = [f"{suite.seeds} seeds; means with Student's 95 % intervals over seeds, wide where these are few"]
     if any(printed.values()):
         notes.append("thesis: Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator")
@@ -110,7 +110,7 @@ def _printed(suite: Suite, on: str) -> dict[str, float]:
     return {ours: scores[theirs] for ours, theirs in names.items() if theirs in scores}
 
 
-def _notes(jobs: Sequence[Job], missing: Sequence[Job], store: Store, found: list[dict[str, Any]]) -> list[str]:
+def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store, found: list[dict[str, Any]]) -> list[str]:
     notes = []
     again = sorted({job.on for job in jobs if "@dr" in job.data})
     if again:
@@ -125,12 +125,10 @@ def _notes(jobs: Sequence[Job], missing: Sequence[Job], store: Store, found: lis
     named = ("jax", "mujoco", "device", "python")
     versions = {json.dumps({k: v for k, v in json.loads(row["versions"]).items() if k in named}) for row in found}
     notes += [f"made with {', '.join(f'{k} {v}' for k, v in json.loads(text).items())}" for text in sorted(versions)]
-    for job in missing:
-        if failure := store.failure(job):
-            notes.append(f"FAILED: {job.method} on {job.on}: {failure['error']}")
-    waiting = [job for job in missing if store.failure(job) is None]
-    if waiting:
-        notes.append(f"not run yet: {len(waiting)} of {len(jobs)} jobs")
+    failures = [(job, store.failure(job, seed)) for job, seed in missing]
+    notes += dict.fromkeys(f"FAILED: {job.method} on {job.on}: {failure['error']}" for job, failure in failures if failure)
+    if waiting := sum(failure is None for _, failure in failures):
+        notes.append(f"not run yet: {waiting:,} of {sum(len(job.seeds) for job in jobs):,} cells")
     for row in (row for row in found if row["failure"]):
         told = f"{row['failure']}; its last good policy counts"
         notes.append(f"seed {row['seed']} of {row['method']} on {row['on']} failed: {told}")

@@ -30,10 +30,3 @@ def forecast(jobs: Sequence[Job], store: Store) -> dict[str, float | None]:
         out[job.name] = None if not known else statistics.median(known) * max(job.asked.get("steps", 1), 1)
     return out
 
-
-def text(seconds: float) -> str:
-    """In words: seconds, minutes or hours."""
-    if seconds < 90:
-        return f"{seconds:,.0f} s"
-    return f"{seconds / 60:,.0f} min" if seconds < 5400 else f"{seconds / 3600:,.1f} h"
-

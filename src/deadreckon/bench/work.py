@@ -27,7 +27,7 @@ def perform(job: Job, folder: Path, watch: Watch = lambda done, total: None) -> 
     return {"learn": _learn, "online": _online, "design": _design}[job.kind](job, folder, watch)
 
 
-def _source(job: Job) -> Path | str:
+def source(job: Job) -> Path | str:
     """Where the job's log is read from; one with a recipe is collected first, by one process while the others wait."""
     from deadreckon.collect.recipes import collect, default_path, recipe, recipe_names
 
@@ -42,7 +42,7 @@ def _learn(job: Job, folder: Path, watch: Watch) -> Found:
     from deadreckon.data.catalogue import load
     from deadreckon.runs.train import train
 
-    asked, began, log = job.asked, time.perf_counter(), load(_source(job))
+    asked, began, log = job.asked, time.perf_counter(), load(source(job))
     if "@" not in job.data and job.data != f"{log.name} {log.fingerprint}":  # here, or on the machine that made the plan
         raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
     run = train(

@@ -75,34 +75,39 @@ def _run(options: Bench) -> None:
     from deadreckon.bench.store import Store
     from deadreckon.bench.suite import read
     from deadreckon.bench.tables import rendered, table
-    from deadreckon.bench.times import forecast, text
 
     suite = read(options.suite)
-    jobs, store = plan(suite), Store(Path(options.out))
-    waiting = store.undone(jobs)
-    cells = sum(len(job.seeds) for job in jobs)
-    done = len(jobs) - len(waiting)
-    print(f"{suite.name}: {cells:,} cells in {len(jobs):,} jobs, {done:,} of them done; results in {options.out}")
-    seconds = forecast(waiting, store)
     executor = _executor(options)
-    if options.dry_run:
-        for job in waiting:
-            took = seconds[job.name]
-            about = "no job like it yet" if took is None else f"about {text(took)}"
-            print(f"  {job.method} on {job.on}, seeds {job.seeds[0]} to {job.seeds[-1]}: {about}")
-    known = [took for took in seconds.values() if took is not None]
-    if waiting and known:
-        more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
-        spread = f"{text(sum(known) / executor.workers)} with {executor.workers} workers"
-        print(f"about {spread}, by the times of jobs that are done{more}")
+    jobs, store = plan(suite, executor.lanes), Store(Path(options.out))
+    waiting = announce(suite, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return executor.close()
-    run(suite.name, jobs, store, _Lines(len(jobs), done), executor)
+    run(suite.name, jobs, store, Lines(len(waiting)), executor)
     print("\n" + rendered(table(suite, jobs, store)))
     if page := _page(suite, jobs, store):
         print(page)
     if store.undone(jobs):
         raise SystemExit(1)
+
+
+def announce(suite, jobs, store, executor, each: bool):
+    """Says what is to be done and how long it may take, job by job if `each`, and gives it."""
+    from deadreckon.bench.times import forecast
+    from deadreckon.runs.durations import in_words
+
+    waiting = store.undone(jobs)
+    cells, missing = (sum(len(job.seeds) for job in these) for these in (jobs, waiting))
+    print(f"{suite.name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.path}")
+    seconds = forecast(waiting, store)
+    for job in waiting if each else ():
+        took = seconds[job.name]
+        print(f"  {_what(job)}: {'no job like it yet' if took is None else f'about {in_words(took)}'}")
+    known = [took for took in seconds.values() if took is not None]
+    if known:
+        more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
+        spread = f"{in_words(sum(known) / executor.workers)} with {executor.workers} workers"
+        print(f"about {spread}, by the times of jobs that are done{more}")
+    return waiting
 
 
 def _executor(options: Bench):
@@ -122,14 +127,20 @@ def _executor(options: Bench):
     return Local(Path(options.out), options.workers)
 
 
-class _Lines:
+def _what(job) -> str:
+    first, last = job.seeds[0], job.seeds[-1]
+    return f"{job.method} on {job.on}, seed{f's {first} to {last}' if last > first else f' {first}'}"
+
+
+class Lines:
     """Tells what happens: a line a job that begins, ends or fails."""
 
-    def __init__(self, total: int, done: int):
-        self.total, self.done = total, done
+    def __init__(self, total: int):
+        self.total, self.done = total, 0
 
     def __call__(self, event) -> None:
-        job = f"{event.job.method} on {event.job.on}"
+        """Tells an event."""
+        job = _what(event.job)
         if event.what == "done":
             self.done += 1
             seconds = event.told.rows[0]["seconds"]
@@ -150,8 +161,8 @@ def _page(suite, jobs, store):
     pages = []
     folders = {row["cell"]: store.path / "runs" / row["job"] for row in store.of(jobs).to_pylist()}
     for on in suite.on:
-        runs = {folders[job.cells[0]]: None for job in jobs if job.on == on and job.cells[0] in folders}
-        runs = [folder for folder in runs if folder.exists()]  # those of a cluster's nodes may lie there
+        cells = [cell for job in jobs if job.on == on for cell in job.cells if cell in folders]
+        runs = [folder for folder in dict.fromkeys(folders[cell] for cell in cells) if folder.exists()]  # not on another node
         if runs:
             page = store.path / "reports" / f"{file_name(f'{suite.name}-{on}')}.html"
             pages.append(write(runs, page, title=f"{suite.name}: {on}"))

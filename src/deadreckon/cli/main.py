@@ -21,6 +21,8 @@ COMMANDS = {
     "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),
     "train": ("train", "train", "learn a policy from a log, or online in a simulator; several seeds as one program"),
     "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench judges the estimators"),
+    "tune": ("tune", "tune", "settings of an agent: chosen from a log alone by estimates, or on training tasks"),
+    "recommend": ("recommend", "recommend", "from a log and so much time to a decision card: agents, settings, estimates"),
     "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
     "bench": ("bench", "bench", "run a whole declared table and show it beside published numbers; bench list, bench show"),

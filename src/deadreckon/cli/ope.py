@@ -24,6 +24,11 @@ class Fits:
     batch_size: int | None = None  # rows a batch
     hidden: tuple[int, ...] | None = None  # width of each hidden layer
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """What is not left to the estimators."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
 
 @dataclass
 class Ope:
@@ -75,7 +80,7 @@ def ope(args: Sequence[str]) -> None:
     from deadreckon.ope.registry import with_fields
     from deadreckon.runs.offline import checked, coverages, judge
 
-    found = _estimators(options.estimators, options.fits, {})
+    found = estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
@@ -84,7 +89,7 @@ def ope(args: Sequence[str]) -> None:
     with Watch() as watch:
         judged = judge(
             options.policies, data, found, out=options.out, discount=options.discount, greedy=options.greedy, task=options.task,
-            seed=options.seed, model=with_fields(MODEL, _changes(options.fits)), watch=watch,
+            seed=options.seed, model=with_fields(MODEL, options.fits.given), watch=watch,
         )  # fmt: skip
     for each in judged.estimates:
         print(f"{each}\n")
@@ -105,7 +110,7 @@ def bench(args: Sequence[str]) -> None:
     from deadreckon.report.dope import write_bench
     from deadreckon.runs import dope as protocol
 
-    found = _estimators(options.estimators, options.fits, CPU_BUDGET if options.budget == "cpu" else {})
+    found = estimators(options.estimators, options.fits, CPU_BUDGET if options.budget == "cpu" else {})
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
     tasks, kinds = ([name.strip() for name in names.split(",")] for names in (options.tasks, options.kinds))
@@ -125,12 +130,8 @@ def bench(args: Sequence[str]) -> None:
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
 
 
-def _changes(fits: Fits) -> dict[str, Any]:
-    return {name: value for name, value in vars(fits).items() if value is not None}
-
-
-def _estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]]) -> list[Any]:
+def estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]] | None = None) -> list[Any]:
+    """Estimators by their names with commas between, of these sizes; `budget` has sizes by name where none are given."""
     from deadreckon.ope.registry import estimator
 
-    changes = _changes(fits)
-    return [estimator(name, **budget.get(name, {}) | changes) for name in map(str.strip, names.split(","))]
+    return [estimator(name, **(budget or {}).get(name, {}) | fits.given) for name in map(str.strip, names.split(","))]

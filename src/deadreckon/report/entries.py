@@ -1,5 +1,6 @@
 """Run folders as a report sees them: columns of numbers, read without loading a policy."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,23 +29,28 @@ Columns = dict[str, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One run folder.
+    """One run: a folder, or several that differ in their seeds alone.
 
     Attributes:
         label: unique on the page.
-        folder: where its files lie.
-        config: its run.json.
-        status: its status.json.
+        folders: where its files lie, and the seeds of each.
+        config: its run.json, with all seeds.
+        status: its status.json, of several what holds for all of them.
         metrics: step, seed and one column a metric.
         evaluations: one row an episode (one a seed, if nothing was simulated).
     """
 
     label: str
-    folder: Folder
+    folders: tuple[tuple[Folder, list[int]], ...]
     config: dict[str, Any]
     status: dict[str, Any]
     metrics: Columns
     evaluations: Columns
+
+    @property
+    def folder(self) -> Folder:
+        """The first one."""
+        return self.folders[0][0]
 
     @property
     def agent(self) -> str:
@@ -131,7 +137,9 @@ class Entry:
     @cached_property
     def trajectories(self) -> np.ndarray | None:
         """(seeds, episodes, steps, dimensions) of the last policies, if they were recorded."""
-        return _array(self.folder.trajectories, "trajectories")
+        found = [_array(folder.trajectories, "trajectories") for folder, _ in self.folders]
+        shapes = {None if each is None else each.shape[1:] for each in found}
+        return np.concatenate(found) if None not in shapes and len(shapes) == 1 else None  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -167,7 +175,7 @@ class Page:
 
 
 def read(runs: Sequence[Path | str | Run]) -> Page:
-    """Reads run folders, each once however often it is named.
+    """Reads run folders, each once however often it is named. Those that differ in their seeds alone are one run.
 
     Raises:
         UserError: nothing to show, a path that is no run, or runs of different tasks.
@@ -181,7 +189,11 @@ def read(runs: Sequence[Path | str | Run]) -> Page:
     if len(tasks) > 1:
         said = ", ".join(f"{path} is {'without a task' if task is None else task}" for task, path in tasks.items())
         raise UserError(f"a report shows runs of one task: {said}; write one report for each")
-    entries = [_entry(path, config, label) for (path, config), label in zip(raw, _labels(raw))]
+    groups: dict[str, list[tuple[Path, dict[str, Any]]]] = {}
+    for path, config in raw:
+        groups.setdefault(_but_for_seeds(config), []).append((path, config))
+    alike = [part for group in groups.values() for part in _of_different_seeds(group)]
+    entries = [_entry(group, label) for group, label in zip(alike, _labels([group[0] for group in alike]))]
     if not any(e.metrics or e.evaluations for e in entries):
         raise UserError(f"nothing to report: {', '.join(map(str, paths))} has no metrics yet")
     return Page(tuple(entries))
@@ -208,15 +220,40 @@ def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
     return [label if labels.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(labels)]
 
 
-def _entry(path: Path, config: dict[str, Any], label: str) -> Entry:
-    folder = Folder(path)
-    status_path = path / "status.json"
-    status = read_json(status_path) if status_path.exists() else {"step": 0, "finished": False}
-    try:
-        tables = [folder.table(kind) for kind in ("metrics", "evaluations")]
-    except (pa.ArrowInvalid, OSError) as error:
-        raise UserError(f"{path} has a broken table: {error}") from error
-    return Entry(label, folder, config, status, *({n: t[n].to_numpy() for n in t.column_names} for t in tables))
+def _but_for_seeds(config: dict[str, Any]) -> str:
+    versions = {name: value for name, value in config.get("versions", {}).items() if name != "lanes"}
+    return json.dumps(config | {"seeds": None, "versions": versions}, sort_keys=True)
+
+
+def _of_different_seeds(group: list[tuple[Path, dict[str, Any]]]) -> list[list[tuple[Path, dict[str, Any]]]]:
+    """The runs together, or each for itself where a seed is in two of them."""
+    seeds = [seed for _, config in group for seed in config["seeds"]]
+    return [group] if len(set(seeds)) == len(seeds) else [[one] for one in group]
+
+
+def _entry(group: list[tuple[Path, dict[str, Any]]], label: str) -> Entry:
+    folders = tuple((Folder(path), config["seeds"]) for path, config in group)
+    config = group[0][1] | {"seeds": [seed for _, config in group for seed in config["seeds"]]}
+    paths = [path / "status.json" for path, _ in group]
+    found = [read_json(path) if path.exists() else {"step": 0, "finished": False} for path in paths]
+    failures = [f for each, (_, seeds) in zip(found, folders) for f in each.get("failures") or [None] * len(seeds)]
+    status = {
+        "step": min(each.get("step", 0) for each in found), "failures": failures,
+        "finished": all(each.get("finished") for each in found),
+    }  # fmt: skip
+    tables = [_columns([folder for folder, _ in folders], kind) for kind in ("metrics", "evaluations")]
+    return Entry(label, folders, config, status, *tables)
+
+
+def _columns(folders: Sequence[Folder], kind: str) -> Columns:
+    tables = []
+    for folder in folders:
+        try:
+            tables.append(folder.table(kind))
+        except (pa.ArrowInvalid, OSError) as error:
+            raise UserError(f"{folder.path} has a broken table: {error}") from error
+    table = pa.concat_tables([table for table in tables if len(table)] or tables[:1], promote_options="permissive")
+    return {name: table[name].to_numpy() for name in table.column_names}
 
 
 def _array(path: Path, name: str) -> np.ndarray | None:

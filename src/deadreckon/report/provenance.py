@@ -23,29 +23,31 @@ def settings(entry: Entry) -> dict[str, Any]:
 
 
 def command(entry: Entry) -> str:
-    """The command line that makes this run again."""
-    words = ["deadreckon", "train", "--agent", entry.agent]
-    words += _from_log(entry) if entry.online is None else _online(entry, entry.online)
-    for name, value in settings(entry).items():
-        words += _option(name.replace("_", "-"), value)
-    return shlex.join(map(str, [*words, "--out", entry.folder.path]))
+    """The command line that makes this run again, or one a folder."""
+    options = [word for name, value in settings(entry).items() for word in _option(name.replace("_", "-"), value)]
+    lines = []
+    for folder, seeds in entry.folders:
+        words = ["deadreckon", "train", "--agent", entry.agent]
+        words += _from_log(entry, seeds) if entry.online is None else _online(entry, entry.online, seeds)
+        lines.append(shlex.join(map(str, [*words, *options, "--out", folder.path])))
+    return "\n".join(lines)
 
 
-def _from_log(entry: Entry) -> list[Any]:
+def _from_log(entry: Entry, seeds: list[int]) -> list[Any]:
     config = entry.config
     data, every = config["data"], config.get("evaluation", {})
     words = ["--data", data.get("provenance", {}).get("path") or data["name"]]
     words += ["--task", config["task"]] if config["task"] else []
-    words += ["--steps", config["steps"], *_seeds(entry)]
+    words += ["--steps", config["steps"], *_seeds(seeds)]
     if every.get("every") not in (None, max(config["steps"] // 10, 1)):
         words += ["--evaluate-every", every["every"]]
     return words + (["--episodes", every["episodes"]] if every.get("episodes") not in (None, 20) else [])
 
 
-def _online(entry: Entry, turns: Online) -> list[Any]:
+def _online(entry: Entry, turns: Online, seeds: list[int]) -> list[Any]:
     """Steps are the environment's on the command line, and updates in the record."""
     every, steps = entry.config.get("evaluation", {}), turns.steps(entry.config["steps"])
-    words = ["--online", "--task", entry.config["task"], "--steps", steps, *_seeds(entry)]
+    words = ["--online", "--task", entry.config["task"], "--steps", steps, *_seeds(seeds)]
     changed = {f.name: getattr(turns, f.name) for f in dataclasses.fields(turns) if getattr(turns, f.name) != f.default}
     for name, value in changed.items():
         words += [f"--{name.replace('_', '-')}", value]
@@ -55,8 +57,8 @@ def _online(entry: Entry, turns: Online) -> list[Any]:
     return words + (["--episodes", every["episodes"]] if every.get("episodes") not in (None, 10) else [])
 
 
-def _seeds(entry: Entry) -> list[Any]:
-    return ["--seeds", len(entry.seeds)] + (["--seed", entry.seeds[0]] if entry.seeds[:1] != [0] else [])
+def _seeds(seeds: list[int]) -> list[Any]:
+    return ["--seeds", len(seeds)] + (["--seed", seeds[0]] if seeds[:1] != [0] else [])
 
 
 def _option(name: str, value: Any) -> list[Any]:
@@ -112,7 +114,7 @@ def _run(entry: Entry) -> Markup:
         ]
     else:
         facts += [("experience", _acted(entry.online, entry.online.steps(config["steps"])))]
-    facts.append(("folder", tag("code", entry.folder.path)))
+    facts.append(("folder", join(*(tag("div", tag("code", folder.path)) for folder, _ in entry.folders))))
     again = command(entry)
     return tag(
         "article",

@@ -23,6 +23,10 @@ Watcher = Callable[[Progress, int], None]  # gets each chunk's progress and the 
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 
 
+class Enough(Exception):
+    """Raised by a watcher: the run ends with this chunk, as if no more updates had been asked for."""
+
+
 def _nothing(policy: Deployed) -> dict[str, float]:
     return {}
 
@@ -67,10 +71,15 @@ class Recorder:
                 self._submit(step)
 
     def follow(self, watch: Watcher) -> None:
-        """Walks the fit to its end: every chunk is recorded, then told."""
+        """Walks the fit to its end: every chunk is recorded, then told. A watcher may have it end before; see `Enough`."""
         for progress in self.job.chunks():
             self.record(progress)
-            watch(progress, self.job.steps)
+            try:
+                watch(progress, self.job.steps)
+            except Enough:
+                if progress.step not in self.folder.policy_steps():
+                    self.judge_now(progress.step)
+                break
         self.finish()
 
     def record(self, progress: Progress) -> None:

@@ -1,0 +1,250 @@
+"""Settings for an agent without cheating: chosen on training tasks in their simulators, or from the log alone by estimates.
+
+The thesis splits its tasks (Table D.3): settings may be tuned in the simulators of training tasks only. Where there is no
+simulator, as with a log of one's own, or none may be used, off-policy estimates choose (thesis 8.2); how much that loses is
+known wherever there is a simulator after all, and told.
+"""
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from deadreckon.agents import agent_class, space
+from deadreckon.bench.executor import Executor, Told, run
+from deadreckon.bench.plan import Job, plan
+from deadreckon.bench.store import Store
+from deadreckon.bench.suite import Method, Suite
+from deadreckon.data import catalogue
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import write_json
+from deadreckon.ope.coverage import MODEL
+from deadreckon.ope.estimate import BehaviorModel, Watcher
+from deadreckon.ope.intervals import student
+from deadreckon.ope.metrics import Metrics, compare
+from deadreckon.runs.offline import judge
+from deadreckon.tasks.registry import of_log
+from deadreckon.training.learner import check_fields
+
+By = Literal["ope", "simulator"]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting.
+
+    Attributes:
+        fields: what differs from the agent's defaults.
+        scores: (logs, seeds) normalised scores in the simulators; NaN where there is none, or none may be used.
+        values: (seeds,) what its policies are estimated at from the log; empty where that was not asked for.
+    """
+
+    fields: dict[str, Any]
+    scores: np.ndarray
+    values: np.ndarray
+
+    def __str__(self) -> str:
+        return named(self.fields)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a search found.
+
+    Attributes:
+        agent: its name.
+        by: what chose.
+        trials: all settings.
+        best: the chosen one among them.
+        truth: by estimates, and where a simulator can tell: how well estimates ranked the settings; else None.
+        lost: points of score that the choice has less than the best setting, where that is known.
+    """
+
+    agent: str
+    by: By
+    trials: tuple[Trial, ...]
+    best: Trial
+    truth: Metrics | None
+    lost: float | None
+
+    def __str__(self) -> str:
+        width = max(len(str(trial)) for trial in self.trials)
+        lines = []
+        for trial in sorted(self.trials, key=self._standing, reverse=True):
+            words = [f"{'*' if trial is self.best else ' '} {trial!s:<{width}}"]
+            if len(trial.values):
+                words.append(f"estimated {_interval(trial.values)}")
+            if np.isfinite(trial.scores).all():
+                words.append(f"score {_interval(trial.scores.mean(0))}")
+            lines.append("  ".join(words))
+        if self.lost is not None:
+            spread = np.ptp([trial.scores.mean() for trial in self.trials])
+            share = f", {100 * self.lost / spread:.0f} % of the range of all" if spread > 0 else ""
+            chance = np.mean([max(t.scores.mean() for t in self.trials) - trial.scores.mean() for trial in self.trials])
+            lines.append(f"the choice loses {self.lost:.1f} points of score{share}; a choice by chance would lose {chance:.1f}")
+        if self.truth is not None:
+            lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation[0]:.2f}")
+        return "\n".join(lines)
+
+    def _standing(self, trial: Trial) -> float:
+        return float(np.mean(trial.values if self.by == "ope" else trial.scores))
+
+
+def candidates(
+    agent: str, given: Mapping[str, Sequence[Any]] | None = None, most: int | None = None, seed: int = 0
+) -> list[dict[str, Any]]:
+    """Settings to try: all combinations, or some of them, with the agent's defaults among them.
+
+    Args:
+        agent: its name.
+        given: field -> values; None: those that its paper varied, as far as the package knows them.
+        most: so many, drawn without replacement; None: all.
+        seed: of the draw.
+
+    Raises:
+        UserError: an unknown agent or field, an agent without a known space, or a space without values.
+    """
+    kind = agent_class(agent)
+    values = dict(space(agent) if given is None else given)
+    defaults = vars(kind())
+    for name, choices in values.items():
+        if name not in defaults:
+            raise unknown(f"field of {agent}", name, defaults)
+        if not choices:
+            raise UserError(f"{name} has no values to try")
+        for choice in choices:
+            check_fields(kind(**{name: choice}))
+    grid = [dict(zip(values, each)) for each in itertools.product(*values.values())]
+    grid.sort(key=lambda each: any(each[name] != defaults[name] for name in each))  # the defaults first, where they are there
+    if most is None or most >= len(grid):
+        return grid
+    if most < 1:
+        raise UserError(f"at least one setting must be tried, got {most}")
+    picked = 1 + np.sort(np.random.default_rng(seed).choice(len(grid) - 1, most - 1, replace=False))
+    return [grid[0], *(grid[i] for i in picked)]
+
+
+def named(fields: Mapping[str, Any]) -> str:
+    """Settings as a method's name."""
+    return ", ".join(f"{name} = {value}" for name, value in fields.items()) or "defaults"
+
+
+def suite(
+    agent: str, logs: Sequence[str], settings: Sequence[Mapping[str, Any]], *, by: By, steps: int, seeds: int = 3,
+    rows: int | None = None, fixed: Mapping[str, Any] | None = None,
+) -> Suite:  # fmt: skip
+    """The search as a suite, so that it is run, kept and gone on with as any other.
+
+    Args:
+        agent: its name.
+        logs: names or files.
+        settings: see `candidates`.
+        by: what chooses.
+        steps: updates of each setting, log and seed.
+        seeds: of each.
+        rows: of logs that are collected; None: all.
+        fixed: fields that are the same in all.
+
+    Raises:
+        UserError: a task that the thesis keeps for evaluation, or none, to be tuned in by its simulator; or several logs to be
+            tuned from by estimates, whose values do not compare.
+    """
+    if by not in get_args(By):
+        raise unknown("way to choose", by, get_args(By))
+    if by == "ope" and len(logs) > 1:
+        raise UserError(f"estimates choose for one log; tune for each of {', '.join(logs)} by itself")
+    for log in logs if by == "simulator" else ():
+        task = of_log(log)
+        if task is None:
+            raise UserError(f"{log} has no simulator to tune in; --by ope chooses from the log alone")
+        if task.split != "training":
+            told = f"{task.name} is kept for evaluation (thesis Table D.3), so its simulator must not choose settings"
+            raise UserError(f"{told}; tune on a training task, or --by ope")
+    methods = tuple(Method(named(each), agent, {**(fixed or {}), **each}) for each in settings)
+    return Suite(
+        f"tune-{agent}", "learn", tuple(logs), methods, seeds=seeds, steps=dict.fromkeys(logs, steps),
+        evaluations=1, rows=rows, about=f"settings of {agent}",
+    )  # fmt: skip
+
+
+def tune(
+    asked: Suite, settings: Sequence[Mapping[str, Any]], *, by: By, store: Store, executor: Executor, told: Told,
+    estimators: Sequence[Any] = ("fqe",), model: BehaviorModel = MODEL, discount: float = 0.99,
+    watch: Watcher = lambda what, step, steps: None,
+) -> Tuned:  # fmt: skip
+    """Runs what is not done yet, and chooses.
+
+    Args:
+        asked: from `suite`.
+        settings: that it was made of.
+        by: what chooses.
+        store: where results lie, and `tuned.json` will.
+        executor: where jobs run; closed at the end.
+        told: called with what happens.
+        estimators: the first chooses, by the mean over seeds.
+        model: how the log's own policy is learned, to see what of the policies' actions the log covers.
+        discount: of estimated returns.
+        watch: called while estimators fit.
+
+    Raises:
+        UserError: a setting that failed, in the first one's words.
+    """
+    jobs = plan(asked, executor.lanes)
+    run(asked.name, jobs, store, told, executor)
+    failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
+    if failures:
+        job, failure = failures[0]
+        raise UserError(f"{len(failures)} of {len(jobs)} jobs failed, the first ({job.method}): {failure['error']}")
+    rows = {row["cell"]: row for row in store.of(jobs).to_pylist()}
+    values = _estimated(jobs, store, rows, estimators, model, discount, watch) if by == "ope" else {}
+    trials = []
+    for method, fields in zip(asked.methods, settings):
+        scores = [[rows[c]["score"] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells]
+                  for on in asked.on]  # fmt: skip
+        trials.append(Trial(dict(fields), np.array(scores, float), np.array(values.get(method.name, []))))
+    means = np.array([trial.scores.mean() for trial in trials])
+    standing = np.array([trial.values.mean() for trial in trials]) if by == "ope" else means
+    best = int(np.nanargmax(standing))
+    known = bool(np.isfinite(means).all()) and by == "ope"
+    truth = compare(standing, means) if known and len(trials) > 1 else None
+    lost = float(means.max() - means[best]) if known else None
+    found = Tuned(asked.methods[0].agent, by, tuple(trials), trials[best], truth, lost)
+    write_json(store.path / "tuned.json", _json(found, asked))
+    return found
+
+
+def _estimated(
+    jobs: Sequence[Job], store: Store, rows: Mapping[str, Mapping[str, Any]], estimators: Sequence[Any], model: BehaviorModel,
+    discount: float, watch: Watcher,
+) -> dict[str, list[float]]:  # fmt: skip
+    """Method -> what its policies are estimated at, one a seed."""
+    from deadreckon.bench.work import source
+
+    folders = {store.path / "runs" / rows[cell]["job"]: job.method for job in jobs for cell in job.cells}
+    log, out = catalogue.load(source(jobs[0])), store.path / "estimates"
+    judged = judge(list(folders), log, estimators, out=out, model=model, discount=discount, greedy=True, watch=watch)
+    values: dict[str, list[float]] = {}
+    owners = {folder.name: method for folder, method in folders.items()}
+    for policy, value in zip(judged.told["policies"], judged.told["results"][0]["value"]):
+        values.setdefault(owners[policy["run"]], []).append(value)
+    return values
+
+
+def _json(found: Tuned, asked: Suite) -> dict[str, Any]:
+    trials = [{"fields": t.fields, "scores": _finite(t.scores), "values": t.values.tolist()} for t in found.trials]
+    said = {"agent": found.agent, "by": found.by, "logs": asked.on, "steps": asked.steps, "seeds": asked.seeds}
+    return json.loads(json.dumps({**said, "best": found.best.fields, "lost": found.lost, "trials": trials}))
+
+
+def _finite(scores: np.ndarray) -> list[Any] | None:
+    return scores.tolist() if np.isfinite(scores).all() else None
+
+
+def _interval(values: np.ndarray) -> str:
+    if len(values) < 2:
+        return f"{values.mean():.1f}"
+    low, high = student(values)
+    return f"{values.mean():.1f} [{low:.1f}, {high:.1f}]"

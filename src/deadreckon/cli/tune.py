@@ -1,0 +1,89 @@
+"""`deadreckon tune`: settings of an agent, chosen on training tasks or from a log alone."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from deadreckon.cli.ope import Fits, estimators
+from deadreckon.cli.parse import parse
+from deadreckon.errors import UserError
+
+
+@dataclass
+class Tune:
+    """Try settings of an agent and choose: from the log alone by estimates, or in the simulators of training tasks."""
+
+    agent: str  # among `deadreckon agents`
+    data: tuple[str, ...]  # logs: names or files; one where estimates choose
+    by: Literal["ope", "simulator"] = "ope"  # what chooses
+    values: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V,V...")] = ()  # to try; none: what its paper varied
+    fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V")] = ()  # fields that are the same in all
+    trials: int | None = None  # settings at most, drawn from all combinations; None: all
+    steps: int = 20_000  # updates of each setting and seed
+    seeds: int = 3  # of each
+    rows: int | None = None  # of logs that have a recipe; None: all
+    estimators: str = "fqe"  # the first chooses
+    fit: Fits = field(default_factory=Fits)  # sizes of what estimators fit
+    discount: float = 0.99  # of estimated returns
+    seed: int = 0  # of the draw of settings
+    workers: int | None = None  # processes; None: one a core, or one for a GPU
+    out: str = "runs/tune"  # folder of results; what is there is not run again
+    dry_run: bool = False  # print what would be tried, and how long it may take, and run nothing
+
+
+def tune(args: Sequence[str]) -> None:
+    """Tunes and prints."""
+    options = parse(Tune, args, "tune")
+    from deadreckon.bench import tune as found
+    from deadreckon.bench.local import Local
+    from deadreckon.bench.plan import plan
+    from deadreckon.bench.store import Store
+    from deadreckon.cli.bench import Lines, announce
+    from deadreckon.cli.progress import Watch
+    from deadreckon.ope.coverage import MODEL
+    from deadreckon.ope.registry import with_fields
+
+    given = {name: _values(text) for name, text in map(_pair, options.values)} or None
+    fixed = {name: _value(text) for name, text in map(_pair, options.fixed)}
+    settings = found.candidates(options.agent, given, options.trials, options.seed)
+    sizes = {"steps": options.steps, "seeds": options.seeds, "rows": options.rows}
+    asked = found.suite(options.agent, options.data, settings, by=options.by, fixed=fixed, **sizes)
+    store = Store(Path(options.out))
+    executor = Local(store.path, options.workers)
+    jobs = plan(asked, executor.lanes)
+    waiting = announce(asked, jobs, store, executor, options.dry_run)
+    if options.dry_run:
+        return
+    with Watch() as watch:
+        result = found.tune(
+            asked, settings, by=options.by, store=store, executor=executor, told=Lines(len(waiting)),
+            estimators=estimators(options.estimators, options.fit), model=with_fields(MODEL, options.fit.given),
+            discount=options.discount, watch=watch,
+        )  # fmt: skip
+    best = result.best.fields | fixed
+    words = [f"--agent.{name.replace('_', '-')} {value}" for name, value in best.items()]
+    print(f"\n{result}\n\nchosen: {' '.join(words)}")
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, sign, value = text.partition("=")
+    if not sign or not value:
+        raise UserError(f"a field and its values are written alpha=1,2.5, got {text!r}")
+    return name.replace("-", "_"), value
+
+
+def _values(text: str) -> list[Any]:
+    return [_value(part) for part in text.split(",")]
+
+
+def _value(text: str) -> Any:
+    """A number, truth value or list as JSON has them, or else text."""
+    try:
+        found = json.loads(text.lower() if text in ("True", "False") else text)
+    except json.JSONDecodeError:
+        return text
+    return tuple(found) if isinstance(found, list) else found

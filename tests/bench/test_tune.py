@@ -1,0 +1,112 @@
+"""Settings are chosen on training tasks or from the log alone, and what a choice loses is told."""
+
+import json
+
+import numpy as np
+import pytest
+
+from deadreckon.agents import agent_class
+from deadreckon.bench.local import Local
+from deadreckon.bench.store import Found, Store
+from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune
+from deadreckon.cli.main import main
+from deadreckon.errors import UserError
+from deadreckon.training.learner import check_fields
+
+UMAZE = "maze2d-umaze-v1"
+
+
+def test_all_combinations_are_tried_with_the_defaults_among_the_first():
+    found = candidates("iql")
+    assert len(found) == 9
+    assert found[0] == {"expectile": 0.7, "sharpness": 3.0}
+    few = candidates("iql", most=4, seed=3)
+    assert few[0] == found[0]
+    assert len({named(each) for each in few}) == 4
+    assert few == candidates("iql", most=4, seed=3) != candidates("iql", most=4, seed=4)
+
+
+def test_every_known_space_is_of_fields_that_take_its_values():
+    from deadreckon.agents import AGENTS, space
+
+    known = 0
+    for agent in AGENTS:
+        try:
+            values = space(agent)
+        except UserError:
+            continue
+        known += 1
+        kind = agent_class(agent)
+        for name, choices in values.items():
+            assert hasattr(kind(), name), (agent, name)
+            for choice in choices:
+                check_fields(kind(**{name: choice}))
+    assert known >= 20
+
+
+@pytest.mark.parametrize(
+    ("agent", "given", "message"),
+    [
+        ("iql", {"expektile": [1.0]}, "unknown field of iql 'expektile': did you mean expectile"),
+        ("iql", {"expectile": []}, "expectile has no values to try"),
+        ("iql", {"expectile": ["much"]}, "expectile"),
+        ("bc", None, "no values to try are known for bc"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused(agent, given, message):
+    with pytest.raises(UserError, match=message):
+        candidates(agent, given)
+
+
+def test_simulators_of_evaluation_tasks_choose_nothing():
+    settings = candidates("td3_bc")
+    with pytest.raises(UserError, match=r"hopper is kept for evaluation \(thesis Table D.3\)"):
+        suite("td3_bc", ["hopper-medium-v2"], settings, by="simulator", steps=10)
+    with pytest.raises(UserError, match="has no simulator to tune in; --by ope"):
+        suite("td3_bc", ["mine.csv"], settings, by="simulator", steps=10)
+    with pytest.raises(UserError, match="estimates choose for one log"):
+        suite("td3_bc", [UMAZE, "maze2d-medium-v1"], settings, by="ope", steps=10)
+    assert suite("td3_bc", ["hopper-medium-v2"], settings, by="ope", steps=10).on == ("hopper-medium-v2",)
+
+
+SCORES = {1.0: 10.0, 2.5: 30.0, 5.0: 50.0}
+
+
+def given(job, folder, watch):
+    """A score that the setting decides, without training."""
+    score = SCORES[job.settings["alpha"]]
+    told = {"raw": score, "steps": 1, "seconds": 1.0, "failure": "", "versions": "{}"}
+    return Found([{"seed": seed, "score": score + seed} | told for seed in job.seeds], [])
+
+
+def test_the_best_mean_over_tasks_and_seeds_is_chosen(tmp_path):
+    settings = [{"alpha": value} for value in SCORES]
+    asked = suite("td3_bc", [UMAZE, "maze2d-medium-v1"], settings, by="simulator", steps=10, seeds=2)
+    store = Store(tmp_path)
+    found = tune(asked, settings, by="simulator", store=store, executor=Local(tmp_path, 1, given), told=lambda event: None)
+    assert found.best.fields == {"alpha": 5.0}
+    assert found.best.scores.tolist() == [[50.0, 51.0]] * 2
+    assert json.loads((tmp_path / "tuned.json").read_text())["best"] == {"alpha": 5.0}
+
+
+def test_what_a_choice_by_estimates_loses_is_told():
+    known = [(10.0, [1.0, 2.0]), (40.0, [5.0, 7.0]), (50.0, [4.0, 4.0])]
+    trials = tuple(Trial({"alpha": float(i)}, np.full((1, 2), s), np.array(values)) for i, (s, values) in enumerate(known))
+    text = str(Tuned("td3_bc", "ope", trials, trials[1], None, 10.0))
+    assert "the choice loses 10.0 points of score, 25 % of the range of all; a choice by chance would lose 16.7" in text
+    assert text.startswith("* alpha = 1.0")
+
+
+def test_estimates_choose_from_the_log_alone(tmp_path, capsys):
+    small = ["--fixed", "hidden=[8]", "batch_size=16", "--rows", "600", "--steps", "20", "--seeds", "2", "--workers", "1"]
+    small += ["--out", str(tmp_path)]
+    words = ["tune", "--agent", "td3_bc", "--data", UMAZE, "--values", "alpha=1.0,5.0", *small]
+    assert main([*words, "--dry-run"]) == 0
+    assert "4 cells, 0 of them done" in capsys.readouterr().out
+    assert main([*words, "--fit.steps", "20", "--fit.members", "2", "--fit.hidden", "8"]) == 0
+    told = capsys.readouterr().out
+    assert "chosen: --agent.alpha " in told
+    assert "estimated" in told
+    assert "the choice loses" in told  # there is a simulator after all
+    assert main(["tune", "--agent", "td3_bc", "--data", UMAZE, "--values", "alpha"]) == 2
+    assert "written alpha=1,2.5" in capsys.readouterr().err
