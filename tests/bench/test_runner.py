@@ -4,6 +4,7 @@ import dataclasses
 import json
 import multiprocessing
 import os
+import re
 import signal
 
 import numpy as np
@@ -14,10 +15,11 @@ from deadreckon.bench.local import Local, shares
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
-from deadreckon.bench.tables import rendered, table
+from deadreckon.bench.tables import rendered, tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
+from deadreckon.errors import UserError
 
 SUITE = """
 seeds = 2
@@ -100,29 +102,29 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     store.fail(jobs[1], "out of luck", "")
     store.keep("small", jobs[0], made(jobs[0], (10.0, 12.0)))
-    shown = table(suite, jobs, store)
+    [shown] = tables(suite, jobs, store)
     assert str(shown.cells["BC"]["maze2d-umaze-v1"].estimate) == "11 [-1.706, 23.71]"  # 11 -+ 12.706 * 1
-    plain = rendered(shown)
+    plain = rendered([shown])
     assert "11.0 [-1.7, 23.7]" in plain
     assert "FAILED: TD3 on maze2d-umaze-v1: out of luck" in plain
     assert "3.8" in plain  # the thesis's BC
     assert not shown.cells["TD3"]["maze2d-umaze-v1"].bold
 
     store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1), "critic_loss was not finite at update 7"))
-    shown = table(suite, jobs, store)
+    [shown] = tables(suite, jobs, store)
     # What went bad is not best, whatever it scored.
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [True, False]
-    assert "50.0 [49.4, 50.7] (2 failed)" in rendered(shown)
-    assert "FAILED" not in rendered(shown)
-    assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered(shown)
+    assert "50.0 [49.4, 50.7] (2 failed)" in rendered([shown])
+    assert "FAILED" not in rendered([shown])
+    assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered([shown])
 
     store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1)))
-    shown = table(suite, jobs, store)
+    [shown] = tables(suite, jobs, store)
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
-    assert "**50.0 [49.4, 50.7]**" in rendered(shown, "markdown")
-    assert r"\textbf{50.0 [49.4, 50.7]}" in rendered(shown, "latex")
-    head, bc, td3 = rendered(shown, "csv").split("\n")
-    assert td3.startswith("maze2d-umaze-v1,TD3,2,50.05,")
+    assert "**50.0 [49.4, 50.7]**" in rendered([shown], "markdown")
+    assert r"\textbf{50.0 [49.4, 50.7]}" in rendered([shown], "latex")
+    head, bc, td3 = rendered([shown], "csv").split("\n")
+    assert td3.startswith("score,maze2d-umaze-v1,TD3,2,50.05,")
 
 
 def test_results_of_other_code_are_shown_when_asked_for(suite, tmp_path, monkeypatch):
@@ -137,11 +139,11 @@ def test_results_of_other_code_are_shown_when_asked_for(suite, tmp_path, monkeyp
     by("b")
     assert len(store.of(jobs)) == 0
     assert len(store.of(jobs, any_code=True)) == 6
-    assert "5.5" in rendered(table(suite, jobs, store, any_code=True))  # the newest
-    assert "not run yet: 4 of 4 cells" in rendered(table(suite, jobs, store))
-    assert "not run yet: 2 of 4 cells" in rendered(table(suite, jobs, store, any_code=True))
+    assert "5.5" in rendered(tables(suite, jobs, store, any_code=True))  # the newest
+    assert "not run yet: 4 of 4 cells" in rendered(tables(suite, jobs, store))
+    assert "not run yet: 2 of 4 cells" in rendered(tables(suite, jobs, store, any_code=True))
     by("d")
-    assert "3.5" in rendered(table(suite, jobs, store, any_code=True))  # the present code's, though another is newer
+    assert "3.5" in rendered(tables(suite, jobs, store, any_code=True))  # the present code's, though another is newer
 
 
 def test_jobs_that_are_the_same_by_content_are_done_once(suite, tmp_path):
@@ -150,15 +152,15 @@ def test_jobs_that_are_the_same_by_content_are_done_once(suite, tmp_path):
     assert store.undone([*jobs, twin]) == jobs
     store.keep("small", twin, made(twin, (1.0, 2.0)))
     assert store.undone([*jobs, twin]) == [jobs[1]]
-    assert "1.5" in rendered(table(suite, jobs, store))
+    assert "1.5" in rendered(tables(suite, jobs, store))
 
 
 def test_a_log_without_a_simulator_has_no_scores_and_says_so(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     for job in jobs:
         store.keep("small", job, made(job, (np.nan, np.nan)))
-    assert "no simulator to judge in, so no scores: maze2d-umaze-v1" in rendered(table(suite, jobs, store))
-    assert "nan" not in rendered(table(suite, jobs, store))
+    assert "no simulator to judge in, so no scores: maze2d-umaze-v1" in rendered(tables(suite, jobs, store))
+    assert "nan" not in rendered(tables(suite, jobs, store))
 
 
 def test_a_design_suite_runs_through(tmp_path):
@@ -171,8 +173,32 @@ def test_a_design_suite_runs_through(tmp_path):
         store.keep("d", job, perform(job, store.run(job)))
     found = store.of(jobs).to_pylist()
     assert len(found) == 4
-    assert all(row["median"] <= row["score"] for row in found)
-    assert "branin" in rendered(table(read(path), jobs, store))
+    more = [json.loads(row["more"]) for row in found]
+    assert all(m["median"] <= row["score"] and m["median_raw"] <= row["raw"] for m, row in zip(more, found))
+    assert "branin" in rendered(tables(read(path), jobs, store))
+
+
+def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
+    path = tmp_path / "o.toml"
+    path.write_text('kind = "ope"\nseeds = 2\nlogs = ["hopper-random-v2"]\nrows = 2000\n[methods]\nIS = { agent = "is" }\n'
+                    'PDIS = { agent = "pdis" }\n')  # fmt: skip
+    store = Store(tmp_path / "out")
+    jobs = plan(read(path))
+    assert main(["bench", str(path), "--out", str(store.path), "--workers", "1"]) == 0
+    shown = capsys.readouterr().out
+    for words in ("Absolute error, in ranges of the true values, less is better", "Rank correlation, more is better"):
+        assert words in shown
+    assert re.search(r"  thesis +0\.23 ", shown)  # rank correlation of IS in thesis E.2
+    assert str(tmp_path / "out" / "reports" / "o.html") in shown
+    found = store.of(jobs).to_pylist()
+    assert [row["method"] for row in found].count("IS") == 2
+    for row in found:
+        more = json.loads(row["more"])
+        assert len(more["result"]["estimates"]) == 11
+        assert row["score"] == more["rank_correlation"]
+    path.write_text(path.read_text().replace("hopper-random", "maze2d-umaze").replace("-v2", "-v1"))
+    with pytest.raises(UserError, match="maze2d-umaze"):
+        plan(read(path))
 
 
 def test_times_come_from_jobs_that_are_done(suite, tmp_path):
@@ -202,7 +228,7 @@ def test_what_is_missing_of_a_job_is_done_once_and_packed_as_it_may_be(suite, tm
     store.keep("small", one := dataclasses.replace(gap, seeds=(2,)), made(one, (1.0,)))
     assert [job.seeds for job in store.undone([gap])] == [(1,), (3,)]
     store.fail(alone[1], "out of luck", "")
-    assert "FAILED: BC on maze2d-umaze-v1: out of luck" in rendered(table(suite, whole, store))
+    assert "FAILED: BC on maze2d-umaze-v1: out of luck" in rendered(tables(suite, whole, store))
 
 
 def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):

@@ -47,7 +47,7 @@ def test_every_suite_of_the_package_can_be_planned(name):
 
 
 def test_the_thesis_has_suites():
-    assert {"bear", "d4rl-gym", "d4rl-maze2d", "mbpo", "nemo", "quick"} <= set(names())
+    assert {"bear", "d4rl-gym", "d4rl-maze2d", "dope", "mbpo", "nemo", "quick"} <= set(names())
 
 
 def test_a_plan_holds_settings_presets_and_data(written):
@@ -99,7 +99,7 @@ def test_steps_may_differ_by_log(written):
         ("steps = 40", "steps = { maze2d-medium-v1 = 40 }", "steps must be one number, or name each of maze2d-umaze-v1"),
         ("evaluations = 2", "evaluations = 50", "50 evaluations are more than its 40 steps"),
         ("steps = 40\nevaluations = 2", "steps = 5", "10 evaluations are more than its 5 steps"),
-        ('kind = "learn"', 'kind = "lern"', "kind must be one of learn, online, design, got 'lern'"),
+        ('kind = "learn"', 'kind = "lern"', "kind must be one of learn, online, design, ope, got 'lern'"),
         ('logs = ["maze2d-umaze-v1"]', "logs = []", "logs must be a list of different names"),
         ('agent = "bc", ', "", "method 'BC' must say its agent"),
         ('agent = "bc", ', 'agent = "bc", preset = 1, ', "preset of method 'BC' must be a bool, got 1"),

@@ -101,7 +101,7 @@ def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
     Raises:
         UserError: an unknown method, log, task or problem, or a setting that a method does not have.
     """
-    describe = {"learn": _learn, "online": _online, "design": _design}[suite.kind]
+    describe = {"learn": _learn, "online": _online, "design": _design, "ope": _ope}[suite.kind]
     jobs = []
     for on in suite.on:
         for method in suite.methods:
@@ -207,6 +207,27 @@ def designer_of(job: Job) -> Any:
 
     changes = {name: _tuples(value) for name, value in job.asked["fields"].items()}
     return sized(job.agent, job.on, job.asked["budget"], **changes)
+
+
+def _ope(suite: Suite, method: Method, on: str) -> Job:
+    from deadreckon.policies.library import library
+    from deadreckon.tasks.registry import of_log
+
+    task = of_log(on)
+    if task is None:
+        raise UserError(f"{on} is of no task, so nobody knows what policies are worth there")
+    library(task.name)  # refuses a task without policies of known value
+    asked = {"budget": suite.budget, "fields": method.fields}
+    job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), asked, (0,), suite.rows)
+    return dataclasses.replace(job, settings={"estimator": str(estimator_of(job))})
+
+
+def estimator_of(job: Job) -> Any:
+    """The estimator of a job, as its suite says."""
+    from deadreckon.ope.registry import CPU_BUDGET, estimator
+
+    changes = {name: _tuples(value) for name, value in job.asked["fields"].items()}
+    return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.asked["budget"] == "cpu" else {}) | changes)
 
 
 @cache

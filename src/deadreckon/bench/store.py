@@ -39,7 +39,7 @@ RESULT = pa.schema(
         ("seed", pa.int64()),
         ("score", pa.float64()),  # normalised; of designs the best
         ("raw", pa.float64()),  # undiscounted return, or the best design's score by the judge
-        ("median", pa.float64()),  # of designs: the median's normalised score
+        ("more", pa.string()),  # JSON: further numbers by name
         ("failure", pa.string()),  # of this seed: which metric went bad, and when
         ("seconds", pa.float64()),  # of the whole job, since it was last begun
         ("steps", pa.int64()),
@@ -129,7 +129,8 @@ class Store:
     def _all(self, kind: str, schema: pa.Schema) -> pa.Table:
         # The newest last, of which `tables` makes use.
         parts = sorted((part.stat().st_mtime_ns, part.name, part) for part in (self.path / kind).glob("*.parquet"))
-        return pa.concat_tables([_read(part, when) for when, _, part in parts]) if parts else schema.empty_table()
+        tables = [_read(part, when) for when, _, part in parts]
+        return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")  # older parts may lack a column
 
     def of(self, jobs: Sequence[Job], any_code: bool = False) -> pa.Table:
         """The rows of these jobs' cells; with `any_code` also those made by other versions of the methods' code."""

@@ -1,7 +1,7 @@
 """A benchmark, declared: which methods, on what, with which settings and seeds. One TOML file a suite.
 
     about = "One line."
-    kind = "learn"                    # from logs; or "online" in simulators, or "design"
+    kind = "learn"                    # from logs; or "online" in simulators, "design", or "ope" (estimators as methods)
     seeds = 3
     steps = 10_000                    # updates (learn) or environment steps (online); or { NAME = ... } for each of these
     logs = ["hopper-medium-v2"]       # or tasks = [...] (online), or problems = [...] (design)
@@ -21,20 +21,25 @@ from typing import Any, Literal, get_args
 
 from deadreckon.errors import UserError, unknown
 
-Kind = Literal["learn", "online", "design"]
-PLACES = {"learn": "logs", "online": "tasks", "design": "problems"}  # what a suite of a kind lists
-OWN = {"learn": ("rows",), "online": (), "design": ("designs", "budget")}  # options of one kind alone
+Kind = Literal["learn", "online", "design", "ope"]
+PLACES = {"learn": "logs", "online": "tasks", "design": "problems", "ope": "logs"}  # what a suite of a kind lists
+# Options that not all kinds have.
+OWN = {
+    "learn": ("rows", "steps", "episodes", "evaluations"), "online": ("steps", "episodes", "evaluations"),
+    "design": ("designs", "budget"), "ope": ("rows", "budget"),
+}  # fmt: skip
 BUDGETS = ("full", "cpu")
 STEPS = 100_000  # where a suite says nothing
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to learn or to design.
+    """A way to learn, to design or to estimate.
 
     Attributes:
         name: in tables.
-        agent: its name in `deadreckon agents`, or of a designer in `deadreckon design methods`.
+        agent: its name in `deadreckon agents`, or of a designer in `deadreckon design methods`, or of an estimator in
+            `deadreckon ope --list`.
         fields: settings that differ from the defaults, or from the preset.
         preset: whether it begins from the settings published for what it is run on, where there are any.
     """
@@ -51,7 +56,7 @@ class Suite:
 
     Attributes:
         name: of the suite.
-        kind: `learn` from logs, `online` in simulators, or `design`.
+        kind: `learn` from logs, `online` in simulators, `design`, or `ope`: the DOPE protocol.
         on: names of logs, tasks or problems.
         methods: each of them is run on each of those.
         seeds: of each: 0 .. seeds - 1.
@@ -60,7 +65,7 @@ class Suite:
         evaluations: of a run, the last one at its end.
         rows: of each log; None: all.
         designs: that a designer proposes.
-        budget: sizes of what designers fit: `full`, or `cpu`.
+        budget: sizes of what designers or estimators fit: `full`, or `cpu`.
         lanes: seeds of one program; None: all of them.
         about: one line.
     """
@@ -116,7 +121,7 @@ def _suite(name: str, where: str, told: dict[str, Any]) -> Suite:
     kind = told.get("kind", "learn")
     if kind not in get_args(Kind):
         raise UserError(f"{where}: kind must be one of {', '.join(get_args(Kind))}, got {kind!r}")
-    foreign = {option for other, options in OWN.items() if other != kind for option in options}
+    foreign = {option for options in OWN.values() for option in options} - set(OWN[kind])
     known = {f.name for f in fields(Suite)} - {"name", "on"} - foreign | {PLACES[kind]}
     for key in told:
         if key not in known:
@@ -137,7 +142,7 @@ def _suite(name: str, where: str, told: dict[str, Any]) -> Suite:
     rest = {key: told[key] for key in ("budget", "about") if key in told}
     ways = tuple(_method(where, *each) for each in methods.items())
     suite = Suite(name, kind, tuple(on), ways, steps=steps, **counts, **rest)
-    if suite.evaluations > min(steps.values()):
+    if "steps" in OWN[kind] and suite.evaluations > min(steps.values()):
         raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
     return suite
 

@@ -3,10 +3,11 @@
 import csv
 import dataclasses
 import io
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,52 @@ from deadreckon.bench.statistics import Estimate, bold, interval, iqm
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
 from deadreckon.errors import unknown
+from deadreckon.mbo.protocol import published as designs_published
+from deadreckon.ope.dope import METRICS as OPE_METRICS
+from deadreckon.ope.dope import printed as ope_printed
 from deadreckon.ope.intervals import student
+from deadreckon.ope.registry import estimator
 
+# Where the thesis's numbers stand, and what they are of.
+SOURCES = {
+    "learn": "Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator",
+    "design": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges",
+    "ope": "appendix E.2, on D4RL's logs and DOPE's policies: not the same data, not the same policies",
+}
 FORMATS = ("text", "markdown", "csv", "latex")
 # Agents in the thesis's Table 7.1; BRAC has a name for each form.
 THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
+
+
+class Metric(NamedTuple):
+    """A number of which a suite has a table.
+
+    Attributes:
+        column: of the store's rows, or a name in their `more`.
+        words: what it is.
+        higher: whether more is better.
+        digits: that are shown.
+        joint: whether numbers of different logs or problems are on one scale.
+    """
+
+    column: str
+    words: str
+    higher: bool = True
+    digits: int = 1
+    joint: bool = True
+
+
+_SCORE = Metric("score", "normalised score")
+METRICS: dict[str, tuple[Metric, ...]] = {
+    "learn": (_SCORE,), "online": (_SCORE,),
+    "design": (
+        Metric("raw", "the best of the designs", digits=3, joint=False),
+        Metric("median_raw", "their median", digits=3, joint=False),
+        Metric("score", "the best of the designs, 100 being the best of all data"),
+        Metric("median", "their median, 100 being the best of all data"),
+    ),
+    "ope": tuple(Metric(name, words, name == "rank_correlation", 2) for name, words in OPE_METRICS.items()),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,10 +88,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A suite's results.
+    """A suite's results in one metric.
 
     Attributes:
         suite: what was asked for.
+        metric: of the scores.
         cells: method -> what it was run on -> scores, of which there may be none yet.
         printed: what it was run on -> method -> the thesis's score.
         whole: method -> interquartile mean over all, of methods that have all seeds of all.
@@ -57,14 +100,15 @@ class Table:
     """
 
     suite: Suite
+    metric: Metric
     cells: dict[str, dict[str, Cell]]
     printed: dict[str, dict[str, float]]
     whole: dict[str, Estimate]
     notes: tuple[str, ...]
 
 
-def table(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = False) -> Table:
-    """What is known of a suite.
+def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = False) -> list[Table]:
+    """What is known of a suite: a table a metric of its kind.
 
     Args:
         suite: the suite.
@@ -72,6 +116,10 @@ def table(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = Fals
         store: where results lie.
         any_code: take results of other versions of the methods' code, too.
     """
+    return [_table(suite, metric, jobs, store, any_code) for metric in METRICS[suite.kind]]
+
+
+def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_code: bool) -> Table:
     column = "content" if any_code else "cell"
     by_cell: dict[str, dict[str, Any]] = {}
     for row in store.of(jobs, any_code).to_pylist():  # the newest last; of the present code, where there are any
@@ -85,28 +133,46 @@ def table(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = Fals
         own = [by_cell[name] | {"method": job.method, "on": job.on} for name in names if name in by_cell]
         shown += own
         before = cells.setdefault(job.method, {}).get(job.on, Cell(np.zeros(0), 0, 0))
-        scores = np.concatenate([before.scores, np.array([row["score"] for row in own], float)])
+        scores = np.concatenate([before.scores, np.array([_number(row, metric.column) for row in own], float)])
         failed = before.failed + sum(row["failure"] != "" for row in own)
         cells[job.method][job.on] = Cell(scores, before.missing + len(names) - len(own), failed)
     for on in suite.on:
-        whole = {method: row[on].scores for method, row in cells.items() if row[on].sound}
+        sign = 1.0 if metric.higher else -1.0
+        whole = {method: sign * row[on].scores for method, row in cells.items() if row[on].sound}
         for method, marks in (bold({method: [scores] for method, scores in whole.items()}) if whole else {}).items():
             cells[method][on] = dataclasses.replace(cells[method][on], bold=bool(marks[0]))
-    full = {method: row for method, row in cells.items() if all(cell.sound for cell in row.values())}
+    full = {method: row for method, row in cells.items() if metric.joint and all(cell.sound for cell in row.values())}
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
-    printed = {on: _printed(suite, on) for on in suite.on} if suite.kind == "learn" else {}
+    printed = {on: _printed(suite, on, metric) for on in suite.on}
     missing = [(job, s) for job in jobs for s in job.seeds if job.cell(s, with_code=not any_code) not in by_cell]
     notes = [f"{suite.seeds} seeds; means with Student's 95 % intervals over seeds, wide where these are few"]
     if any(printed.values()):
-        notes.append("thesis: Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator")
-    return Table(suite, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
+        notes.append(f"thesis: {SOURCES[suite.kind]}")
+    return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
 
 
-def _printed(suite: Suite, on: str) -> dict[str, float]:
-    scores, names = published.scores(on), {}
-    for method in suite.methods:
-        form = "BRAC-v" if method.fields.get("value_form", True) else "BRAC-p"
-        names[method.name] = form if method.agent == "brac" else THEIRS.get(method.agent, "")
+def _number(row: dict[str, Any], column: str) -> float:
+    found = row[column] if column in row else json.loads(row["more"] or "{}").get(column)
+    return np.nan if found is None else float(found)
+
+
+def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, float]:
+    """Method -> what the thesis prints for it there."""
+    if suite.kind == "learn":
+        scores, names = published.scores(on), {}
+        for method in suite.methods:
+            form = "BRAC-v" if method.fields.get("value_form", True) else "BRAC-p"
+            names[method.name] = form if method.agent == "brac" else THEIRS.get(method.agent, "")
+    elif suite.kind == "design":
+        found = designs_published().get({"raw": "100", "median_raw": "50"}.get(metric.column, ""), {}).get(on, {})
+        scores = {theirs: pair[0] for theirs, pair in found.items()}
+        names = {method.name: method.agent for method in suite.methods}
+    elif suite.kind == "ope" and metric.column != "absolute_error":  # E.2 has errors in returns
+        names = {method.name: estimator(method.agent).label for method in suite.methods}
+        pairs = {label: ope_printed(metric.column, on, label) for label in names.values()}
+        scores = {label: pair[0] for label, pair in pairs.items() if pair is not None}
+    else:
+        return {}
     return {ours: scores[theirs] for ours, theirs in names.items() if theirs in scores}
 
 
@@ -116,7 +182,7 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     if again:
         notes.append(f"collected again by this package, not the original files: {', '.join(again)}")
     notes += _tuned(jobs)
-    blind = sorted({row["on"] for row in found if np.isnan(row["score"])})
+    blind = sorted({row["on"] for row in found if row["kind"] == "learn" and np.isnan(row["score"])})
     if blind:
         notes.append(f"no simulator to judge in, so no scores: {', '.join(blind)}")
     codes = {row["code"] for row in found}
@@ -152,39 +218,49 @@ def _tuned(jobs: Sequence[Job]) -> list[str]:
 # ---- forms ------------------------------------------------------------------------------------------------------------
 
 
-def rendered(table: Table, form: str = "text") -> str:
-    """The table as text, Markdown, CSV or LaTeX.
+def rendered(tables: Sequence[Table], form: str = "text") -> str:
+    """The tables as text, Markdown, CSV or LaTeX, with the notes that they have in common.
 
     Raises:
         UserError: an unknown form.
     """
     if form not in FORMATS:
         raise unknown("format", form, FORMATS)
-    return {"text": _text, "markdown": _markdown, "csv": _csv, "latex": _latex}[form](table)
+    if form == "csv":
+        return _csv(tables)
+    grid, note = {"text": (_text, "{}"), "markdown": (_markdown, "- {}"), "latex": (_latex, "% {}")}[form]
+    parts = [grid(table) for table in tables]
+    if len(tables) > 1:
+        title = {"text": "{}", "markdown": "**{}**", "latex": "% {}"}[form]
+        heads = [f"{t.metric.words}, {'more' if t.metric.higher else 'less'} is better" for t in tables]
+        parts = [f"{title.format(head)}\n\n{part}" for head, part in zip(heads, parts)]
+    notes = dict.fromkeys(line for table in tables for line in table.notes)
+    return "\n".join(["\n\n".join(parts), "", *(note.format(line) for line in notes)])
 
 
-def _shown(estimate: Estimate) -> str:
-    text = f"{estimate.value:.1f}"
-    return text if np.isnan(estimate.low) else f"{text} [{estimate.low:.1f}, {estimate.high:.1f}]"
+def _shown(estimate: Estimate, digits: int) -> str:
+    text = f"{estimate.value:.{digits}f}"
+    return text if np.isnan(estimate.low) else f"{text} [{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
 
 
 def _grid(table: Table, mark: str) -> list[list[str]]:
     """Heads, a row a log, task or problem with the thesis's scores below, and the interquartile means."""
-    methods = list(table.cells)
+    methods, digits = list(table.cells), table.metric.digits
     rows = [["", *methods]]
     for on in table.suite.on:
         row = [on]
         for method in methods:
             cell = table.cells[method][on]
-            text = _shown(cell.estimate) if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
+            text = _shown(cell.estimate, digits) if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
             text = mark.format(text) if cell.bold else text
             counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
             row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
         rows.append(row)
         if any(table.printed.get(on, {}).values()):
-            rows.append(["  thesis", *(f"{table.printed[on][m]:.1f}" if m in table.printed[on] else "" for m in methods)])
-    if len(table.suite.on) > 1:
-        rows.append(["IQM of all", *(_shown(table.whole[m]) if m in table.whole else "-" for m in methods)])
+            theirs = table.printed[on]
+            rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
+    if len(table.suite.on) > 1 and table.metric.joint:
+        rows.append(["IQM of all", *(_shown(table.whole[m], digits) if m in table.whole else "-" for m in methods)])
     return rows
 
 
@@ -194,14 +270,14 @@ def _text(table: Table) -> str:
     lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
     rule = "  ".join("-" * w for w in widths)
     legend = ["* best, or not told from it by Welch's t-test (p > 0.05)"] if any("*" in c for row in rows for c in row) else []
-    return "\n".join([lines[0], rule, *lines[1:], "", *legend, *table.notes])
+    return "\n".join([lines[0], rule, *lines[1:], *(["", *legend] if legend else [])])
 
 
 def _markdown(table: Table) -> str:
     head, *rows = ([cell.replace("|", r"\|") for cell in row] for row in _grid(table, "**{}**"))
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
     lines += ["| " + " | ".join(cell.strip() for cell in row) + " |" for row in rows]
-    return "\n".join([*lines, "", *(f"- {note}" for note in table.notes)])
+    return "\n".join(lines)
 
 
 def _latex(table: Table) -> str:
@@ -213,17 +289,17 @@ def _latex(table: Table) -> str:
     head, *rows = ([safe(cell.strip()) for cell in row] for row in _grid(table, r"\textbf{{{}}}"))
     lines = [r"\begin{tabular}{l" + "r" * (len(head) - 1) + "}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
     lines += [" & ".join(row) + r" \\" for row in rows]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", *(f"% {note}" for note in table.notes)])
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
 
 
-def _csv(table: Table) -> str:
+def _csv(tables: Sequence[Table]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"])
-    for on in table.suite.on:
+    writer.writerow(["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"])
+    for table, on in itertools.product(tables, tables[0].suite.on):
         for method, row in table.cells.items():
             cell = row[on]
             numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if len(cell.scores) else [""] * 3
             told = [len(cell.scores), *numbers, int(cell.bold), cell.missing, cell.failed]
-            writer.writerow([on, method, *told, table.printed.get(on, {}).get(method, "")])
+            writer.writerow([table.metric.column, on, method, *told, table.printed[on].get(method, "")])
     return out.getvalue().rstrip("\n")

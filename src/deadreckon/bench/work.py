@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.bench.plan import Job, agent_of, designer_of, turns
+from deadreckon.bench.plan import Job, agent_of, code, designer_of, estimator_of, turns
 from deadreckon.bench.store import Found
 from deadreckon.errors import UserError
 from deadreckon.files import alone
@@ -24,7 +24,7 @@ def perform(job: Job, folder: Path, watch: Watch = lambda done, total: None) -> 
         folder: where its run lies.
         watch: called as it goes.
     """
-    return {"learn": _learn, "online": _online, "design": _design}[job.kind](job, folder, watch)
+    return {"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job, folder, watch)
 
 
 def source(job: Job) -> Path | str:
@@ -38,13 +38,19 @@ def source(job: Job) -> Path | str:
         return collect(job.on, steps=job.rows)
 
 
-def _learn(job: Job, folder: Path, watch: Watch) -> Found:
+def _log(job: Job) -> Any:
     from deadreckon.data.catalogue import load
-    from deadreckon.runs.train import train
 
-    asked, began, log = job.asked, time.perf_counter(), load(source(job))
+    log = load(source(job))
     if "@" not in job.data and job.data != f"{log.name} {log.fingerprint}":  # here, or on the machine that made the plan
         raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
+    return log
+
+
+def _learn(job: Job, folder: Path, watch: Watch) -> Found:
+    from deadreckon.runs.train import train
+
+    asked, began, log = job.asked, time.perf_counter(), _log(job)
     run = train(
         agent_of(job), log, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
         evaluate_every=asked["every"], episodes=asked["episodes"], chunk=min(1000, asked["every"]), resume=True,
@@ -103,11 +109,36 @@ def _design(job: Job, folder: Path, watch: Watch) -> Found:
     rows = []
     for i, seed in enumerate(job.seeds):
         scores = result.scores(i)
-        best, median = (float(scores.percentile(q, True)) for q in (100, 50))
+        more = {"median": 100.0 * float(scores.percentile(50, True)), "median_raw": float(scores.percentile(50, False))}
         rows.append(
             {
-                "seed": seed, "score": 100.0 * best, "raw": float(scores.percentile(100, False)), "median": 100.0 * median,
-                "steps": 0, "seconds": result.seconds, "failure": "", "versions": json.dumps(versions()),
+                "seed": seed, "score": 100.0 * float(scores.percentile(100, True)), "raw": float(scores.percentile(100, False)),
+                "more": json.dumps(more), "steps": 0, "seconds": result.seconds, "failure": "",
+                "versions": json.dumps(versions()),
+            }
+        )  # fmt: skip
+    return Found(rows, [])
+
+
+def _ope(job: Job, folder: Path, watch: Watch) -> Found:
+    from deadreckon.ope.dope import METRICS, evaluate_log, to_json
+    from deadreckon.tasks.registry import of_log
+    from deadreckon.versions import versions
+
+    log, task = _log(job), of_log(job.on)
+    assert task is not None  # the plan has refused it
+    # Estimators of one log share fits, such as the behaviour model: whoever comes first makes them. Never with other code.
+    shared, rows = folder.parent / f"ope-{code()}", []
+    told = lambda what, step, steps: watch(step, steps)  # noqa: E731
+    for seed in job.seeds:
+        [result] = evaluate_log(log, task.name, [estimator_of(job)], seed=seed, out=shared, watch=told)
+        sound = bool(np.isfinite(result.estimates).all())
+        found = {name: getattr(result.metrics(), name)[0] if sound else None for name in METRICS}
+        rows.append(
+            {
+                "seed": seed, "score": found["rank_correlation"], "raw": None, "steps": 0, "seconds": result.seconds,
+                "more": json.dumps(found | {"result": to_json(result)}), "versions": json.dumps(versions()),
+                "failure": "" if sound else " ".join(result.warnings),
             }
         )  # fmt: skip
     return Found(rows, [])

@@ -1,5 +1,6 @@
 """`deadreckon bench`: a declared table, run to its end; `bench list`, `bench show SUITE`."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,11 +63,11 @@ def _show(args: Sequence[str]) -> None:
     from deadreckon.bench.plan import plan
     from deadreckon.bench.store import Store
     from deadreckon.bench.suite import read
-    from deadreckon.bench.tables import rendered, table
+    from deadreckon.bench.tables import rendered, tables
 
     options = parse(Show, args, "bench show")
     suite = read(options.suite)
-    print(rendered(table(suite, plan(suite), Store(Path(options.out)), options.any_code), options.format))
+    print(rendered(tables(suite, plan(suite), Store(Path(options.out)), options.any_code), options.format))
 
 
 def _run(options: Bench) -> None:
@@ -74,7 +75,7 @@ def _run(options: Bench) -> None:
     from deadreckon.bench.plan import plan
     from deadreckon.bench.store import Store
     from deadreckon.bench.suite import read
-    from deadreckon.bench.tables import rendered, table
+    from deadreckon.bench.tables import rendered, tables
 
     suite = read(options.suite)
     executor = _executor(options)
@@ -83,7 +84,7 @@ def _run(options: Bench) -> None:
     if options.dry_run:
         return executor.close()
     run(suite.name, jobs, store, Lines(len(waiting)), executor)
-    print("\n" + rendered(table(suite, jobs, store)))
+    print("\n" + rendered(tables(suite, jobs, store)))
     if page := _page(suite, jobs, store):
         print(page)
     if store.undone(jobs):
@@ -152,18 +153,24 @@ class Lines:
 
 
 def _page(suite, jobs, store):
-    """A page a log or task: their paths, a line each."""
+    """The suite's page, which links to one a log or task."""
     from deadreckon.bench.plan import file_name
+    from deadreckon.bench.tables import tables
     from deadreckon.report import write
+    from deadreckon.report.suite import write_suite
 
-    if suite.kind == "design":
-        return None
+    if suite.kind == "ope":
+        from deadreckon.ope.dope import from_json
+        from deadreckon.report.dope import write_bench
+
+        results = [from_json(json.loads(row["more"])["result"]) for row in store.of(jobs).to_pylist()]
+        return write_bench(results, store.path / "reports" / f"{file_name(suite.name)}.html") if results else None
     pages = []
     folders = {row["cell"]: store.path / "runs" / row["job"] for row in store.of(jobs).to_pylist()}
-    for on in suite.on:
+    for on in suite.on if suite.kind != "design" else ():
         cells = [cell for job in jobs if job.on == on for cell in job.cells if cell in folders]
         runs = [folder for folder in dict.fromkeys(folders[cell] for cell in cells) if folder.exists()]  # not on another node
         if runs:
             page = store.path / "reports" / f"{file_name(f'{suite.name}-{on}')}.html"
             pages.append(write(runs, page, title=f"{suite.name}: {on}"))
-    return "\n".join(map(str, pages))
+    return write_suite(tables(suite, jobs, store), store.path / "reports" / f"{file_name(suite.name)}.html", pages)

@@ -127,7 +127,7 @@ def evaluate_log(
                 estimates = _nothing(found, names, discount, str(error))
             result = _result(estimates, data.name, behavior, truth, errors, str(found))
             if path is not None:
-                write_json(path, {"asked": asked, "result": _to_json(result)})
+                write_json(path, {"asked": asked, "result": to_json(result)})
         results.append(result)
         told(result)
     return results
@@ -135,7 +135,7 @@ def evaluate_log(
 
 def _kept(path: Path) -> Result:
     try:
-        return _from_json(read_json(path)["result"])
+        return from_json(read_json(path)["result"])
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a whole result ({error}); delete it, and it is computed again") from error
 
@@ -153,12 +153,14 @@ def _result(
     return Result(*known, found.value, found.low, found.high, found.seconds, found.warnings, settings)
 
 
-def _to_json(result: Result) -> dict[str, Any]:
+def to_json(result: Result) -> dict[str, Any]:
+    """A result as JSON values."""
     fields = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
     return json.loads(json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in fields.items()}))
 
 
-def _from_json(fields: Mapping[str, Any]) -> Result:
+def from_json(fields: Mapping[str, Any]) -> Result:
+    """The result that `to_json` wrote."""
     arrays: dict[str, Any] = {n: np.asarray(fields[n], float) for n in ("truth", "errors", "estimates", "low", "high")}
     tuples: dict[str, Any] = {name: tuple(fields[name]) for name in ("names", "warnings")}
     return Result(**{**fields, **arrays, **tuples})
@@ -199,12 +201,13 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
             if own:
                 # E.2 prints errors in returns, and regret of one choice in ranges.
                 same = options.get("normalised", True) == (metric != "absolute_error") and options.get("k", 1) == 1
-                printed = _printed(metric, log, method) if same else None
-                found.setdefault(log, {})[method] = Cell(float(pair[0]), float(pair[1]), printed)
+                theirs = printed(metric, log, method) if same else None
+                found.setdefault(log, {})[method] = Cell(float(pair[0]), float(pair[1]), theirs)
     return found
 
 
-def _printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
+def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
+    """Mean and spread of a metric in thesis E.2, where it prints one for that log and method (its label)."""
     table = published()[{"regret": "regret_at_1"}.get(metric, metric)]["d4rl"]
     values = table.get(log.removesuffix(f"@{VERSION}").removesuffix("-v2"), {}).get(PRINTED.get(method, method))
     return None if values is None else (float(values[0]), float(values[1]))

@@ -5,6 +5,7 @@ states of the log. Terminals end it; where the log cuts an episode off (a timeou
 beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount) times it.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import time
@@ -22,7 +23,7 @@ from deadreckon.data.batch import Batch, Needs, Rows, redrawn
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
+from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import behavior as models
@@ -247,6 +248,10 @@ class Case:
             UserError: its numbers went bad.
         """
         folder = None if self.out is None else self._folder(learner, rows, steps, what)
+        with contextlib.nullcontext() if folder is None else alone(folder, wait=True):  # another process may want the same
+            return self._train(learner, rows, steps, what, folder)
+
+    def _train(self, learner: Any, rows: Rows, steps: int, what: str, folder: Path | None) -> Any:
         job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
         kept = None if folder is None else folder / "metrics.json"
         known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
