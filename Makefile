@@ -44,8 +44,8 @@ lint: $(STAMP) ## ruff, import-linter, pyright
 docs: $(DOCS_STAMP) ## the site in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-bench: $(STAMP) ## speed beside d3rlpy on an idle machine, about 10 minutes; writes docs/results/speed.md
-	$(BIN)/python benchmarks/speed.py --out docs/results/speed.md
+bench: $(STAMP) ## all speed figures on an idle machine, about 40 minutes, into docs/results/speed.md
+	$(BIN)/python benchmarks/report.py
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
 	uv lock

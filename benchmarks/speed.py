@@ -210,7 +210,8 @@ def measure(
             row.rejected += 1
         shown = "  ".join(f"{name} {speed:9.1f}/s" for name, speed in speeds.items())
         note = f"  rejected: {why}" if why else ""
-        print(f"  {row.case:14} {shown}  calibration {[round(r / 1e9) for r in readings]} GFLOP/s{note}", flush=True)
+        rates = [round(r / 1e9) for r in readings]
+        print(f"  {row.case:14} {shown}  calibration {rates} GFLOP/s{note}", file=sys.stderr, flush=True)
 
 
 # ---- the report -----------------------------------------------------------------------------------------------------
@@ -258,7 +259,7 @@ def report(rows: list[Row], shapes: dict[str, float], facts: dict[str, Any], cal
     arguments = facts["arguments"]
     versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
     lines = [
-        "# Speed beside d3rlpy",
+        "## Beside d3rlpy",
         "",
         f"`{facts['command']}`",
         "",

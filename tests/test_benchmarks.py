@@ -23,3 +23,24 @@ def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
     program = ours.make_ours(case, options).flops
     assert flops.needed(options) <= program * 1.001
     assert program == pytest.approx(flops.needed(options), rel=0.12)
+
+
+def test_figures_go_to_their_places_and_text_stays(monkeypatch, tmp_path, capsys):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import report
+
+    (page := tmp_path / "page.md").write_text(
+        "before\n<!-- one: python -c 'print(7)' -->\nold\n<!-- end -->\nbetween\n"
+        "<!-- two: python -c 'print(8)' -->\nkept\n<!-- end -->\nafter\n"
+    )
+    monkeypatch.setattr("sys.argv", ["report.py", "--out", str(page), "--only", "one"])
+    assert report.report() == 0
+    text = page.read_text()
+    assert "old" not in text
+    assert "`python -c 'print(7)'`, " in text
+    assert "\n\n7\n" in text
+    for words in ("before\n<!-- one", "<!-- end -->\nbetween\n", "\nkept\n<!-- end -->\nafter\n"):
+        assert words in text
+    monkeypatch.setattr("sys.argv", ["report.py", "--out", str(page), "--only", "three"])
+    with pytest.raises(Exception, match="has no place 'three'; it has one, two"):
+        report.report()
