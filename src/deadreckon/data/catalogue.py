@@ -84,12 +84,19 @@ def _gym(robot: str, policy: str) -> Entry:
     return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=(27, 84) if robot == "ant" and twin else None)
 
 
+def _flow(road: str, kind: str) -> Entry:
+    name = f"flow-{road}-{kind}-v0"
+    file = f"flow/flow-{road}-v0-{'idm' if kind == 'controller' else kind}.hdf5"
+    return Entry(name, "flow", f"flow-{road}", name, 1_000_000, file, None)
+
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
         *(_maze2d(size, rows, dense) for dense in (False, True) for size, rows in _MAZES),
         *(_gym(robot, policy) for robot in _ROBOTS for policy in (*_POLICIES, *_OURS)),
         *(_gym("humanoid", policy) for policy in ("medium", "uniform")),  # thesis Figure 4.4; never among D4RL's
+        *(_flow(road, kind) for road in ("ring", "merge") for kind in ("random", "controller")),
     )
 }
 

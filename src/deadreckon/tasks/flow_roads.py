@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -28,6 +28,22 @@ FAR = 2000.0  # m, how far leaders and followers are looked for
 # What SUMO checks before a car does as it is told, as bits.
 SAFE_SPEED, RIGHT_OF_WAY, HARD_BRAKING = 1, 8, 16
 HEAD = struct.Struct("<cQ")  # of a message: what it is, and the bytes that follow
+
+
+class Seen(NamedTuple):
+    """What learners see of the road before them, (n, learners) each.
+
+    Attributes:
+        speed: m/s.
+        leading: the leader's speed, m/s.
+        gap: m from bumper to bumper.
+        present: whether there is such a learner.
+    """
+
+    speed: np.ndarray
+    leading: np.ndarray
+    gap: np.ndarray
+    present: np.ndarray
 
 
 class Road(ABC):
@@ -87,6 +103,11 @@ class Road(ABC):
     @abstractmethod
     def observe(self) -> np.ndarray:
         """What the learners see."""
+
+    @staticmethod
+    @abstractmethod
+    def read(observations: np.ndarray) -> "Seen":
+        """What (n, observation_size) observations say, in m and m/s."""
 
     @abstractmethod
     def reward(self, action: np.ndarray) -> float:
@@ -208,6 +229,13 @@ class Ring(Road):
         speed, leading = self.vehicle.getSpeed(self.learner), self.vehicle.getSpeed(self.leader)
         way = (self._place(0) - self._place(-1)) % self.length
         return np.array([speed / self.SEEN_SPEED, (leading - speed) / self.SEEN_SPEED, way / self.LENGTHS[1]])
+
+    @staticmethod
+    def read(observations: np.ndarray) -> Seen:
+        """See `observe`."""
+        speed, relative, way = observations.T[:, :, None].astype(np.float64)
+        speed, gap = speed * Ring.SEEN_SPEED, way * Ring.LENGTHS[1] - CAR
+        return Seen(speed, speed + relative * Ring.SEEN_SPEED, gap, np.ones(speed.shape, bool))
 
     def reward(self, action: np.ndarray) -> float:
         """The mean speed of all cars, less what accelerating costs."""
@@ -347,6 +375,13 @@ class Merge(Road):
                 (speed - following) / SPEED_LIMIT, behind / self.LENGTH,
             )  # fmt: skip
         return seen.ravel()
+
+    @staticmethod
+    def read(observations: np.ndarray) -> Seen:
+        """See `observe`; a learner that is there has a gap."""
+        seen = observations.reshape(len(observations), -1, 5).astype(np.float64)
+        speed = seen[..., 0] * SPEED_LIMIT
+        return Seen(speed, speed + seen[..., 1] * SPEED_LIMIT, seen[..., 2] * Merge.LENGTH, seen.any(-1))
 
     def _neighbour(self, found: tuple[str, float] | None, otherwise: float) -> tuple[float, float]:
         """Its speed, and the gap to it from bumper to bumper."""
