@@ -159,23 +159,36 @@ class Ring(Road):
     SEEN_SPEED = 15.0  # m/s, which observed speeds are divided by
     SPEED_REWARD, ACTION_COST = 4.0 / 20.0, 4.0  # of the mean speed, and of the size of the learner's acceleration
 
+    # SUMO cannot stretch a road, so two quarters of a ring come in pieces to choose from: tens and ones of its length, in m.
+    HALF = 80.0
+    TENS = {f"t{i}": 30.0 + 10.0 * i for i in range(6)}  # noqa: RUF012
+    ONES = {f"o{i}": 30.0 + i for i in range(10)}  # noqa: RUF012
+
     @staticmethod
     def network(copies: int) -> str:
-        """A ring of each length a copy, in two halves: SUMO cannot stretch one."""
+        """Two roads of `HALF` a copy, all of `ONES` from the first to the second, and all of `TENS` back."""
+        ways = (("a", "b", {"x": Ring.HALF}), ("b", "c", Ring.ONES), ("c", "d", {"y": Ring.HALF}), ("d", "a", Ring.TENS))
         edges, nodes, joints = [], [], []
-        low, high = Ring.LENGTHS
-        for y, (copy, length) in enumerate((copy, length) for copy in range(copies) for length in range(low, high + 1)):
-            for here, there, x in (("a", "b", 0), ("b", "a", 50)):
-                half, before = f"{copy}.{length}{here}", f"{copy}.{length}{there}"
-                edges.append(
-                    f'<edge id="{half}" from="{half}" to="{before}" priority="1"><lane id="{half}_0" index="0" '
-                    f'speed="{SPEED_LIMIT}" length="{length / 2}" shape="{x},{y} {50 - x},{y}"/></edge>'
-                )
+        for copy in range(copies):
+            for (start, end, pieces), (_, _, others), x in zip(ways, (*ways[1:], ways[0]), range(4)):
+                for piece, length in pieces.items():
+                    edges.append(
+                        f'<edge id="{copy}.{piece}" from="{copy}.{start}" to="{copy}.{end}" priority="1"><lane id="{copy}.{piece}_0" '
+                        f'index="0" speed="{SPEED_LIMIT}" length="{length}" shape="{x},{copy} {(x + 1) % 4},{copy}"/></edge>'
+                    )
+                pairs = [(here, there) for here in pieces for there in others]
+                joints += [
+                    f'<connection from="{copy}.{here}" to="{copy}.{there}" fromLane="0" toLane="0" dir="s" state="M"/>'
+                    for here, there in pairs
+                ]
+                # No piece is in another's way: of those side by side only one is used.
+                none = "0" * len(pairs)
+                requests = (f'<request index="{i}" response="{none}" foes="{none}" cont="0"/>' for i in range(len(pairs)))
+                lanes, place = " ".join(f"{copy}.{piece}_0" for piece in pieces), f"{(x + 1) % 4},{copy}"
                 nodes.append(
-                    f'<junction id="{half}" type="priority" x="{x}" y="{y}" incLanes="{before}_0" intLanes="" '
-                    f'shape="{x},{y} {x},{y}"><request index="0" response="0" foes="0" cont="0"/></junction>'
+                    f'<junction id="{copy}.{end}" type="priority" x="{(x + 1) % 4}" y="{copy}" incLanes="{lanes}" intLanes="" '
+                    f'shape="{place} {place}">{"".join(requests)}</junction>'
                 )
-                joints.append(f'<connection from="{before}" to="{half}" fromLane="0" toLane="0" dir="s" state="M"/>')
         return "\n".join([*edges, *nodes, *joints])
 
     @staticmethod
@@ -194,6 +207,10 @@ class Ring(Road):
         """22."""
         return Ring.CARS
 
+    def __init__(self, sumo: Any, copy: int, horizon: int, guarded: bool):
+        super().__init__(sumo, copy, horizon, guarded)
+        self.known: set[int] = set()  # lengths whose routes SUMO has
+
     def begin(self, start: np.ndarray) -> None:
         """All cars stand, evenly but for the gap before the learner."""
         self.episode += 1
@@ -203,17 +220,22 @@ class Ring(Road):
         self.first = ((even + start[1:]) % self.length).tolist()
         self.names = [self.name(number) for number in range(self.CARS)]
         self.leader, self.learner = self.names[0], self.names[-1]
-        ring, known = f"{self.copy}.{self.length}", self.sumo.route.getIDList()
+        tens, ones = divmod(self.length - self.LENGTHS[0], 10)
+        pieces = {"x": self.HALF, f"o{ones}": self.ONES[f"o{ones}"], "y": self.HALF, f"t{tens}": self.TENS[f"t{tens}"]}
+        ring, ends = [f"{self.copy}.{piece}" for piece in pieces], np.cumsum([*pieces.values()])
         laps = int(self.horizon * self.substeps * STEP * SPEED_LIMIT / self.length) + 2
-        for here, there in (("a", "b"), ("b", "a")):
-            if ring + here not in known:
-                self.sumo.route.add(ring + here, [ring + here, ring + there] * laps)
+        routes = [f"{edge}.{self.length}" for edge in ring]
+        if self.length not in self.known:
+            self.known.add(self.length)
+            for i, route in enumerate(routes):
+                # Each begins one piece before the car's, so that SUMO knows what the car's rear stands on.
+                self.sumo.route.add(route, [*ring[i - 1 :], *ring[: i - 1]] * laps)
         for car, where in zip(self.names, self.first):
-            half, place = divmod(where, self.length / 2)
-            edge = ring + "ab"[int(half)]
+            i = int(np.searchsorted(ends, where, "right"))
+            place = where - (ends[i - 1] if i else 0.0)
             kind = "learner" if car == self.learner else "human"
-            self.vehicle.add(car, edge, typeID=kind, departPos=str(place), departSpeed="0")
-            self.vehicle.moveTo(car, f"{edge}_0", place)  # at once, and not after SUMO's next step
+            self.vehicle.add(car, routes[i], typeID=kind, departPos=str(place), departSpeed="0")
+            self.vehicle.moveTo(car, f"{ring[i]}_0", place)  # at once, and not after SUMO's next step
         self.vehicle.setSpeedMode(self.learner, self.checks if self.guarded else 0)
 
     def cars(self) -> Iterable[str]:
@@ -263,7 +285,7 @@ class Merge(Road):
     # Seconds from one car to the next, where it comes from, its speed in m/s, and whether it is a learner: 1,800, 200 and 100/h.
     INFLOWS = (2.0, HIGHWAY, 10.0, False), (18.0, HIGHWAY, 10.0, True), (36.0, RAMP, 7.5, False)
     OPENING = 1.0  # s, when the first of each come
-    # m along the highway at which each piece of it begins; those of the ramp are not on it.
+    # m along the highway at which each piece of it begins; where the ramp joins it, it is one.
     BEGINS = {"inflow_highway": 0.0, ":left_0": 100.0, "left": 100.1, ":center_1": 600.1, ":center_0": 600.1, "center": 624.63}  # noqa: RUF012
     GAP = 2.5  # m, SUMO's gaps are less than the true ones by this
     TARGET = 20.0  # m/s
@@ -404,13 +426,12 @@ class Merge(Road):
         return max(near + self.HEADWAY_COST * close, 0.0)
 
     def traffic(self) -> list[tuple[int, float, float]]:
-        """Positions are along the highway, which is 724.6 m long; cars on the ramp are left out."""
+        """Positions are along the highway, which is 724.6 m long; of cars on the ramp they are NaN."""
         shown = []
         for car in self.present:
             edge = self.vehicle.getRoadID(car).replace(f"{self.copy}.", "")
-            if edge in self.BEGINS:
-                place = self.BEGINS[edge] + self.vehicle.getLanePosition(car)
-                shown.append((int(car.rsplit(".", 1)[1]), place, self.vehicle.getSpeed(car)))
+            place = self.BEGINS.get(edge, float("nan")) + self.vehicle.getLanePosition(car)
+            shown.append((int(car.rsplit(".", 1)[1]), place, self.vehicle.getSpeed(car)))
         return shown
 
 
