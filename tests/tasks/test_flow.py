@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -19,6 +20,7 @@ from deadreckon.errors import UserError
 from deadreckon.tasks import flow
 from deadreckon.tasks.flow_env import FlowEnv
 from deadreckon.tasks.flow_roads import CAR, Merge, Ring
+from deadreckon.tasks.task import PROPERTIES
 
 sumo = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO is not installed (the extra `flow`)")
 RING, MERGE = tasks.task("flow-ring"), tasks.task("flow-merge")
@@ -186,6 +188,38 @@ def test_a_crash_is_terminal_and_pays_nothing():
     assert not simulator.step(np.zeros((2, 1)))[2].any()  # it drives again, and the other rests
 
 
+@sumo
+def test_pictures_are_drawn_from_all_cars():
+    from deadreckon.runs.evaluate import evaluate
+
+    class Still:
+        has_log_prob = False
+
+        def start(self, n):
+            return ()
+
+        def act(self, step, carry, key, *, greedy):
+            return np.zeros((len(step.observation), 1), np.float32), carry
+
+    task = replace(RING, horizon=4)
+    found = evaluate(Still(), task, episodes=3, record=2)
+    assert found.trajectories.shape == (1, 2, 4, Ring.CARS, 2)
+    assert np.isfinite(found.trajectories).all()
+    assert not found.trajectories[:, :, 0, :, 1].any()  # all stand at first
+    assert (found.trajectories[:, :, -1, :-1, 1] > 0).sum() > Ring.CARS
+    assert not found.trajectories[:, :, :, task.learners[0], 1].any()  # the learner does not move
+    assert len(np.unique(found.returns)) == 3
+
+
+def test_properties_are_those_of_the_thesis():
+    for name in tasks.names():
+        found = tasks.task(name)
+        assert set(found.properties) <= set(PROPERTIES)
+    assert RING.properties == MERGE.properties == ("non-representable policies", "realistic")  # 7.3
+    assert tasks.task("maze2d-umaze").properties[-1] == "temporally extended"  # Table 8.1: T
+    assert "high-dimensional" in tasks.task("ant").properties  # Table 8.1: H
+
+
 # ---- physics ----------------------------------------------------------------------------------------------------------
 
 
@@ -244,8 +278,8 @@ def gone(pid, seconds=10.0):
             os.kill(pid, 0)
         except ProcessLookupError:
             return True
-        stat = f"/proc/{pid}/stat"
-        if os.path.exists(stat) and open(stat).read().rsplit(")", 1)[1].split()[0] == "Z":
+        stat = Path(f"/proc/{pid}/stat")
+        if stat.exists() and stat.read_text().rsplit(")", 1)[1].split()[0] == "Z":
             return True  # it has ended; nobody has asked how
         time.sleep(0.05)
     return False

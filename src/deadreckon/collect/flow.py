@@ -13,7 +13,7 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
 from deadreckon.tasks.flow import Flow
-from deadreckon.tasks.flow_roads import SPEED_LIMIT, STEP
+from deadreckon.tasks.flow_roads import SPEED_LIMIT
 
 KINDS = ("random", "controller")
 
@@ -73,7 +73,7 @@ class FollowerStopper:
             [0.0, most * (gap - stop) / (follow - stop), most + (self.wanted - most) * (gap - follow) / (free - follow)],
             self.wanted,
         )
-        return _bounded(self.task, (command - speed) / (STEP * self.task.kind.substeps), present)
+        return _bounded(self.task, (command - speed) / self.task.seconds, present)
 
 
 class PISaturation:
@@ -96,14 +96,13 @@ class PISaturation:
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """See `Controller`."""
         speed, leading, gap, present = self.task.kind.read(observations)
-        seconds = STEP * self.task.kind.substeps
-        self.speeds = [*self.speeds, speed][-int(self.WINDOW / seconds) :]
+        self.speeds = [*self.speeds, speed][-int(self.WINDOW / self.task.seconds) :]
         target = np.mean(self.speeds, 0) + self.CATCH_UP * np.clip((gap - self.NARROW) / (self.WIDE - self.NARROW), 0.0, 1.0)
         safe = np.maximum(self.SAFE_TIME * (leading - speed), self.SAFE_GAP)
         share = np.clip((gap - safe) / self.BLEND, 0.0, 1.0)
         weight = 1.0 - 0.5 * share
         self.command = weight * (share * target + (1.0 - share) * leading) + (1.0 - weight) * self.command
-        return _bounded(self.task, (self.command - speed) / seconds, present)
+        return _bounded(self.task, (self.command - speed) / self.task.seconds, present)
 
 
 def _bounded(task: Flow, accelerations: np.ndarray, present: np.ndarray) -> np.ndarray:

@@ -62,7 +62,7 @@ def measure_flow(task: Flow, *, episodes: int = 100, seed: int = 0) -> Reference
     random = uniform_return(task, seeds, np.random.default_rng(actions))
     calm = PISaturation(task) if task.road == "ring" else FollowerStopper(task, Merge.TARGET)
     expert = float(controlled_returns(task, calm, seeds).mean())
-    return Reference(random, expert, f"measured on this simulator: {episodes} episodes of uniform actions, {episodes} controlled")
+    return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
 
 
 def controlled_returns(task: Flow, controller: Controller, seeds: Sequence[int]) -> np.ndarray:

@@ -30,6 +30,7 @@ class Entry:
         twin_layout: (kept, zeros): of the twin's observations the first `kept` are taken and `zeros` zeros put behind them, so
             that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
+        controller: who acts, thesis Table D.1: `planner`, `policy` (random ones and hand-made controllers too) or `human`.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Entry:
     version: str = VERSION
     twin_layout: tuple[int, int] | None = None
     sha256: str | None = None
+    controller: str = "policy"
 
     @property
     def collected(self) -> str:
@@ -60,7 +62,7 @@ def _maze2d(size: str, rows: int, dense: bool) -> Entry:
     name = f"maze2d-{size}{middle}-v1"
     file = name if dense else f"maze2d-{size}-sparse-v1"
     twin = None if size.startswith("eval-") else f"D4RL/pointmaze/{size}{middle}-v2"
-    return Entry(name, "maze2d", f"maze2d-{size}{middle}", name, rows, f"maze2d/{file}.hdf5", twin)
+    return Entry(name, "maze2d", f"maze2d-{size}{middle}", name, rows, f"maze2d/{file}.hdf5", twin, controller="planner")
 
 
 # Rows: thesis Table D.1. The original has logs of the evaluation mazes too, though no Minari twin does.

@@ -4,6 +4,7 @@ SUMO is no part of the default install; it runs in processes of its own (`tasks/
 simulator does. There are no servers, no ports and no windows.
 """
 
+import contextlib
 import importlib.util
 import os
 import subprocess
@@ -12,13 +13,13 @@ import tempfile
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.tasks.flow_roads import ROADS, Road, read, write
+from deadreckon.tasks.flow_roads import ROADS, STEP, Road, read, write
 from deadreckon.tasks.task import Reference, Simulator, Starts, Task, checked_actions, thread_count
 
 FEW = 8  # copies that are not worth a second process
@@ -51,7 +52,7 @@ class Flow(Task):
         return FlowSimulator(self, seeds, threads)
 
     def shown(self, simulator: Simulator, observations: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """(which, cars, 2) position in m and speed in m/s of all cars by number; NaN where there is none."""
+        """(which, cars, 2) position in m and speed in m/s of all cars by number; see `Task.shown`."""
         assert isinstance(simulator, FlowSimulator)
         out = np.full((len(which), self.cars, 2), np.nan, np.float32)
         rows = simulator.traffic(which)
@@ -61,7 +62,17 @@ class Flow(Task):
     @property
     def cars(self) -> int:
         """That take part in an episode."""
-        return ROADS[self.road].count(self.horizon)
+        return self.kind.count(self.horizon)
+
+    @property
+    def learners(self) -> list[int]:
+        """Their numbers among the cars."""
+        return self.kind.learners(self.horizon)
+
+    @property
+    def seconds(self) -> float:
+        """Of a step."""
+        return STEP * self.kind.substeps
 
 
 class Sumo:
@@ -109,18 +120,16 @@ class Sumo:
             return UserError(f"{self.task.name}: the simulator has been closed")
         self.process.wait()
         self.errors.seek(0)
-        last = self.errors.read().decode(errors="replace").strip().splitlines()[-1:]
-        return UserError(f"{self.task.name}: SUMO's process ended with {self.process.returncode}{': ' if last else ''}{''.join(last)}")
+        last = self.errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+        return UserError(f"{self.task.name}: SUMO's process ended with {self.process.returncode}{last and f': {last}'}")
 
 
 def _end(process: subprocess.Popen[bytes], errors: IO[bytes]) -> None:
     """Closes the pipes, which ends the process."""
     for pipe in (process.stdin, process.stdout):
         assert pipe is not None
-        try:
+        with contextlib.suppress(BrokenPipeError):  # it has ended already
             pipe.close()
-        except BrokenPipeError:  # it has ended already
-            pass
     process.wait()
     errors.close()
 
@@ -159,7 +168,7 @@ class Traffic:
         """Applies (copies, size) float32 accelerations; gives observations, rewards and who has crashed."""
         space = self.task.action_space
         assert isinstance(space, Box)
-        actions = np.clip(actions, np.float32(space.low), np.float32(space.high))
+        actions = np.clip(actions, np.array(space.low, np.float32), np.array(space.high, np.float32))
         for part, sumo in zip(self._parts, self._sumos):
             sumo.ask(b"S", actions[part])
         found = []
@@ -286,6 +295,7 @@ def _make(road: str, horizon: int, bound: float, summary: str) -> Flow:
         gym_id=f"deadreckon/Flow-{road.title()}-v0",
         reference=Reference(random, expert, "measured on this simulator: uniform actions, a controller that calms traffic"),
         published=Reference(*_PUBLISHED[name], "D4RL"), summary=summary, road=road,
+        properties=("non-representable policies", "realistic"), source="Wu et al. 2017",
     )  # fmt: skip
 
 

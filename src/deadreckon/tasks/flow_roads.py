@@ -7,6 +7,7 @@ depends on its start and its actions alone, to the last bit, whatever goes on be
 Constants are those of D4RL's Flow tasks (Fu et al. 2020; Wu et al. 2017; Vinitsky et al. 2018); what differs is in the docs.
 """
 
+import importlib
 import os
 import signal
 import struct
@@ -16,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, NamedTuple
+from typing import IO, Any, ClassVar, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -88,6 +89,11 @@ class Road(ABC):
     def count(horizon: int) -> int:
         """Cars that take part in an episode."""
 
+    @staticmethod
+    @abstractmethod
+    def learners(horizon: int) -> list[int]:
+        """Their numbers among the cars of an episode."""
+
     @abstractmethod
     def begin(self, start: np.ndarray) -> None:
         """Puts the cars of a new episode on the road."""
@@ -142,8 +148,8 @@ class Road(ABC):
 def _idm(name: str, acceleration: float = 2.6, deceleration: float = 4.5, gap: float = 2.5) -> str:
     """A kind of cars that SUMO drives by the intelligent driver model (Treiber et al. 2000); the defaults are Flow's."""
     return (
-        f'<vType id="{name}" carFollowModel="IDM" accel="{acceleration}" decel="{deceleration}" minGap="{gap}" tau="1" delta="4" '
-        f'length="{CAR}" maxSpeed="{SPEED_LIMIT}" speedFactor="1" speedDev="0" sigma="0"/>'
+        f'<vType id="{name}" carFollowModel="IDM" accel="{acceleration}" decel="{deceleration}" minGap="{gap}" tau="1" '
+        f'delta="4" length="{CAR}" maxSpeed="{SPEED_LIMIT}" speedFactor="1" speedDev="0" sigma="0"/>'
     )
 
 
@@ -173,8 +179,9 @@ class Ring(Road):
             for (start, end, pieces), (_, _, others), x in zip(ways, (*ways[1:], ways[0]), range(4)):
                 for piece, length in pieces.items():
                     edges.append(
-                        f'<edge id="{copy}.{piece}" from="{copy}.{start}" to="{copy}.{end}" priority="1"><lane id="{copy}.{piece}_0" '
-                        f'index="0" speed="{SPEED_LIMIT}" length="{length}" shape="{x},{copy} {(x + 1) % 4},{copy}"/></edge>'
+                        f'<edge id="{copy}.{piece}" from="{copy}.{start}" to="{copy}.{end}" priority="1">'
+                        f'<lane id="{copy}.{piece}_0" index="0" speed="{SPEED_LIMIT}" length="{length}" '
+                        f'shape="{x},{copy} {(x + 1) % 4},{copy}"/></edge>'
                     )
                 pairs = [(here, there) for here in pieces for there in others]
                 joints += [
@@ -206,6 +213,11 @@ class Ring(Road):
     def count(horizon: int) -> int:
         """22."""
         return Ring.CARS
+
+    @staticmethod
+    def learners(horizon: int) -> list[int]:
+        """The last, before whom the gap is."""
+        return [Ring.CARS - 1]
 
     def __init__(self, sumo: Any, copy: int, horizon: int, guarded: bool):
         super().__init__(sumo, copy, horizon, guarded)
@@ -282,7 +294,7 @@ class Merge(Road):
     HIGHWAY, RAMP = ("inflow_highway", "left", "center"), ("inflow_merge", "bottom", "center")
     LENGTH = 900.0  # m of all roads together, which observed distances are divided by
     STANDING = 0.0, 180.0, 360.0, 540.0, 720.0  # m along the highway, where cars stand at the beginning
-    # Seconds from one car to the next, where it comes from, its speed in m/s, and whether it is a learner: 1,800, 200 and 100/h.
+    # Seconds from one car to the next (1,800, 200 and 100 an hour), its road, its speed in m/s, and whether it is a learner.
     INFLOWS = (2.0, HIGHWAY, 10.0, False), (18.0, HIGHWAY, 10.0, True), (36.0, RAMP, 7.5, False)
     OPENING = 1.0  # s, when the first of each come
     # m along the highway at which each piece of it begins; where the ramp joins it, it is one.
@@ -327,10 +339,15 @@ class Merge(Road):
         """Those that stand on the road at the beginning, and those that want to come."""
         return len(Merge.STANDING) + len(Merge.schedule(horizon))
 
+    @staticmethod
+    def learners(horizon: int) -> list[int]:
+        """One in ten of those on the highway."""
+        return [len(Merge.STANDING) + i for i, (_, _, _, learner) in enumerate(Merge.schedule(horizon)) if learner]
+
     def __init__(self, sumo: Any, copy: int, horizon: int, guarded: bool):
         super().__init__(sumo, copy, horizon, guarded)
         self.coming = self.schedule(horizon)
-        self.routes = {road: f"{copy}.{road[0]}" for road in (self.HIGHWAY, self.RAMP)}
+        self.routes: dict[tuple[str, ...], str] = {road: f"{copy}.{road[0]}" for road in (self.HIGHWAY, self.RAMP)}
         for road, route in self.routes.items():
             sumo.route.add(route, [f"{copy}.{edge}" for edge in road])
 
@@ -342,7 +359,7 @@ class Merge(Road):
         self.come = 0  # how many of those that are coming have
         self.waiting: dict[str, bool] = {}  # cars that SUMO has no room for yet, and whether they are learners
         self.present: dict[str, None] = {}  # the others, in the order in which they came
-        self.learners: list[str] = []  # of these
+        self.driven: list[str] = []  # of these, the learners
         for number, place in enumerate(self.STANDING):
             car = self._add(number, self.HIGHWAY, 0.0)
             edge = max((edge for edge in self.HIGHWAY if self.BEGINS[edge] <= place), key=lambda edge: self.BEGINS[edge])
@@ -366,7 +383,7 @@ class Merge(Road):
             _, road, speed, learner = self.coming[self.come]
             self.waiting[self._add(len(self.STANDING) + self.come, road, speed)] = learner
             self.come += 1
-        for car, acceleration in zip(self.learners, action.tolist()):
+        for car, acceleration in zip(self.driven, action.tolist()):
             self.accelerate(car, acceleration)
         self.time += STEP
 
@@ -375,20 +392,20 @@ class Merge(Road):
         if car in self.waiting:
             self.present[car] = None
             if self.waiting.pop(car):
-                self.learners.append(car)
+                self.driven.append(car)
                 if not self.guarded:
                     self.vehicle.setSpeedMode(car, 0)
 
     def arrived(self, car: str) -> None:
         """It has left at the end of the highway. The learners behind it move up."""
         del self.present[car]
-        if car in self.learners:
-            self.learners.remove(car)
+        if car in self.driven:
+            self.driven.remove(car)
 
     def observe(self) -> np.ndarray:
         """(25,) of each learner its speed, and of its leader and its follower their relative speeds and gaps; 0 of none."""
         seen = np.zeros((self.action_size, 5))
-        for row, car in zip(seen, self.learners):
+        for row, car in zip(seen, self.driven):
             speed = self.vehicle.getSpeed(car)
             leading, before = self._neighbour(self.vehicle.getLeader(car, FAR), SPEED_LIMIT)
             following, behind = self._neighbour(self.vehicle.getFollower(car, FAR), 0.0)
@@ -403,7 +420,7 @@ class Merge(Road):
         """See `observe`; a learner that is there has a gap."""
         seen = observations.reshape(len(observations), -1, 5).astype(np.float64)
         speed = seen[..., 0] * SPEED_LIMIT
-        return Seen(speed, speed + seen[..., 1] * SPEED_LIMIT, seen[..., 2] * Merge.LENGTH, seen.any(-1))
+        return Seen(speed, speed + seen[..., 1] * SPEED_LIMIT, seen[..., 2] * Merge.LENGTH, np.any(seen, axis=-1))
 
     def _neighbour(self, found: tuple[str, float] | None, otherwise: float) -> tuple[float, float]:
         """Its speed, and the gap to it from bumper to bumper."""
@@ -419,7 +436,7 @@ class Merge(Road):
         most = self.TARGET * np.sqrt(len(speeds))
         near = max(most - float(np.linalg.norm(speeds - self.TARGET)), 0.0) / most
         close = 0.0
-        for car in self.learners[: self.action_size]:
+        for car in self.driven[: self.action_size]:
             found, speed = self.vehicle.getLeader(car, FAR), self.vehicle.getSpeed(car)
             if found and found[0] and speed > 0.0:
                 close += min(max(found[1] + self.GAP, 0.0) / speed / self.HEADWAY - 1.0, 0.0)
@@ -449,9 +466,7 @@ class World:
     """
 
     def __init__(self, road: str, copies: int, horizon: int, guarded: bool):
-        import libsumo
-
-        self.sumo: Any = libsumo
+        self.sumo: Any = importlib.import_module("libsumo")
         kind = ROADS[road]
         place = '<location netOffset="0,0" convBoundary="0,0,1,1" origBoundary="0,0,1,1" projParameter="!"/>'
         with tempfile.TemporaryDirectory() as folder:
@@ -459,12 +474,12 @@ class World:
             network.write_text(f'<net version="1.20">\n{place}\n{kind.network(copies)}\n</net>')
             types.write_text(f"<additional>{kind.types()}</additional>")
             options = {
-                "net-file": network, "additional-files": types, "step-length": STEP, "xml-validation": "never", "no-step-log": True,
-                "no-warnings": True, "no-internal-links": road == "ring", "time-to-teleport": -1, "collision.action": "warn",
-                "collision.mingap-factor": 0,
+                "net-file": network, "additional-files": types, "step-length": STEP, "xml-validation": "never",
+                "no-step-log": True, "no-warnings": True, "no-internal-links": road == "ring", "time-to-teleport": -1,
+                "collision.action": "warn", "collision.mingap-factor": 0,
             }  # fmt: skip
-            libsumo.start(["sumo", *(word for key, value in options.items() for word in (f"--{key}", str(value).lower()))])
-        self.roads = [kind(libsumo, copy, horizon, guarded) for copy in range(copies)]
+            self.sumo.start(["sumo", *(word for key, value in options.items() for word in (f"--{key}", str(value).lower()))])
+        self.roads = [kind(self.sumo, copy, horizon, guarded) for copy in range(copies)]
 
     def begin(self, which: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """(which, observation_size) float32, of new episodes in these copies."""
@@ -508,11 +523,12 @@ class World:
 
     def traffic(self, which: np.ndarray) -> np.ndarray:
         """(cars, 4) float64 position in `which`, number of the car, its position in m, and its speed in m/s."""
-        rows = [(i, *car) for i, copy in enumerate(which.tolist()) if self.roads[copy].running for car in self.roads[copy].traffic()]
+        roads = [(i, self.roads[copy]) for i, copy in enumerate(which.tolist())]
+        rows = [(i, *car) for i, road in roads if road.running for car in road.traffic()]
         return np.array(rows, np.float64).reshape(-1, 4)
 
 
-def read(stream: BinaryIO) -> tuple[bytes, bytes] | None:
+def read(stream: IO[bytes]) -> tuple[bytes, bytes] | None:
     """A message: a letter and what follows it; None where the stream has ended."""
     head = stream.read(HEAD.size)
     if len(head) < HEAD.size:
@@ -522,7 +538,7 @@ def read(stream: BinaryIO) -> tuple[bytes, bytes] | None:
     return (letter, body) if len(body) == size else None
 
 
-def write(stream: BinaryIO, letter: bytes, *arrays: np.ndarray) -> None:
+def write(stream: IO[bytes], letter: bytes, *arrays: np.ndarray) -> None:
     """Sends a message; see `read`."""
     body = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
     stream.write(HEAD.pack(letter, len(body)) + body)
