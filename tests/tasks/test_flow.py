@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
+import deadreckon as dr
+import deadreckon.tasks.envs
 from deadreckon import tasks
 from deadreckon.errors import UserError
 from deadreckon.tasks import flow
@@ -331,8 +332,11 @@ def test_bad_actions():
 
 def test_without_sumo_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(flow.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"flow-merge needs SUMO, which is not installed: pip install 'deadreckon\[flow\]'"):
+    told = r"^flow-merge needs SUMO, which is not installed: pip install 'deadreckon\[flow\]'$"
+    with pytest.raises(UserError, match=told):
         MERGE.simulate([0])
+    with pytest.raises(UserError, match=told):
+        dr.collect.generate("flow-merge-controller-v0", steps=10)
 
 
 def test_what_is_published_is_near():

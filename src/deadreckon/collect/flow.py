@@ -12,7 +12,7 @@ from deadreckon.collect.rollouts import Act, perform
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
-from deadreckon.tasks.flow import Flow
+from deadreckon.tasks.flow import Flow, sumo_version
 from deadreckon.tasks.flow_roads import SPEED_LIMIT
 
 KINDS = ("random", "controller")
@@ -136,7 +136,8 @@ def collect_flow(
         progress: called with rows done and rows in all.
     """
     extra = {"task": task.name, "actions": "uniform" if kind == "random" else "intelligent driver model, within the bounds"}
-    versions = {each: metadata.version(each) for each in ("libsumo", "numpy", "jax")} | {"deadreckon": __version__}
+    versions = {"libsumo": sumo_version(task.name), "deadreckon": __version__}
+    versions |= {each: metadata.version(each) for each in ("numpy", "jax")}
     return perform(
         task, [Act(None if kind == "random" else Idm(task), steps)], name=f"{name}@{VERSION}", seed=seed,
         provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,

@@ -13,6 +13,7 @@ import tempfile
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from typing import IO
 
 import numpy as np
@@ -75,6 +76,17 @@ class Flow(Task):
         return STEP * self.kind.substeps
 
 
+def sumo_version(task: str) -> str:
+    """Of the SUMO that is installed.
+
+    Raises:
+        UserError: none is, and `task` needs it.
+    """
+    if importlib.util.find_spec("libsumo") is None:
+        raise UserError(f"{task} needs SUMO, which is not installed: pip install 'deadreckon[flow]'")
+    return metadata.version("libsumo")
+
+
 class Sumo:
     """A process with copies of a road; it ends with this object.
 
@@ -87,9 +99,8 @@ class Sumo:
     """
 
     def __init__(self, task: Flow, copies: int):
-        if importlib.util.find_spec("libsumo") is None:
-            raise UserError(f"{task.name} needs SUMO, which is not installed: pip install 'deadreckon[flow]'")
-        self.task, self.copies = task, copies
+        sumo_version(task.name)
+        self.task = task
         self.errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
         what = f"from deadreckon.tasks.flow_roads import serve; serve{(task.road, copies, task.horizon, task.guarded)}"
         paths = os.pathsep.join(path or os.getcwd() for path in sys.path)

@@ -18,7 +18,6 @@ from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import IO, Any, ClassVar, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -308,6 +307,8 @@ class Merge(Road):
     @staticmethod
     def network(copies: int) -> str:
         """The same network again and again."""
+        from xml.etree import ElementTree
+
         net = ElementTree.fromstring(resources.files("deadreckon.tasks").joinpath("assets", "merge.net.xml").read_text())
         parts = []
         for kind in ("edge", "junction", "connection"):  # SUMO reads them in this order
