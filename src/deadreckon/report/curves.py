@@ -198,7 +198,7 @@ def _roads(page: Page, task: Flow) -> Markup | None:
         tag("div", figures, class_="charts two"),
         note(
             "The first episode of the last evaluation (first seed): position along the road against time, a line a car, "
-            "coloured by speed; thin lines in the colour of this text's headings are learners. Waves of stopping and going are bands "
+            "coloured by speed; thin lines in the colour of the headings are learners. Waves of stopping and going are bands "
             "that run backwards."
         ),
     )
