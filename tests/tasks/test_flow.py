@@ -164,6 +164,15 @@ def test_merge_by_hand():
         alone = np.isclose(gaps, 900.0) & np.isclose(rows[: len(mine), :2].sum(1), 1.0)  # nobody ahead
         close = sum(min(gap / speeds[n] - 1, 0) for n, gap, free in zip(mine, gaps, alone) if speeds[n] > 0 and not free)
         assert reward == pytest.approx(max(near + 0.1 * close, 0), abs=1e-5)
+        places = dict(zip(cars[:, 0], cars[:, 1]))
+        for number, row in zip(mine, rows):
+            behind = [(places[number] - place, other) for other, place in places.items() if place < places[number]]
+            gap, other = min(behind, default=(900.0 + CAR, None))
+            if places[number] < 600 or other is None:  # beyond, someone on the ramp may be nearer
+                speed = 0.0 if other is None else speeds[other]
+                np.testing.assert_allclose(row[3:], [(speeds[number] - speed) / 30, (gap - CAR) / 900], atol=1e-6)
+            else:
+                assert 900 * row[4] <= gap - CAR + 1e-3
     assert most >= 3
     highway = cars[np.isfinite(cars[:, 1])]
     highway = highway[np.argsort(highway[:, 1])]

@@ -296,8 +296,10 @@ class Merge(Road):
     # Seconds from one car to the next (1,800, 200 and 100 an hour), its road, its speed in m/s, and whether it is a learner.
     INFLOWS = (2.0, HIGHWAY, 10.0, False), (18.0, HIGHWAY, 10.0, True), (36.0, RAMP, 7.5, False)
     OPENING = 1.0  # s, when the first of each come
-    # m along the highway at which each piece of it begins; where the ramp joins it, it is one.
-    BEGINS = {"inflow_highway": 0.0, ":left_0": 100.0, "left": 100.1, ":center_1": 600.1, ":center_0": 600.1, "center": 624.63}  # noqa: RUF012
+    # m along the highway at which each piece of it begins; the ramp ends where it joins the highway.
+    JOINT = 624.63
+    BEGINS = {"inflow_highway": 0.0, ":left_0": 100.0, "left": 100.1, ":center_1": 600.1, "center": JOINT, ":center_0": 601.68}  # noqa: RUF012
+    RAMP_BEGINS = {"inflow_merge": 401.58, ":bottom_0": 501.58, "bottom": 501.68}  # noqa: RUF012
     GAP = 2.5  # m, SUMO's gaps are less than the true ones by this
     TARGET = 20.0  # m/s
     HEADWAY = 1.0  # s; learners that are closer to their leaders pay
@@ -358,14 +360,17 @@ class Merge(Road):
         self.running = True
         self.time, self.likes = 0.0, start
         self.come = 0  # how many of those that are coming have
-        self.waiting: dict[str, bool] = {}  # cars that SUMO has no room for yet, and whether they are learners
+        self.waiting: dict[str, tuple[bool, bool]] = {}  # cars that SUMO has no room for yet: from the ramp, a learner
         self.present: dict[str, None] = {}  # the others, in the order in which they came
-        self.driven: list[str] = []  # of these, the learners
+        self.highway: list[str] = []  # of these, those that came on the highway, and so are one behind the other,
+        self.ramp: list[str] = []  # those that came on the ramp,
+        self.driven: list[str] = []  # and the learners
         for number, place in enumerate(self.STANDING):
             car = self._add(number, self.HIGHWAY, 0.0)
             edge = max((edge for edge in self.HIGHWAY if self.BEGINS[edge] <= place), key=lambda edge: self.BEGINS[edge])
             self.vehicle.moveTo(car, f"{self.copy}.{edge}_0", place - self.BEGINS[edge])
             self.present[car] = None
+            self.highway.insert(0, car)
 
     def _add(self, number: int, road: tuple[str, ...], speed: float) -> str:
         car = self.name(number)
@@ -382,7 +387,7 @@ class Merge(Road):
         """Accelerates the first five learners; others drive as all do. Cars come whose time it is."""
         while self.come < len(self.coming) and self.coming[self.come][0] <= self.time:
             _, road, speed, learner = self.coming[self.come]
-            self.waiting[self._add(len(self.STANDING) + self.come, road, speed)] = learner
+            self.waiting[self._add(len(self.STANDING) + self.come, road, speed)] = road is self.RAMP, learner
             self.come += 1
         for car, acceleration in zip(self.driven, action.tolist()):
             self.accelerate(car, acceleration)
@@ -392,7 +397,9 @@ class Merge(Road):
         """It has come onto the road; those that stood there at the beginning are known."""
         if car in self.waiting:
             self.present[car] = None
-            if self.waiting.pop(car):
+            ramp, learner = self.waiting.pop(car)
+            (self.ramp if ramp else self.highway).append(car)
+            if learner:
                 self.driven.append(car)
                 if not self.guarded:
                     self.vehicle.setSpeedMode(car, 0)
@@ -400,16 +407,17 @@ class Merge(Road):
     def arrived(self, car: str) -> None:
         """It has left at the end of the highway. The learners behind it move up."""
         del self.present[car]
-        if car in self.driven:
-            self.driven.remove(car)
+        for cars in (self.highway, self.ramp, self.driven):
+            if car in cars:
+                cars.remove(car)
 
     def observe(self) -> np.ndarray:
         """(25,) of each learner its speed, and of its leader and its follower their relative speeds and gaps; 0 of none."""
         seen = np.zeros((self.action_size, 5))
         for row, car in zip(seen, self.driven):
             speed = self.vehicle.getSpeed(car)
-            leading, before = self._neighbour(self.vehicle.getLeader(car, FAR), SPEED_LIMIT)
-            following, behind = self._neighbour(self.vehicle.getFollower(car, FAR), 0.0)
+            leading, before = self._leader(car)
+            following, behind = self._follower(car)
             row[:] = (
                 speed / SPEED_LIMIT, (leading - speed) / SPEED_LIMIT, before / self.LENGTH,
                 (speed - following) / SPEED_LIMIT, behind / self.LENGTH,
@@ -423,11 +431,27 @@ class Merge(Road):
         speed = seen[..., 0] * SPEED_LIMIT
         return Seen(speed, speed + seen[..., 1] * SPEED_LIMIT, seen[..., 2] * Merge.LENGTH, np.any(seen, axis=-1))
 
-    def _neighbour(self, found: tuple[str, float] | None, otherwise: float) -> tuple[float, float]:
+    def _leader(self, car: str) -> tuple[float, float]:
         """Its speed, and the gap to it from bumper to bumper."""
+        found = self.vehicle.getLeader(car, FAR)
         if not found or not found[0]:
-            return otherwise, self.LENGTH
+            return SPEED_LIMIT, self.LENGTH
         return self.vehicle.getSpeed(found[0]), found[1] + self.GAP
+
+    def _follower(self, car: str) -> tuple[float, float]:
+        """Its speed and the gap to it. SUMO's own answer behind a joint depends on where things lie in its memory."""
+        place = self._place(car)
+        behind = self.highway[self.highway.index(car) + 1 :][:1]
+        if place >= self.JOINT:
+            behind += self.ramp
+        gaps = [(place - self._place(other) - CAR, other) for other in behind]
+        gap, other = min(((gap, other) for gap, other in gaps if gap > -CAR), default=(self.LENGTH, ""))
+        return self.vehicle.getSpeed(other) if other else 0.0, gap
+
+    def _place(self, car: str) -> float:
+        """Along the highway in m; on the ramp as far before the joint."""
+        edge = self.vehicle.getRoadID(car).replace(f"{self.copy}.", "")
+        return (self.BEGINS | self.RAMP_BEGINS)[edge] + self.vehicle.getLanePosition(car)
 
     def reward(self, action: np.ndarray) -> float:
         """How near all cars are to the speed that is wanted, less what following closely costs; never below 0."""
@@ -447,8 +471,8 @@ class Merge(Road):
         """Positions are along the highway, which is 724.6 m long; of cars on the ramp they are NaN."""
         shown = []
         for car in self.present:
-            edge = self.vehicle.getRoadID(car).replace(f"{self.copy}.", "")
-            place = self.BEGINS.get(edge, float("nan")) + self.vehicle.getLanePosition(car)
+            on_ramp = car in self.ramp and self._place(car) < self.BEGINS[":center_0"]
+            place = float("nan") if on_ramp else self._place(car)
             shown.append((int(car.rsplit(".", 1)[1]), place, self.vehicle.getSpeed(car)))
         return shown
 
