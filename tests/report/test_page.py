@@ -154,3 +154,19 @@ def test_axes_have_round_ticks():
     assert number(1234567.0) == "1.2e6"
     assert number(-0.25) == "\N{MINUS SIGN}0.250"
     assert number(None) == "\N{EM DASH}"
+
+
+def test_space_time_diagram():
+    """Two cars on a ring of 100 m: one at 1 m/s that comes round once, one that stands and leaves after half of the time."""
+    place = np.full((60, 2, 2), np.nan)
+    place[:, 0, 0], place[:, 0, 1] = (50.0 + np.arange(60)) % 100.0, 1.0
+    place[:30, 1] = [99.0, 0.0]
+    drawn = charts.spacetime(place, 1.0, [0], "two cars")
+    paths = {name: d for d, name in re.findall(r'<path d="([^"h]+)" class="car (\w+)"', drawn)}  # an h is in the legend's
+    assert set(paths) == {"own", "speed0", "speed1"}
+    assert paths["own"] == paths["speed1"]
+    assert paths["own"].count("M") == 2  # broken where it comes round
+    assert paths["own"].count("L") == 58
+    assert len({y for _, y in re.findall(r"[ML]([\d.]+) ([\d.]+)", paths["speed0"])}) == 1
+    assert paths["speed0"].count("L") == 29
+    assert "nothing" in charts.spacetime(np.full((3, 1, 2), np.nan), 1.0, [], "none")

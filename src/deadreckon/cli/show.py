@@ -46,7 +46,11 @@ def tasks(args: Sequence[str]) -> None:
         references = (f"{t.reference.random:.1f}", f"{t.reference.expert:.1f}")
         rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
-    print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D.")
+    print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
+    print("and Flow.")
+    hard = {task.domain: task for task in found if task.properties}
+    for domain, task in hard.items():
+        print(f"{domain}: {', '.join(task.properties)}; from {task.source}")
     _library([task for task in found if task.domain == "gym"])
 
 

@@ -13,7 +13,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import gym_mujoco, maze2d, registry
+from deadreckon.tasks import flow, gym_mujoco, maze2d, registry
+from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.tasks.maze2d import Maze2D
 
@@ -219,3 +220,26 @@ for _task in gym_mujoco.TASKS:
     for _kind, _summary in _GYM.items():
         if f"{_task.name}-{_kind}-v2" in ENTRIES:
             register(_gym(_task, _kind, _summary))
+
+
+# ---- Flow -------------------------------------------------------------------------------------------------------------
+
+_FLOW = {"random": "accelerations drawn uniformly between the bounds", "controller": "the intelligent driver model"}
+
+
+def _flow(task: Flow, kind: str, summary: str) -> Recipe:
+    def make(
+        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
+        from deadreckon.collect.flow import collect_flow
+
+        options = {"name": name, "steps": steps, "seed": seed, "threads": threads, "scratch": scratch, "progress": progress}
+        return collect_flow(task, kind, **options)
+
+    known = entry(f"{task.name}-{kind}-v0")
+    return Recipe(known.recipe, task.name, known.rows, make, summary)
+
+
+for _task in flow.TASKS:
+    for _kind, _summary in _FLOW.items():
+        register(_flow(_task, _kind, _summary))

@@ -1,16 +1,20 @@
 """Measures the returns that mean 0 and 100 on the normalised scale (thesis 7.3).
 
-`python -m deadreckon.collect.references` prints the table that `tasks/maze2d.py` holds, and what uniform actions earn in the
-Gym-MuJoCo tasks, of which Humanoid's is used.
+`python -m deadreckon.collect.references` prints the tables that `tasks/maze2d.py` and, where SUMO is installed, `tasks/flow.py`
+hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used.
 """
 
+import importlib.util
 from collections.abc import Sequence
 
 import numpy as np
 
+from deadreckon.collect.flow import Controller, FollowerStopper, PISaturation
 from deadreckon.collect.maze2d import Pursuit
 from deadreckon.data.spec import Box
-from deadreckon.tasks import gym_mujoco
+from deadreckon.tasks import flow, gym_mujoco
+from deadreckon.tasks.flow import Flow
+from deadreckon.tasks.flow_roads import Merge
 from deadreckon.tasks.maze2d import TASKS, Maze2D
 from deadreckon.tasks.task import Reference, Task
 
@@ -42,6 +46,35 @@ def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, s
     return Reference(random, expert, source)
 
 
+def measure_flow(task: Flow, *, episodes: int = 100, seed: int = 0) -> Reference:
+    """Mean returns of uniform random actions, and of a controller that calms traffic.
+
+    That is PI with saturation on the ring, whose length it need not know, and past the on-ramp FollowerStopper at the speed
+    that the reward asks for (Stern et al. 2018).
+
+    Args:
+        task: a Flow task.
+        episodes: of each.
+        seed: of the starts and actions.
+    """
+    starts, actions = np.random.SeedSequence(seed).spawn(2)
+    seeds = [int(s) for s in starts.generate_state(episodes, np.uint64)]
+    random = uniform_return(task, seeds, np.random.default_rng(actions))
+    calm = PISaturation(task) if task.road == "ring" else FollowerStopper(task, Merge.TARGET)
+    expert = float(controlled_returns(task, calm, seeds).mean())
+    return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
+
+
+def controlled_returns(task: Flow, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
+    """(episodes,) returns of one episode of a controller from each seed."""
+    simulator = task.simulate(seeds)
+    seen, returns = simulator.reset(), np.zeros(len(seeds))
+    for _ in range(task.horizon):
+        seen, rewards, _, _ = simulator.step(controller(seen))
+        returns += rewards
+    return returns
+
+
 def uniform_return(task: Task, seeds: Sequence[int], generator: np.random.Generator) -> float:
     """Mean return of one episode of uniform actions from each seed; the generator draws them."""
     assert isinstance(task.action_space, Box)
@@ -61,6 +94,10 @@ def main() -> None:
     for task in TASKS:
         found = measure(task)
         print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
+    if importlib.util.find_spec("libsumo") is not None:
+        for task in flow.TASKS:
+            found = measure_flow(task)
+            print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
     for task in gym_mujoco.TASKS:
         print(f"{task.name}, uniform actions: {uniform_return(task, range(1000), np.random.default_rng(0)):.4f}")
 

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import equinox as eqx
 import jax
@@ -37,11 +37,12 @@ class Act:
     """Who acts for how many rows.
 
     Attributes:
-        policy: draws its actions; None draws them uniformly between the bounds.
+        policy: draws its actions; None draws them uniformly between the bounds. A function of (n, *shape) observations takes
+            one action in each, whose density there is none of: the log then has no column `behavior_log_probs`.
         rows: of the log.
     """
 
-    policy: Deployed | None
+    policy: Deployed | Callable[[np.ndarray], np.ndarray] | None
     rows: int
 
 
@@ -59,7 +60,7 @@ def perform(
     """Runs the acts one after the other in a task and gives the log of it.
 
     An act's last episode is cut where its rows are full: a timeout, with the observation that came next. The column
-    `behavior_log_probs` holds the log-density of each action.
+    `behavior_log_probs` holds the log-density of each action, where all acts have one.
 
     Args:
         task: with continuous actions and flat observations.
@@ -77,7 +78,12 @@ def perform(
     """
     stage = _Stage(scratch, task, asked_for(name, seed, [act.rows for act in acts], provenance))
     _perform(task, acts, stage, seed, threads, progress)
-    return stage.log(name, provenance)
+    return stage.log(name, provenance, densities=all(_drawn(act.policy) for act in acts))
+
+
+def _drawn(policy: Any) -> TypeGuard[Deployed | None]:
+    """Whether actions are drawn from a density."""
+    return policy is None or isinstance(policy, Deployed)
 
 
 def played(task: Task, policy: Deployed | None, rows: int, seed: int) -> Dataset:
@@ -143,7 +149,7 @@ class _Scene:
         age: (COPIES,) steps of it done.
     """
 
-    def __init__(self, task: Task, simulator: Simulator, policy: Deployed | None, root: PRNGKeyArray, seed: list[int]):
+    def __init__(self, task: Task, simulator: Simulator, policy: Any, root: PRNGKeyArray, seed: list[int]):
         if not isinstance(task.action_space, Box):
             raise UserError(f"{task.name}: logs of policies need continuous actions")
         self.task, self.simulator, self.policy, self.root, self.seed = task, simulator, policy, root, seed
@@ -197,10 +203,13 @@ class _Scene:
     def _step(self) -> Iterator[tuple[int, "Episode"]]:
         """One step of all copies; gives the numbers and rows of the episodes that ended with it."""
         alive = np.flatnonzero(self.episode >= 0)
-        # Always the same number of rows, so that one compiled program serves.
-        where = jnp.asarray(self.episode), jnp.asarray(self.age)
-        drawn = _draw(self.policy, jnp.asarray(self.seen), self.root, *where, self.low, self.high)
-        actions, log_probs = np.array(drawn[0]), np.asarray(drawn[1])
+        if _drawn(self.policy):
+            # Always the same number of rows, so that one compiled program serves.
+            where = jnp.asarray(self.episode), jnp.asarray(self.age)
+            drawn = _draw(self.policy, jnp.asarray(self.seen), self.root, *where, self.low, self.high)
+            actions, log_probs = np.array(drawn[0]), np.asarray(drawn[1])
+        else:
+            actions, log_probs = np.array(self.policy(self.seen), np.float32), np.full(COPIES, np.nan, np.float32)
         actions[self.episode < 0] = 0.0
         seen, rewards, terminals, timeouts = self.simulator.step(actions)
         for key, part in zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs)):
@@ -296,10 +305,12 @@ class _Stage:
         each = int(np.prod(shape)) * np.dtype(dtype).itemsize
         write_at(self.folder / f"{key}.bin", at * each, np.ascontiguousarray(rows, dtype).data)
 
-    def log(self, name: str, provenance: Provenance) -> Dataset:
-        """The log of all rows so far, memory-mapped."""
+    def log(self, name: str, provenance: Provenance, densities: bool) -> Dataset:
+        """The log of all rows so far, memory-mapped, with the densities of actions or without."""
         columns: dict[str, Any] = {}
         for key, (shape, dtype) in self.kinds.items():
+            if key == "behavior_log_probs" and not densities:
+                continue
             count = self.finals if key == "final_observations" else self.rows
             columns[key] = np.memmap(self.folder / f"{key}.bin", dtype, "r", shape=(count, *shape))
         return Dataset.from_arrays(**columns, action_space=self.task.action_space, name=name, provenance=provenance)

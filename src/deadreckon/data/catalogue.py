@@ -30,6 +30,7 @@ class Entry:
         twin_layout: (kept, zeros): of the twin's observations the first `kept` are taken and `zeros` zeros put behind them, so
             that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
+        controller: who acts, thesis Table D.1: `planner`, `policy` (random ones and hand-made controllers too) or `human`.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Entry:
     version: str = VERSION
     twin_layout: tuple[int, int] | None = None
     sha256: str | None = None
+    controller: str = "policy"
 
     @property
     def collected(self) -> str:
@@ -60,7 +62,7 @@ def _maze2d(size: str, rows: int, dense: bool) -> Entry:
     name = f"maze2d-{size}{middle}-v1"
     file = name if dense else f"maze2d-{size}-sparse-v1"
     twin = None if size.startswith("eval-") else f"D4RL/pointmaze/{size}{middle}-v2"
-    return Entry(name, "maze2d", f"maze2d-{size}{middle}", name, rows, f"maze2d/{file}.hdf5", twin)
+    return Entry(name, "maze2d", f"maze2d-{size}{middle}", name, rows, f"maze2d/{file}.hdf5", twin, controller="planner")
 
 
 # Rows: thesis Table D.1. The original has logs of the evaluation mazes too, though no Minari twin does.
@@ -84,12 +86,19 @@ def _gym(robot: str, policy: str) -> Entry:
     return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=(27, 84) if robot == "ant" and twin else None)
 
 
+def _flow(road: str, kind: str) -> Entry:
+    name = f"flow-{road}-{kind}-v0"
+    file = f"flow/flow-{road}-v0-{'idm' if kind == 'controller' else kind}.hdf5"
+    return Entry(name, "flow", f"flow-{road}", name, 1_000_000, file, None)
+
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
         *(_maze2d(size, rows, dense) for dense in (False, True) for size, rows in _MAZES),
         *(_gym(robot, policy) for robot in _ROBOTS for policy in (*_POLICIES, *_OURS)),
         *(_gym("humanoid", policy) for policy in ("medium", "uniform")),  # thesis Figure 4.4; never among D4RL's
+        *(_flow(road, kind) for road in ("ring", "merge") for kind in ("random", "controller")),
     )
 }
 

@@ -8,6 +8,7 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import figure, legend, note, unit_of
 from deadreckon.report.rows import behavior, to_score
 from deadreckon.runs.evaluate import Interval
+from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.maze2d import Maze2D
 
 EXPLODED = 20.0  # estimates this many times beyond every return are shown on a logarithmic axis
@@ -147,9 +148,11 @@ def training(page: Page) -> Markup | None:
     )
 
 
-def mazes(page: Page) -> Markup | None:
-    """Trajectories of the log and of the agents (thesis D.7); None where there is no maze."""
+def trajectories(page: Page) -> Markup | None:
+    """Trajectories of the log and of the agents (thesis D.7) in a maze or on a road; None where there is neither."""
     task = page.task
+    if isinstance(task, Flow):
+        return _roads(page, task)
     if not isinstance(task, Maze2D):
         return None
     figures = []
@@ -178,5 +181,24 @@ def mazes(page: Page) -> Markup | None:
         note(
             "From above; x runs down, y to the right. Star: goal, with the circle inside which a step is rewarded. An agent's "
             f"panel has the first episodes of the last evaluation (first seed), ring: start, dot: end.{of_log}"
+        ),
+    )
+
+
+def _roads(page: Page, task: Flow) -> Markup | None:
+    figures = []
+    for e in page.entries:
+        if e.trajectories is not None and len(e.trajectories):
+            title = f"{e.label}: where the cars are against time"
+            drawn = charts.spacetime(e.trajectories[0, 0], task.seconds, task.learners, title)
+            figures.append(figure(drawn, e.label, data_agent=page.slot(e)))
+    if not figures:
+        return None
+    return join(
+        tag("div", figures, class_="charts two"),
+        note(
+            "The first episode of the last evaluation (first seed): position along the road against time, a line a car, "
+            "coloured by speed; thin lines in the colour of the headings are learners. Waves of stopping and going are bands "
+            "that run backwards."
         ),
     )

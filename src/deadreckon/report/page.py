@@ -58,7 +58,7 @@ def render(page: Page, title: str | None = None) -> str:
         ("values", "Promised and delivered", curves.values(page)),
         ("distance", "Distance to the log", curves.distance(page)),
         ("training", "Training", curves.training(page)),
-        ("mazes", "Trajectories", curves.mazes(page)),
+        ("mazes", "Trajectories", curves.trajectories(page)),
         ("provenance", "Provenance", provenance.section(page)),
     ]
     again = any("@dr" in name for name in logs)

@@ -95,7 +95,8 @@ class Evaluation:
         lengths: (policies, episodes) steps.
         discount: of `discounted`, one a policy.
         names: one a policy.
-        trajectories: (policies, recorded, steps, *shape) observations acted on in the first episodes; NaN after an end.
+        trajectories: (policies, recorded, steps, *any) what was seen in the first episodes before each action: observations, or
+            what the task shows instead; NaN after an end.
     """
 
     task: Task
@@ -203,7 +204,7 @@ def evaluate(
         greedy: each policy's best guess instead of draws.
         discount: for the discounted returns, one for all policies or one each.
         names: shown for the policies.
-        record: episodes of which observations are kept, for pictures.
+        record: episodes of which is kept what pictures show.
 
     Raises:
         UserError: an unknown task, no episodes, or actions and observations that do not fit.
@@ -228,10 +229,13 @@ def evaluate(
     rewards, first = np.zeros(shape), np.ones(shape, bool)
     returns, discounted, lengths, alive = np.zeros(shape), np.zeros(shape), np.zeros(shape, int), np.ones(shape, bool)
     recorded = [] if record else None
+    first_ones = (np.arange(count)[:, None] * episodes + np.arange(episodes)[:record]).ravel()
     for t in range(task.horizon):
         seen = observations.reshape(*shape, *observations.shape[1:])
         if recorded is not None:
-            recorded.append(np.where(alive[:, :record, *[None] * (seen.ndim - 2)], seen[:, :record], np.nan))
+            shown = task.shown(simulator, observations, first_ones)
+            shown = shown.reshape(count, -1, *shown.shape[1:])
+            recorded.append(np.where(alive[:, :record, *[None] * (shown.ndim - 2)], shown, np.nan))
         actions = actors(Step(seen, rewards, first), t)
         wanted = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
         if t == 0 and actions.shape != (*shape, *wanted):

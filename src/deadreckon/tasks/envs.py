@@ -8,13 +8,22 @@ environments of ours, `deadreckon/Ant-v5` and `deadreckon/Humanoid-v5`; the othe
 from gymnasium.envs.registration import register
 from gymnasium.envs.registration import registry as registered
 
-from deadreckon.tasks import maze2d, registry
+from deadreckon.tasks import flow, maze2d, registry
 
 for _task in maze2d.TASKS:
     if _task.gym_id not in registered:
         register(
             _task.gym_id,
             "deadreckon.tasks.maze2d_env:Maze2DEnv",
+            max_episode_steps=_task.horizon,
+            kwargs={"task": _task.name},
+        )
+
+for _task in flow.TASKS:
+    if _task.gym_id not in registered:
+        register(
+            _task.gym_id,
+            "deadreckon.tasks.flow_env:FlowEnv",
             max_episode_steps=_task.horizon,
             kwargs={"task": _task.name},
         )

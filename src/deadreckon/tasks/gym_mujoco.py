@@ -256,7 +256,8 @@ def _make(name: str, size: int, actions: int, gym_id: str, split: str, summary: 
     return GymMujoco(
         name=name, domain="gym", horizon=1000, observation_shape=(size,), gym_id=gym_id, split=split, summary=summary,
         action_space=Box((-bound,) * actions, (bound,) * actions), reference=published or _MEASURED[name], published=published,
-        **fields,
+        properties=("suboptimal data", "narrow data", "high-dimensional") if published else (),
+        source="Brockman et al. 2016, Todorov et al. 2012", **fields,
     )  # fmt: skip
 
 

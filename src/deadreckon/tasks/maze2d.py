@@ -275,6 +275,8 @@ def _make(maze: str, dense: bool) -> Maze2D:
         published=Reference(*published, "D4RL") if published else None,
         split="training" if maze == size else "evaluation",
         summary=f"push a ball to the goal of the {maze} maze; reward " + ("exp(-distance)" if dense else "1 within 0.5 of it"),
+        properties=("non-Markovian policies", "undirected data", "temporally extended"),
+        source="D4RL (new there)",
         layout=LAYOUTS[maze],
         dense=dense,
     )

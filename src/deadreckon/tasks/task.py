@@ -24,6 +24,14 @@ class Reference:
         return 100.0 * (np.asarray(returns, np.float64) - self.random) / (self.expert - self.random)
 
 
+# Of tasks and their logs: thesis 7.2, and behind these what Table 8.1 adds (H, L and T there; R are sparse rewards).
+PROPERTIES = (
+    "narrow data", "undirected data", "sparse rewards", "suboptimal data", "non-representable policies",
+    "non-Markovian policies", "partial observability", "realistic",
+    "high-dimensional", "long horizon", "temporally extended",
+)  # fmt: skip
+
+
 class Simulator(Protocol):
     """Several copies of one environment, stepped together; copy `i` depends on its own seed and actions alone."""
 
@@ -135,6 +143,8 @@ class Task:
         published: the original benchmark's reference scores, where they exist.
         split: "training" (settings may be tuned here) or "evaluation", thesis Table D.3.
         summary: one line on what is to be done.
+        properties: what makes it hard, among `PROPERTIES`: thesis 7.3, and Table 8.1 where it has the task.
+        source: where the task comes from, thesis Table D.2.
     """
 
     name: str
@@ -147,6 +157,8 @@ class Task:
     published: Reference | None = None
     split: str = "training"
     summary: str = ""
+    properties: tuple[str, ...] = ()
+    source: str = ""
     # Left out of the hash, which a dict has none of, so that tasks can be keys.
     extra: dict[str, Any] = field(default_factory=dict, hash=False)
 
@@ -158,6 +170,16 @@ class Task:
             threads: to step with; all cores if None. Results do not depend on it.
         """
         raise NotImplementedError
+
+    def shown(self, simulator: Simulator, observations: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """(which, *any) what pictures of these copies are drawn from, NaN where there is nothing: observations, or more.
+
+        Args:
+            simulator: of this task.
+            observations: (copies, *shape), the last.
+            which: copies.
+        """
+        return observations[which]
 
     @property
     def ends(self) -> Callable[[Any], Any] | None:
