@@ -47,7 +47,23 @@ def tasks(args: Sequence[str]) -> None:
         rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D.")
+    _logs([task for task in found if task.properties])
     _library([task for task in found if task.domain == "gym"])
+
+
+def _logs(tasks: Sequence) -> None:
+    """What is known of the tasks whose properties the thesis names: these, and their logs."""
+    from deadreckon.collect.recipes import recipe, recipe_names
+
+    if not tasks:
+        return
+    rows = [["data set", "steps", "who acts"]]
+    for task in tasks:
+        found = [recipe(name) for name in recipe_names() if recipe(name).task == task.name]
+        rows += [[each.name, f"{each.steps:,}", each.summary] for each in found]
+    print("\n" + table(rows, right=(1,)))
+    hard = [[task.name, ", ".join(task.properties)] for task in tasks]
+    print("\n" + table([["task", "what makes it hard (thesis 7.2, Table 8.1)"], *hard]))
 
 
 def _library(tasks: Sequence) -> None:

@@ -13,7 +13,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import gym_mujoco, maze2d, registry
+from deadreckon.tasks import adroit, gym_mujoco, maze2d, registry
+from deadreckon.tasks.adroit import Adroit
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.tasks.maze2d import Maze2D
 
@@ -219,3 +220,31 @@ for _task in gym_mujoco.TASKS:
     for _kind, _summary in _GYM.items():
         if f"{_task.name}-{_kind}-v2" in ENTRIES:
             register(_gym(_task, _kind, _summary))
+
+
+# ---- Adroit -----------------------------------------------------------------------------------------------------------
+
+_ADROIT = {
+    "human": "people: 25 demonstrations",
+    "cloned": "half people, over and over, half a clone of them by behaviour cloning",
+    "expert": "the policy that DAPG trained",
+}
+
+
+def _adroit(task: Adroit, kind: str, summary: str) -> Recipe:
+    def make(
+        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
+        from deadreckon.collect.adroit import collect_adroit
+
+        return collect_adroit(
+            task, kind, name=name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress
+        )
+
+    known = entry(f"{task.name}-{kind}-v1")
+    return Recipe(known.recipe, task.name, known.rows, make, summary)
+
+
+for _task in adroit.TASKS:
+    for _kind, _summary in _ADROIT.items():
+        register(_adroit(_task, _kind, _summary))

@@ -84,12 +84,23 @@ def _gym(robot: str, policy: str) -> Entry:
     return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=(27, 84) if robot == "ant" and twin else None)
 
 
+# Rows: thesis Table D.1.
+_HUMAN = {"pen": 5_000, "hammer": 11_310, "door": 6_729, "relocate": 9_942}
+
+
+def _adroit(task: str, kind: str) -> Entry:
+    name = f"{task}-{kind}-v1"
+    rows = _HUMAN[task] if kind == "human" else 500_000 if task == "pen" else 1_000_000
+    return Entry(name, "adroit", task, name, rows, f"hand_dapg_v1/{name}.hdf5", f"D4RL/{task}/{kind}-v2")
+
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
         *(_maze2d(size, rows, dense) for dense in (False, True) for size, rows in _MAZES),
         *(_gym(robot, policy) for robot in _ROBOTS for policy in (*_POLICIES, *_OURS)),
         *(_gym("humanoid", policy) for policy in ("medium", "uniform")),  # thesis Figure 4.4; never among D4RL's
+        *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
     )
 }
 

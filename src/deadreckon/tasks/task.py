@@ -135,6 +135,7 @@ class Task:
         published: the original benchmark's reference scores, where they exist.
         split: "training" (settings may be tuned here) or "evaluation", thesis Table D.3.
         summary: one line on what is to be done.
+        properties: what makes the task and its logs hard, in the words of thesis 7.2, 7.3 and Table 8.1.
     """
 
     name: str
@@ -147,6 +148,7 @@ class Task:
     published: Reference | None = None
     split: str = "training"
     summary: str = ""
+    properties: tuple[str, ...] = ()
     # Left out of the hash, which a dict has none of, so that tasks can be keys.
     extra: dict[str, Any] = field(default_factory=dict, hash=False)
 
