@@ -94,6 +94,19 @@ def _adroit(task: str, kind: str) -> Entry:
     return Entry(name, "adroit", task, name, rows, f"hand_dapg_v1/{name}.hdf5", f"D4RL/{task}/{kind}-v2")
 
 
+_KITCHEN = {  # rows, and D4RL's file
+    "complete": (3_680, "mini_kitchen_microwave_kettle_light_slider-v0"),
+    "partial": (136_950, "kitchen_microwave_kettle_light_slider-v0"),
+    "mixed": (136_950, "kitchen_microwave_kettle_bottomburner_light-v0"),
+}
+
+
+def _kitchen(kind: str) -> Entry:
+    rows, file = _KITCHEN[kind]
+    name = f"kitchen-{kind}-v0"
+    return Entry(name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", f"D4RL/kitchen/{kind}-v2")
+
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
@@ -101,6 +114,7 @@ ENTRIES: dict[str, Entry] = {
         *(_gym(robot, policy) for robot in _ROBOTS for policy in (*_POLICIES, *_OURS)),
         *(_gym("humanoid", policy) for policy in ("medium", "uniform")),  # thesis Figure 4.4; never among D4RL's
         *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
+        *map(_kitchen, _KITCHEN),
     )
 }
 
