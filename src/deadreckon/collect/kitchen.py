@@ -25,6 +25,7 @@ DIRECTED = 4  # in the partial log, one episode in so many is directed to the ta
 KNOWN = ("microwave", "kettle", "bottom burner", "top burner", "light switch", "slide cabinet")  # what the demonstrator can do
 SHAKE = 0.008  # standard deviation of a waypoint's place, m
 HASTE = (0.7, 1.0)  # m/s of the hand at most, drawn once an episode
+MOST = 0.9  # of an action: at the bounds themselves, policies that are squashed by a tanh have nothing to say
 _ARM = 7  # joints without the fingers
 _MARGIN = 0.03  # rad before a joint's limit at which it is no longer driven on
 _COLUMNS = ("observations", "actions", "rewards", "terminals", "final")
@@ -123,8 +124,8 @@ class Demonstrator:
         moving = _at_most(10.0 * (away + self._lag[copy]), self._speed[copy])
         turning = _at_most(6.0 * np.cross(axes, wanted).sum(0), 2.0)
         speeds = self._joint_speeds(posture[:_ARM], moving, turning)
-        fingers = 1.0 if goal.open else -1.0
-        return np.append(speeds / max(SPEED, np.abs(speeds).max()), [fingers, fingers]).astype(np.float32)
+        fingers = MOST if goal.open else -MOST
+        return np.append(MOST * speeds / max(MOST * SPEED, np.abs(speeds).max()), [fingers, fingers]).astype(np.float32)
 
     def _look(self, posture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Place of the hand (3,), and its forward and sideways directions (2, 3); the Jacobian is kept."""
