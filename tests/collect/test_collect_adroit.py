@@ -188,4 +188,4 @@ def test_experts_earn_the_reference_returns(files):
     for found in TASKS:
         returns, reached = adroit.successes(found, load_dapg(adroit.policy_file(found)), episodes=200)
         assert found.reference.normalise(returns.mean()) == pytest.approx(100, abs=20 if found.name == "hammer" else 12)
-        assert reached.mean() > (0.6 if found.name == "pen" else 0.85)
+        assert reached.mean() > (0.55 if found.name == "pen" else 0.8)
