@@ -48,10 +48,25 @@ def tasks(args: Sequence[str]) -> None:
     print(table(rows, right=(1, 2, 3, 4, 5)))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
     print("and Flow.")
+    _logs([task for task in found if task.domain in ("adroit", "kitchen", "flow")])
     hard = {task.domain: task for task in found if task.properties}
-    for domain, task in hard.items():
-        print(f"{domain}: {', '.join(task.properties)}; from {task.source}")
+    rows = [[domain, ", ".join(task.properties), task.source] for domain, task in hard.items()]
+    if rows:
+        print("\n" + table([["domain", "what makes it hard (thesis 7.3, Table 8.1)", "from"], *rows]))
     _library([task for task in found if task.domain == "gym"])
+
+
+def _logs(tasks: Sequence) -> None:
+    """Logs of tasks whose policies do not come with the package; those have a table of their own."""
+    from deadreckon.collect.recipes import recipe, recipe_names
+
+    if not tasks:
+        return
+    rows = [["data set", "steps", "who acts"]]
+    for task in tasks:
+        found = [recipe(name) for name in recipe_names() if recipe(name).task == task.name]
+        rows += [[each.name, f"{each.steps:,}", each.summary] for each in found]
+    print("\n" + table(rows, right=(1,)))
 
 
 def _library(tasks: Sequence) -> None:

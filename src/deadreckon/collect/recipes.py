@@ -13,9 +13,11 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import flow, gym_mujoco, maze2d, registry
+from deadreckon.tasks import adroit, flow, gym_mujoco, kitchen, maze2d, registry
+from deadreckon.tasks.adroit import Adroit
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.gym_mujoco import GymMujoco
+from deadreckon.tasks.kitchen import Kitchen
 from deadreckon.tasks.maze2d import Maze2D
 
 Progress = Callable[[int, int], None]  # rows done, rows in all
@@ -243,3 +245,57 @@ def _flow(task: Flow, kind: str, summary: str) -> Recipe:
 for _task in flow.TASKS:
     for _kind, _summary in _FLOW.items():
         register(_flow(_task, _kind, _summary))
+
+# ---- Adroit -----------------------------------------------------------------------------------------------------------
+
+_ADROIT = {
+    "human": "people: 25 demonstrations",
+    "cloned": "half people, over and over, half a clone of them by behaviour cloning",
+    "expert": "the policy that DAPG trained",
+}
+
+
+def _adroit(task: Adroit, kind: str, summary: str) -> Recipe:
+    def make(
+        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
+        from deadreckon.collect.adroit import collect_adroit
+
+        return collect_adroit(
+            task, kind, name=name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress
+        )
+
+    known = entry(f"{task.name}-{kind}-v1")
+    return Recipe(known.recipe, task.name, known.rows, make, summary)
+
+
+for _task in adroit.TASKS:
+    for _kind, _summary in _ADROIT.items():
+        register(_adroit(_task, _kind, _summary))
+
+
+# ---- FrankaKitchen ----------------------------------------------------------------------------------------------------
+
+_KITCHEN = {
+    "complete": "a scripted demonstrator: the four sub-tasks in order, always with success",
+    "partial": "a scripted demonstrator: four sub-tasks of six at random, in one episode of four the task's",
+    "mixed": "a scripted demonstrator: four sub-tasks of six at random, never all of the task's",
+}
+
+
+def _kitchen(task: Kitchen, summary: str) -> Recipe:
+    def make(
+        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
+    ) -> Dataset:
+        from deadreckon.collect.kitchen import collect_kitchen
+
+        return collect_kitchen(
+            task, name=name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress
+        )
+
+    known = entry(f"{task.name}-v0")
+    return Recipe(known.recipe, task.name, known.rows, make, summary)
+
+
+for _task in kitchen.TASKS:
+    register(_kitchen(_task, _KITCHEN[_task.name.removeprefix("kitchen-")]))

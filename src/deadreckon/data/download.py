@@ -187,6 +187,39 @@ def fetch(
     return Received(url, hashes["sha256"], _size(part), vouched)
 
 
+def download_file(
+    url: str, place: Path, check: Callable[[Path], Any], *, progress: Progress | None = None, patience: Patience | None = None
+) -> Path:
+    """Makes `place` the file at `url`, unless there is one already, and gives it.
+
+    Args:
+        url: as for `fetch`.
+        place: the file.
+        check: reads a file, and raises a `UserError` if it is not what is wanted; then it is not kept.
+        progress: as for `get`.
+        patience: as for `get`.
+
+    Raises:
+        UserError: it did not come, is something else, or cannot be written.
+    """
+    if place.is_file():
+        return place
+    try:
+        with alone(place):
+            part = place.with_name(f".{place.name}.part")
+            fetch(url, part, progress=progress, patience=patience)
+            try:
+                check(part)
+            except UserError as error:
+                forget(part)
+                raise TransferError(f"{url}: {str(error).removeprefix(f'{part}: ')}; the file was removed") from error
+            part.replace(place)
+            forget(part)
+    except OSError as error:
+        raise UserError(f"cannot write {place}: {error.strerror or error}") from error
+    return place
+
+
 def forget(part: Path) -> None:
     """Removes a part and what was said of it."""
     part.unlink(missing_ok=True)

@@ -1,4 +1,8 @@
-"""Pickles, read without running what they ask for: plain values and numeric numpy arrays, nothing else."""
+"""Pickles, read without running what they ask for: plain values and numeric numpy arrays, nothing else.
+
+The one exception that is known by name: networks that torch 1 pickled within objects, as the published policies of DAPG are. Of
+these, too, only the fields are read, as dicts, and the tensors, as arrays; none of the classes is looked up.
+"""
 
 import collections
 import gzip
@@ -30,11 +34,26 @@ def load_pickle(path: Path | str) -> Any:
     Raises:
         UserError: one line that names what was refused, or that the file is damaged.
     """
+    return _load(path, _Unpickler)
+
+
+def load_network(path: Path | str) -> Any:
+    """The plain value in a pickle that may also hold mjrl's policies and torch 1's layers: objects as dicts, tensors as arrays.
+
+    Nothing in it is run, and neither package is needed.
+
+    Raises:
+        UserError: one line that names what was refused, or that the file is damaged.
+    """
+    return _load(path, _NetworkUnpickler)
+
+
+def _load(path: Path | str, kind: "type[_Unpickler]") -> Any:
     with reading(path, "a pickle", *_BROKEN), naming(path, ""), open(path, "rb") as file:
         data = file.read()
         if data[:2] == b"\x1f\x8b":
             data = gzip.decompress(data)
-        return _plain(_Unpickler(data).load(), {})
+        return _plain(kind(data).load(), {})
 
 
 def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
@@ -176,6 +195,95 @@ class _Unpickler(pickle.Unpickler):
         return _Array(_from_bytes(data, dtype, shape, order))
 
 
+class _Object:
+    """Stands for an object of a class that is not looked up; its fields are kept."""
+
+    __slots__ = ("fields",)
+
+    def __init__(self):
+        self.fields: dict[str, Any] = {}
+
+    def __setstate__(self, state: Any) -> None:
+        if not isinstance(state, dict):
+            raise UserError("refused: an object without named fields")
+        self.fields = state
+
+
+class _NetworkUnpickler(_Unpickler):
+    """Knows the names that mjrl's policies and torch 1's layers are pickled under, too, as doubles that hold their fields."""
+
+    OBJECTS = (
+        ("mjrl.policies.gaussian_mlp", "MLP"), ("mjrl.utils.fc_network", "FCNetwork"),
+        ("torch.nn.modules.container", "ModuleList"), ("torch.nn.modules.linear", "Linear"),
+    )  # fmt: skip
+
+    def find_class(self, module_name: str, global_name: str) -> Any:
+        if (module_name, global_name) in self.OBJECTS:
+            return _Object
+        known = {
+            ("torch._utils", "_rebuild_parameter"): self._parameter,
+            ("torch._utils", "_rebuild_tensor_v2"): self._tensor,
+            ("torch.storage", "_load_from_bytes"): self._storage,
+            ("torch.nn.backends.thnn", "_get_thnn_function_backend"): self._nothing,
+            ("torch._C", "_VariableFunctions"): None,
+            ("builtins", "getattr"): self._name,  # of one of torch's functions, such as tanh
+        }
+        if (module_name, global_name) in known:
+            return known[module_name, global_name]
+        return super().find_class(module_name, global_name)
+
+    def _parameter(self, data: Any, requires_grad: Any, hooks: Any) -> Any:
+        return data
+
+    def _tensor(self, storage: np.ndarray, offset: int, size: Any, stride: Any, *rest: Any) -> _Array:
+        whole = int(np.prod(size, dtype=np.int64))
+        if tuple(stride) != tuple(np.cumprod([1, *size[:0:-1]])[::-1].tolist()) or not 0 <= offset <= len(storage) - whole:
+            raise UserError("refused: a tensor whose numbers do not lie one after the other")
+        return _Array(storage[offset : offset + whole].reshape(size).copy())
+
+    def _storage(self, data: bytes) -> np.ndarray:
+        return _StorageUnpickler.read(data)
+
+    def _nothing(self) -> None:
+        return None
+
+    def _name(self, owner: Any, name: str) -> str:
+        return str(name)
+
+
+class _StorageUnpickler(_Unpickler):
+    """The numbers of one tensor, as torch 1 wrote them: five small pickles (what it is, then whose), a count, and the bytes."""
+
+    MAGIC = 0x1950A86A20F9469CFC6C
+    TYPES = {"FloatStorage": "<f4", "DoubleStorage": "<f8", "LongStorage": "<i8"}  # noqa: RUF012
+
+    @classmethod
+    def read(cls, data: bytes) -> np.ndarray:
+        """(numbers,) of the storage in `data`."""
+        file = io.BytesIO(data)
+        magic, _, about, root, keys = (cls(file).load() for _ in range(5))
+        if magic != cls.MAGIC or not isinstance(about, dict) or not about.get("little_endian"):
+            raise UserError("refused: a tensor that torch did not write")
+        code, key, count = root
+        if keys != [key] or int.from_bytes(file.read(8), "little") != count:
+            raise UserError("refused: a tensor that shares its numbers with others")
+        return np.frombuffer(file.read(), code, count)
+
+    def __init__(self, file: io.BytesIO):
+        pickle.Unpickler.__init__(self, file, encoding="latin1")
+
+    def find_class(self, module_name: str, global_name: str) -> Any:
+        if module_name == "torch" and global_name in self.TYPES:
+            return self.TYPES[global_name]
+        return super().find_class(module_name, global_name)
+
+    def persistent_load(self, pid: Any) -> Any:
+        kind, code, key, _, count, view = pid
+        if kind != "storage" or code not in self.TYPES.values() or view is not None:
+            raise UserError("refused: the pickle refers to something outside itself")
+        return code, key, count
+
+
 def _from_bytes(data: Any, dtype: _Type, shape: tuple, order: Any) -> np.ndarray:
     if isinstance(data, str):
         data = data.encode("latin1")
@@ -193,6 +301,8 @@ def _plain(value: Any, done: dict[int, Any], depth: int = 0) -> Any:
         if value.value is None:
             raise UserError("refused: a numpy array without data")
         return value.value
+    if isinstance(value, _Object):
+        value = value.fields
     if not isinstance(value, (Mapping, list, tuple)):
         return value
     if id(value) not in done:

@@ -3,20 +3,16 @@
 What differs from the MuJoCo 1.5 and 2.0 of the original logs is written down in the docs (`tasks/gym.md`).
 """
 
-import importlib
-import importlib.util
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.errors import UserError
-from deadreckon.tasks.task import Reference, Starts, Task, checked_actions, thread_count
+from deadreckon.tasks import copies
+from deadreckon.tasks.copies import MujocoCopies
+from deadreckon.tasks.task import Reference, Task
 
 SPEED_LIMIT = 10.0  # of observed velocities, where they are clipped
 
@@ -76,84 +72,32 @@ class GymMujoco(Task):
         return ~self.healthy(arrays.concat([unseen, observations[:, :size]], axis=1))
 
 
-class GymSimulator:
-    """Copies of one environment. Each has its own integration state, so a step is a pure function of it and the action.
+class GymSimulator(MujocoCopies):
+    """Copies of one environment; see `MujocoCopies`.
 
     Copy `i` does what Gymnasium's environment does after `reset(seed=seeds[i])`, episode after episode, to the last bit
     of the positions and velocities.
     """
 
+    task: GymMujoco
+
     def __init__(self, task: GymMujoco, seeds: Sequence[int], threads: int | None = None):
-        self.task, copies = task, len(seeds)
-        self._starts = Starts(seeds, self._draw)
-        self._mujoco = mujoco = importlib.import_module("mujoco")
-        # Waking a thread costs more than a copy or two take.
-        threads = min(thread_count(threads, task.name), max(1, copies // 4))
-        self._model = model = load_model(task.xml)
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
-        kinds = mujoco.mjtState
-        parts = kinds.mjSTATE_TIME, kinds.mjSTATE_QPOS, kinds.mjSTATE_QVEL, kinds.mjSTATE_ACT, kinds.mjSTATE_WARMSTART
-        self._parts = sum(int(part.value) for part in parts)
-        self._state = np.zeros((copies, mujoco.mj_stateSize(model, self._parts)))
-        self._moving = self._state[:, 1 : 1 + model.nq + model.nv]  # MuJoCo puts the time first
-        self._progress = np.zeros(copies)  # along x, as the reward sees it
+        super().__init__(task, load_model(task.xml), seeds, threads, frame_skip=task.frame_skip)
+        model, number = self._model, len(seeds)
+        self._progress = np.zeros(number)  # along x, as the reward sees it
+        self._before = np.zeros(number)  # the same, a step ago
         self._weights = np.array(model.body_mass) / model.body_mass.sum()
         inner = 16 * model.nbody + model.nv if task.inner else 0  # inertia 10 and velocity 6 a body, force 1 a joint
-        self._inner = np.zeros((copies, inner))
-        self._age = np.zeros(copies, int)
-        self._alive = np.zeros(copies, bool)
-        self._first = np.array(self._data[0].qpos)  # the body's own first posture
-        self._dt = model.opt.timestep * task.frame_skip
-
-    def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
-        """Starts episodes; see `Simulator.reset`."""
-        which = np.arange(len(self._state)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        data = self._data[0]
-        for i in which:
-            start = self._starts.next(i)
-            self._mujoco.mj_resetData(self._model, data)
-            data.qpos[:], data.qvel[:] = start[: self._model.nq], start[self._model.nq :]
-            self._mujoco.mj_forward(self._model, data)  # leaves a warm start for the solver behind, as in Gymnasium
-            self._mujoco.mj_getState(self._model, data, self._state[i], self._parts)
-            self._measure(data, i)
-        self._age[which] = 0
-        self._alive[which] = True
-        return self._observe(which)
-
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Applies (copies, size) actions; gives observations, rewards, terminals and timeouts.
-
-        A copy whose episode has ended rests until its `reset`: no reward, nothing ends.
-        """
-        running = np.flatnonzero(self._alive)
-        actions = checked_actions(actions, (len(self._state), self._model.nu), self.task.name, running)
-        before = self._progress.copy()
-        self._advance(running, actions)
-        task, state = self.task, self._moving
-        healthy = np.ones(len(state), bool) if task.healthy is None else task.healthy(state)
-        costs = task.control_cost * np.square(actions, dtype=np.float64).sum(1)
-        alive = task.healthy_reward * healthy if task.healthy is not None else 0.0
-        rewards = task.forward_reward * (self._progress - before) / self._dt + alive - costs
-        self._age += self._alive
-        terminals = self._alive & ~healthy
-        timeouts = self._alive & healthy & (self._age >= task.horizon)
-        rewards = np.where(self._alive, rewards, 0.0).astype(np.float32)
-        self._alive &= ~(terminals | timeouts)
-        return self._observe(slice(None)), rewards, terminals, timeouts
+        self._inner = np.zeros((number, inner))
 
     def state(self) -> dict[str, np.ndarray]:
         """See `Simulator.state`."""
-        return {"physics": self._state.copy(), "progress": self._progress.copy(), "inner": self._inner.copy(),
-                "age": self._age.copy(), "alive": self._alive.copy(), **self._starts.state()}  # fmt: skip
+        return {**super().state(), "progress": self._progress.copy(), "inner": self._inner.copy()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """See `Simulator.restore`."""
-        self._state[:], self._progress[:], self._age[:] = state["physics"], state["progress"], state["age"]
-        self._alive[:], self._inner[:] = state["alive"], state["inner"]
-        self._starts.restore(state)
+        super().restore(state)
+        self._progress[:], self._inner[:] = state["progress"], state["inner"]
 
     def _draw(self, generator: np.random.Generator) -> np.ndarray:
         """(positions + velocities,) of a new episode, drawn as Gymnasium draws them."""
@@ -164,24 +108,15 @@ class GymSimulator:
         return np.concatenate([position, generator.uniform(-noise, noise, model.nv)])
 
     def _advance(self, running: np.ndarray, actions: np.ndarray) -> None:
-        if self._pool is None or len(running) < 2 * len(self._data):
-            self._walk(self._data[0], running, actions)
-            return
-        parts = np.array_split(running, len(self._data))
-        for _ in self._pool.map(self._walk, self._data, parts, [actions] * len(parts)):
-            pass
+        self._before[:] = self._progress
+        super()._advance(running, actions)
 
-    def _walk(self, data: Any, copies: np.ndarray, actions: np.ndarray) -> None:
-        # MuJoCo's calls let other threads run; what Python does in between is small beside them.
-        model, parts, skip = self._model, self._parts, self.task.frame_skip
-        load, save, step = self._mujoco.mj_setState, self._mujoco.mj_getState, self._mujoco.mj_step
-        for i in copies.tolist():
-            state = self._state[i]
-            load(model, data, state, parts)
-            data.ctrl[:] = actions[i]
-            step(model, data, skip)
-            save(model, data, state, parts)
-            self._measure(data, i)
+    def _outcome(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        task, state = self.task, self._moving
+        healthy = np.ones(len(state), bool) if task.healthy is None else task.healthy(state)
+        costs = task.control_cost * np.square(actions, dtype=np.float64).sum(1)
+        alive = task.healthy_reward * healthy if task.healthy is not None else 0.0
+        return task.forward_reward * (self._progress - self._before) / self._dt + alive - costs, ~healthy
 
     def _measure(self, data: Any, copy: int) -> None:
         """Keeps what the state does not hold."""
@@ -207,15 +142,9 @@ class GymSimulator:
         return out
 
 
-@lru_cache
 def load_model(xml: str) -> Any:
     """The compiled MuJoCo model of one of Gymnasium's bodies, shared by all who step it (they never write to it)."""
-    # The assets lie beside Gymnasium's code; the code itself is not loaded, it would cost every command 150 ms.
-    found = importlib.util.find_spec("gymnasium")
-    if found is None or not found.submodule_search_locations:
-        raise UserError("gymnasium is not installed; it holds the bodies of the Gym-MuJoCo tasks")
-    path = Path(found.submodule_search_locations[0]) / "envs" / "mujoco" / "assets" / xml
-    return importlib.import_module("mujoco").MjModel.from_xml_path(str(path))
+    return copies.load_model("gymnasium", f"envs/mujoco/assets/{xml}")
 
 
 # ---- the tasks --------------------------------------------------------------------------------------------------------

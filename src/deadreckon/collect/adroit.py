@@ -1,0 +1,220 @@
+"""How the Adroit logs are made (thesis 7.3): human demonstrations, the policies that DAPG trained from them, and our clones.
+
+Two things come from Rajeswaran et al.'s repository, once, into the package's folder: demonstrations and policies. A file
+that lies there already is taken as it is, and so is a copy of the human log that was downloaded from D4RL or Minari.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon._version import __version__
+from deadreckon.agents.bc import BC
+from deadreckon.collect.rollouts import Act, perform
+from deadreckon.data.batch import Rows
+from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.download import Patience, download_file
+from deadreckon.data.pickles import read_pickle
+from deadreckon.errors import UserError
+from deadreckon.files import home
+from deadreckon.policies.dapg import load_dapg
+from deadreckon.policies.policy import Deployed, first_actions
+from deadreckon.tasks.adroit import Adroit
+from deadreckon.training.fit import Fit
+
+ROOT = ("DEADRECKON_DAPG_URL", "https://raw.githubusercontent.com/aravindr93/hand_dapg/master/dapg")
+UPDATES = 10_000  # of the clone behind the cloned logs
+_CHUNK = 2_000  # updates between its checkpoints
+
+Progress = Callable[[int, int], None]
+
+
+def demonstrations_file(task: Adroit, patience: Patience | None = None) -> Path:
+    """The 25 demonstrations of a task as Rajeswaran et al. published them, downloaded if they are not there.
+
+    Raises:
+        UserError: one line: what went wrong with which address, and where the file may be put by hand.
+    """
+    return _source(f"{task.name}-v0_demos.pickle", f"demonstrations/{task.name}-v0_demos.pickle", read_pickle, patience)
+
+
+def policy_file(task: Adroit, patience: Patience | None = None) -> Path:
+    """The policy that DAPG trained for a task, downloaded if it is not there; see `demonstrations_file`."""
+    return _source(f"{task.name}-v0_dapg_policy.pickle", f"policies/{task.name}-v0.pickle", load_dapg, patience)
+
+
+def _source(name: str, address: str, check: Callable[[Path], Any], patience: Patience | None) -> Path:
+    place = home() / "data" / "adroit" / name
+    variable, root = ROOT
+    try:
+        return download_file(f"{os.environ.get(variable, root).rstrip('/')}/{address}", place, check, patience=patience)
+    except UserError as error:
+        raise UserError(f"{error}; the file may be put by hand at {place}") from error
+
+
+def human(task: Adroit, patience: Patience | None = None) -> Dataset:
+    """The demonstrations of a task, with actions clipped to ±1, which is how the environment takes them and D4RL wrote them.
+
+    Where D4RL's file or its Minari twin has been downloaded, that is taken; else the authors' pickle, whose last row of each
+    demonstration has no known successor.
+
+    Raises:
+        UserError: as `demonstrations_file`.
+    """
+    name = f"{task.name}-human-v1"
+    copies = [f"{name}@{source}" for source in (ORIGINAL, TWIN) if cached_path(f"{name}@{source}").exists()]
+    own = home() / "data" / "adroit" / f"{task.name}-v0_demos.pickle"
+    log = load(copies[0]) if copies and not own.exists() else read_pickle(demonstrations_file(task, patience))
+    if log.observations.shape[1:] != task.observation_shape:
+        raise UserError(f"{log.name} has observations {log.observations.shape[1:]}, {task.name} has {task.observation_shape}")
+    return Dataset.from_arrays(
+        observations=log.observations, actions=np.clip(log.actions, -1.0, 1.0), rewards=log.rewards, terminals=log.terminals,
+        timeouts=log.timeouts, final_observations=log.final_observations, final_known=log.final_known,
+        action_space=task.action_space, name=name,
+        provenance=_provenance(name, 0, {"task": task.name, "from": log.name, "actions": "as demonstrated, clipped to 1"}),
+    )  # fmt: skip
+
+
+def collect_adroit(
+    task: Adroit,
+    kind: str,
+    *,
+    name: str,
+    steps: int,
+    scratch: Path,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Dataset:
+    """Makes one of the three kinds of log: `human`, `expert`, or `cloned`, which is half the one and half a clone of it.
+
+    Actions are drawn, and clipped to ±1. The logs have no log-densities: the policies' are of the actions before the clipping,
+    and nobody knows those of people.
+
+    Args:
+        task: where.
+        kind: `human`, `expert` or `cloned`.
+        name: of the recipe, such as `door-cloned-v1`.
+        steps: rows; of the human log at most what there is.
+        scratch: folder of a collection under way.
+        seed: of everything random; the human log has nothing random, so 0.
+        threads: to simulate with.
+        progress: called with rows done and rows in all.
+
+    Raises:
+        UserError: too many or too few rows, a seed for the human log, or a source file that cannot be had.
+    """
+    full = f"{name}@{VERSION}"
+    if kind == "expert":
+        provenance = _provenance(name, seed, {"task": task.name, "policies": ["DAPG's"], "actions": "drawn, clipped to 1"})
+        return _acted(task, load_dapg(policy_file(task)), steps, full, seed, provenance, threads, scratch, progress)
+    people = human(task)
+    if kind == "human":
+        if steps > len(people) or seed:
+            raise UserError(f"{name}: people made {len(people):,} steps, once: steps must not be more, and seed must be 0")
+        return _repeated(people, steps, full)
+    if steps < 2:
+        raise UserError(f"{name}: steps must be 2 or more, got {steps}")
+    shown = steps // 2
+    extra = {"task": task.name, "policies": ["people", "bc"], "updates": UPDATES, "rows": [shown, steps - shown],
+             "actions": "as demonstrated, then drawn; clipped to 1"}  # fmt: skip
+    provenance = _provenance(name, seed, extra)
+    clone = cloned_policy(people, seed, scratch / "clone")
+    told = (lambda rows, total: progress(shown + rows, steps)) if progress else None
+    acted = _acted(task, clone, steps - shown, full, seed, provenance, threads, scratch / "rows", told)
+    return _joined([_repeated(people, shown, full), acted], full, provenance)
+
+
+def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updates: int | None = None) -> Deployed:
+    """Behaviour cloning of a log with the agent `bc` as it is.
+
+    Args:
+        log: of the demonstrations.
+        seed: of the training.
+        folder: of its checkpoints, which a killed collection goes on from.
+        updates: `UPDATES` if None.
+    """
+    agent = BC()
+    rows = Rows(log, agent.needs(log.spec))
+    job = Fit([agent], rows, [seed], updates or UPDATES, _CHUNK, folder)
+    if folder is not None:
+        job.resume()
+    for done in job.chunks():
+        if done.failures[0] is not None:
+            raise UserError(f"{log.name}: the clone failed, {done.failures[0].metric} was not finite")
+    return Deployed.of(agent.policy(jax.tree.map(lambda leaf: leaf[0], job.states)), rows.view)
+
+
+def successes(task: Adroit, policy: Deployed, *, episodes: int = 100, seed: int = 0, greedy: bool = False) -> tuple[Any, Any]:
+    """What a policy earns in the simulator, and where it succeeds, as D4RL counts it (`Adroit.enough`).
+
+    Args:
+        task: where.
+        policy: acts.
+        episodes: run side by side, from the seeds `seed`, `seed` + 1, ...
+        seed: of the first.
+        greedy: its means, or its draws.
+
+    Returns:
+        (episodes,) undiscounted returns, and (episodes,) bool.
+    """
+    simulator, key = task.simulate(range(seed, seed + episodes)), jax.random.key(seed)
+    seen = simulator.reset()
+    returns, reached, alive = np.zeros(episodes), np.zeros(episodes, int), np.ones(episodes, bool)
+    for age in range(task.horizon):
+        actions = first_actions(policy, jnp.asarray(seen), jax.random.fold_in(key, age), greedy)
+        seen, rewards, terminals, timeouts = simulator.step(np.clip(actions, -1.0, 1.0))
+        returns += rewards
+        reached += simulator.achieved & alive
+        alive &= ~(terminals | timeouts)
+        if not alive.any():
+            break
+    return returns, reached > task.enough
+
+
+def _acted(
+    task: Adroit, policy: Deployed, rows: int, name: str, seed: int, provenance: Provenance, threads: int | None, scratch: Path,
+    progress: Progress | None,
+) -> Dataset:  # fmt: skip
+    log = perform(
+        task, [Act(policy, rows)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
+        progress=progress,
+    )  # fmt: skip
+    return replace(log, extras={})
+
+
+def _repeated(log: Dataset, rows: int, name: str) -> Dataset:
+    """The first `rows` rows of the log, over and over; what is cut ends with a timeout and the observation that came next."""
+    times = -(-rows // len(log))
+    whole = log.select(np.tile(np.arange(log.episodes), times))
+    kept = int(np.searchsorted(whole.starts, rows))  # episodes of which there is a row
+    final, known = whole.final_observations[:kept].copy(), whole.final_known[:kept].copy()
+    timeouts = whole.timeouts[:rows].copy()
+    if rows < len(whole) and whole.ends[kept - 1] >= rows:
+        final[-1], known[-1], timeouts[-1] = whole.observations[rows], True, True
+    return Dataset.from_arrays(
+        observations=whole.observations[:rows], actions=whole.actions[:rows], rewards=whole.rewards[:rows],
+        terminals=whole.terminals[:rows], timeouts=timeouts, final_observations=final, final_known=known,
+        action_space=log.action_space, name=name, provenance=replace(log.provenance, recipe=name.split("@")[0]),
+    )  # fmt: skip
+
+
+def _joined(parts: list[Dataset], name: str, provenance: Provenance) -> Dataset:
+    """Logs one after the other."""
+    columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations", "final_known")
+    whole: dict[str, Any] = {key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}
+    return Dataset.from_arrays(**whole, action_space=parts[0].action_space, name=name, provenance=provenance)
+
+
+def _provenance(name: str, seed: int, extra: dict[str, Any]) -> Provenance:
+    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium-robotics", "numpy", "jax")}
+    platform = jax.devices()[0].platform
+    return Provenance("collected", name, seed, versions | {"deadreckon": __version__}, extra=extra | {"device": platform})

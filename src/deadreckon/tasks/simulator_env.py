@@ -1,0 +1,63 @@
+"""Any task's simulator as a Gymnasium environment, apart because it alone needs gymnasium."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import EzPickle
+
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.tasks import registry
+
+
+class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
+    """One copy of a task: step by step equal to `Task.simulate([seed])`. The horizon is kept by the simulator.
+
+    `info["success"]` says whether the goal is reached, where the simulator knows (`achieved`). `render()` draws what a camera
+    sees, (height, width, 3) uint8, where MuJoCo finds an OpenGL (`MUJOCO_GL=egl` or `osmesa` without a screen).
+    """
+
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 (Gymnasium's own protocol)
+
+    def __init__(self, task: str, render_mode: str | None = None, width: int = 480, height: int = 480):
+        EzPickle.__init__(self, task, render_mode, width, height)
+        self.task = registry.task(task)
+        self.render_mode = render_mode
+        space = self.task.action_space
+        if not isinstance(space, Box):
+            raise UserError(f"{task}: its actions are not continuous")
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, self.task.observation_shape, np.float32)
+        low, high = (np.asarray(side, np.float32) for side in (space.low, space.high))
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        self.simulator: Any = None  # until the first reset, which gives it its seed
+        self._size, self._renderer = (height, width), None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+        """A new episode: the first of the seed's, or the one after the last."""
+        super().reset(seed=seed)
+        if self.simulator is None:
+            first = int(self.np_random.integers(2**32)) if seed is None else seed
+            self.simulator, seed = self.task.simulate([first], threads=1), None
+        return self.simulator.reset(seeds=None if seed is None else [seed])[0], self._info()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """See `Simulator.step`."""
+        seen, rewards, terminals, timeouts = self.simulator.step(np.asarray(action)[None])
+        return seen[0], float(rewards[0]), bool(terminals[0]), bool(timeouts[0]), self._info()
+
+    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """What the task's camera sees."""
+        if self.render_mode is None:
+            return None
+        self._renderer, picture = self.simulator.picture(0, self._size, self._renderer)
+        return picture
+
+    def close(self) -> None:
+        """Gives the OpenGL context back."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _info(self) -> dict[str, Any]:
+        return {"success": bool(self.simulator.achieved[0])} if hasattr(self.simulator, "achieved") else {}
