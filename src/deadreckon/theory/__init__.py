@@ -1,6 +1,6 @@
 """Finite worlds that are solved exactly: ground truth for estimators and agents, and the arguments of the thesis in small."""
 
-from deadreckon.theory import branching, cnml
+from deadreckon.theory import branching, cnml, solve
 from deadreckon.theory.tabular import MDP, chain, garnet, gridworld
 
-__all__ = ["MDP", "branching", "chain", "cnml", "garnet", "gridworld"]
+__all__ = ["MDP", "branching", "chain", "cnml", "garnet", "gridworld", "solve"]

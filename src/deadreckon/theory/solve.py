@@ -1,0 +1,111 @@
+"""Exact solutions of finite worlds, as pure JAX functions of one world's arrays that `exactly` runs, for one world or thousands.
+
+`transitions` (s, a, s) may lack to one: what a row lacks is the probability of the end. `rewards` (s, a) are means, `initial` (s,)
+the probabilities of the first state, a policy (s, a) probabilities.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+BETTER = 1e-11  # an action is better than the present one by more than this, relative to the values: rounding is less
+
+
+def exactly(function: Callable, *, over: Sequence[int | None] | None = None, static: Sequence[str] = ()) -> Callable[..., Any]:
+    """A compiled function in double precision, numpy in and numpy out.
+
+    JAX computes in single precision unless told otherwise, which bounds that hold with equality do not survive.
+
+    Args:
+        function: of arrays, pure.
+        over: for each argument the axis of many worlds, or None for one that all share; None: a single world.
+        static: names of arguments that are part of the program.
+    """
+    compiled = jax.jit(function if over is None else jax.vmap(function, in_axes=tuple(over)), static_argnames=tuple(static))
+
+    @wraps(function)
+    def run(*arguments: Any, **named: Any) -> Any:
+        with jax.enable_x64(True):
+            return jax.tree.map(np.asarray, compiled(*arguments, **named))
+
+    return run
+
+
+def moves(transitions: Float[Array, "s a t"], policy: Float[Array, "s a"]) -> Float[Array, "s t"]:
+    """P^pi: from state to state, under a policy."""
+    return jnp.einsum("sat,sa->st", transitions, policy)
+
+
+def values(
+    transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], policy: Float[Array, "s a"], discount: Any
+) -> Float[Array, "s"]:
+    """V^pi = (I - discount P^pi)^-1 r^pi."""
+    flow = jnp.eye(len(rewards)) - discount * moves(transitions, policy)
+    return jnp.linalg.solve(flow, (policy * rewards).sum(1))
+
+
+def ahead(
+    transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], after: Float[Array, "t"], discount: Any
+) -> Float[Array, "s a"]:
+    """r + discount E[after(s')]: a backup of values of states, with the discount that the thesis's chapter 2 leaves out."""
+    return rewards + discount * transitions @ after
+
+
+def action_values(
+    transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], policy: Float[Array, "s a"], discount: Any
+) -> Float[Array, "s a"]:
+    """Q^pi."""
+    return ahead(transitions, rewards, values(transitions, rewards, policy, discount), discount)
+
+
+def occupancy(
+    transitions: Float[Array, "s a t"], initial: Float[Array, "s"], policy: Float[Array, "s a"], discount: Any
+) -> Float[Array, "s a"]:
+    """(1 - discount) sum_t discount^t P(s_t, a_t); it sums to one where no episode ends."""
+    flow = jnp.eye(len(initial)) - discount * moves(transitions, policy).T
+    return jnp.linalg.solve(flow, (1.0 - discount) * initial)[:, None] * policy
+
+
+def value_iteration(
+    transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], discount: Any, tolerance: float = 1e-10
+) -> Float[Array, "s a"]:
+    """Q*, to within `tolerance`, by Q <- r + discount P max_a Q."""
+
+    def backup(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        q, _ = carry
+        new = ahead(transitions, rewards, q.max(1), discount)
+        return new, jnp.abs(new - q).max()
+
+    # What is left to do is at most discount / (1 - discount) times the last change.
+    going = lambda carry: carry[1] > tolerance * (1.0 - discount)  # noqa: E731
+    return jax.lax.while_loop(going, backup, (rewards, jnp.asarray(jnp.inf, rewards.dtype)))[0]
+
+
+def policy_iteration(transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], discount: Any) -> Float[Array, "s a"]:
+    """Q*, to rounding: each policy is solved exactly, and the next one is greedy where that is better."""
+
+    def solved(policy: Int[Array, "s"]) -> Array:
+        return action_values(transitions, rewards, jax.nn.one_hot(policy, rewards.shape[1], dtype=rewards.dtype), discount)
+
+    def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        policy, q, _ = carry
+        own = jnp.take_along_axis(q, policy[:, None], 1)[:, 0]
+        better = q.max(1) > own + BETTER * (1.0 + jnp.abs(own))  # equal actions would be exchanged without end
+        policy = jnp.where(better, q.argmax(1), policy)
+        return policy, solved(policy), better.any()
+
+    first = rewards.argmax(1)
+    return jax.lax.while_loop(lambda carry: carry[2], improve, (first, solved(first), jnp.asarray(True)))[1]
+
+
+def visits(
+    transitions: Float[Array, "s a t"], initial: Float[Array, "s"], policy: Float[Array, "s a"], steps: int
+) -> Float[Array, "n s"]:
+    """P(s_t) for t = 0 .. steps - 1."""
+    flow = moves(transitions, policy)
+    return jax.lax.scan(lambda now, _: (now @ flow, now), initial, None, length=steps)[1]
