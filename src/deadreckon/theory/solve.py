@@ -1,7 +1,7 @@
 """Exact solutions of finite worlds, as pure JAX functions of one world's arrays that `exactly` runs, for one world or thousands.
 
-`transitions` (s, a, s) may lack to one: what a row lacks is the probability of the end. `rewards` (s, a) are means, `initial` (s,)
-the probabilities of the first state, a policy (s, a) probabilities.
+Rows of `transitions` (s, a, s) may lack to one: the rest is the probability of the end. `rewards` (s, a) are means, `initial` (s,)
+and a policy (s, a) are probabilities.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,6 +36,22 @@ def exactly(function: Callable, *, over: Sequence[int | None] | None = None, sta
     return run
 
 
+def linear(flow: Float[Array, "s s"], right: Float[Array, "s"]) -> Float[Array, "s"]:
+    """The x with (I - flow) x = right, by elimination without pivots.
+
+    None are needed: where rows or columns of `flow` are not negative and sum to less than one, I - flow is diagonally dominant,
+    and stays so. Of LAPACK's batched solver two calls in one program may wait for each other for ever on few cores.
+    """
+    count = len(right)
+
+    def eliminate(i: Array, rows: Float[Array, "s n"]) -> Float[Array, "s n"]:
+        pivot = rows[i] / rows[i, i]
+        return (rows - rows[:, i, None] * pivot).at[i].set(pivot)
+
+    rows = jnp.concatenate([jnp.eye(count, dtype=right.dtype) - flow, right[:, None]], 1)
+    return jax.lax.fori_loop(0, count, eliminate, rows)[:, -1]
+
+
 def moves(transitions: Float[Array, "s a t"], policy: Float[Array, "s a"]) -> Float[Array, "s t"]:
     """P^pi: from state to state, under a policy."""
     return jnp.einsum("sat,sa->st", transitions, policy)
@@ -45,8 +61,7 @@ def values(
     transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], policy: Float[Array, "s a"], discount: Any
 ) -> Float[Array, "s"]:
     """V^pi = (I - discount P^pi)^-1 r^pi."""
-    flow = jnp.eye(len(rewards)) - discount * moves(transitions, policy)
-    return jnp.linalg.solve(flow, (policy * rewards).sum(1))
+    return linear(discount * moves(transitions, policy), (policy * rewards).sum(1))
 
 
 def ahead(
@@ -67,8 +82,7 @@ def occupancy(
     transitions: Float[Array, "s a t"], initial: Float[Array, "s"], policy: Float[Array, "s a"], discount: Any
 ) -> Float[Array, "s a"]:
     """(1 - discount) sum_t discount^t P(s_t, a_t); it sums to one where no episode ends."""
-    flow = jnp.eye(len(initial)) - discount * moves(transitions, policy).T
-    return jnp.linalg.solve(flow, (1.0 - discount) * initial)[:, None] * policy
+    return linear(discount * moves(transitions, policy).T, (1.0 - discount) * initial)[:, None] * policy
 
 
 def value_iteration(
@@ -103,9 +117,18 @@ def policy_iteration(transitions: Float[Array, "s a t"], rewards: Float[Array, "
     return jax.lax.while_loop(lambda carry: carry[2], improve, (first, solved(first), jnp.asarray(True)))[1]
 
 
-def visits(
+def marginals(
     transitions: Float[Array, "s a t"], initial: Float[Array, "s"], policy: Float[Array, "s a"], steps: int
 ) -> Float[Array, "n s"]:
     """P(s_t) for t = 0 .. steps - 1."""
     flow = moves(transitions, policy)
     return jax.lax.scan(lambda now, _: (now @ flow, now), initial, None, length=steps)[1]
+
+
+def visits(
+    transitions: Float[Array, "s a t"], initial: Float[Array, "s"], policy: Float[Array, "s a"], steps: Any
+) -> Float[Array, "s a"]:
+    """Expected number of visits in the first `steps` steps."""
+    flow = moves(transitions, policy)
+    step = lambda _, carry: (carry[0] @ flow, carry[1] + carry[0])  # noqa: E731
+    return jax.lax.fori_loop(0, steps, step, (initial, jnp.zeros_like(initial)))[1][:, None] * policy

@@ -13,7 +13,7 @@ from deadreckon.theory import solve
 _action_values = solve.exactly(solve.action_values)
 _occupancy = solve.exactly(solve.occupancy)
 _optimal = solve.exactly(solve.policy_iteration)
-_visits = solve.exactly(solve.visits, static=("steps",))
+_visits = solve.exactly(solve.visits)
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,7 @@ class MDP:
 
     def visits(self, policy: np.ndarray, steps: int) -> np.ndarray:
         """(states, actions) expected number of visits in the first `steps` steps of an episode."""
-        if not steps:
-            return np.zeros(self.rewards.shape)
-        return _visits(self.transitions, self.initial, policy, steps=steps).sum(0)[:, None] * policy
+        return _visits(self.transitions, self.initial, policy, steps)
 
     def optimal(self, discount: float) -> np.ndarray:
         """(states, actions) values of the best policy, by policy iteration.
@@ -224,7 +222,7 @@ class Worlds(NamedTuple):
 
 
 def garnets(count: int, rng: np.random.Generator, states: int = 6, actions: int = 3) -> Worlds:
-    """Random worlds of all kinds: from one successor of each action to all, from a certain first state to any, with few rewards or many."""
+    """Random worlds of all kinds: one successor of each action up to all, a certain first state or any, few rewards or many."""
     branches = rng.integers(1, states + 1, count)
     order = rng.random((count, states, actions, states)).argsort(-1)
     weights = rng.exponential(size=order.shape) * (order < branches[:, None, None, None])
