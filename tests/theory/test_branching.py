@@ -27,6 +27,7 @@ from deadreckon.theory.branching import (
     sharp_generalising_bound,
     tight,
 )
+from deadreckon.theory.looseness import measure, near, sample
 from deadreckon.theory.tabular import garnets, policies
 
 BOUNDS = [branched_bound, generalising_bound, averaged_bound, lambda *a, **k: averaged_bound(*a, shifted=False, **k)]
@@ -48,44 +49,21 @@ def instance(rng):
     return true, model, old, (1 - share) * old + share * other
 
 
-def near(first, second, rng):
-    """The first moved towards the second, a little or far."""
-    share = rng.uniform(0.0, 1.0, len(first)) ** rng.choice([1, 4], len(first))
-    share = share.reshape(-1, *[1] * (first.ndim - 1))
-    return (1 - share) * first + share * second
-
-
 @pytest.fixture(scope="module")
 def many():
     """Worlds, models of them that err, old policies and new ones near them, and discounts."""
-    rng = np.random.default_rng(0)
-    worlds = garnets(COUNT, rng)
-    model = near(worlds.transitions, garnets(COUNT, rng).transitions, rng)
-    old = policies(COUNT, rng)
-    return worlds, model, old, near(old, policies(COUNT, rng), rng), rng.uniform(0.05, 0.95, COUNT)
-
-
-def returns(transitions, model, rewards, initial, old, new, discount):
-    """J(new), what the model promises, J_branch of all lengths, and the model's error under the old and under the new policy."""
-    begun = solve.occupancy(transitions, initial, old, discount)
-    branched = branched_occupancies(model, initial, new, begun, LENGTH, discount)
-    value = initial @ solve.values(transitions, rewards, new, discount)
-    promised = initial @ solve.values(model, rewards, new, discount)
-    errors = [expected_error(transitions, model, initial, policy, HORIZON) for policy in (old, new)]
-    return value, promised, (branched * rewards).sum((1, 2)) / (1.0 - discount), *errors
+    return sample(COUNT, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
 def measured(many):
-    worlds, model, old, new, discount = many
-    run = solve.exactly(returns, over=(0,) * 7)
-    found = run(worlds.transitions, model, worlds.rewards, worlds.initial, old, new, discount)
-    return *found, policy_divergence(old, new), np.abs(worlds.rewards).max((1, 2))
+    return measure(many, LENGTH, HORIZON)
 
 
 def test_theorems_hold_on_thousands_of_random_worlds(many, measured):
     discount = many[-1]
-    value, promised, branched, under_old, under_new, policy, r_max = measured
+    value, promised, branched = measured.value, measured.promised, measured.branched
+    under_old, under_new, policy, r_max = measured.under_old, measured.under_new, measured.policy, measured.r_max
     for bound in (full_bound, sharp_full_bound):
         assert (value >= promised - bound(under_old, policy, discount, r_max) - SLACK).all()
     k = np.arange(LENGTH + 1)[:, None]
