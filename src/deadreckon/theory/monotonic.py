@@ -26,7 +26,7 @@ from deadreckon.theory import solve
 from deadreckon.theory.branching import model_error, policy_divergence
 from deadreckon.theory.tabular import MDP
 
-SWEEPS = 150  # of value iteration within a ball; discounts up to 0.9 leave 1e-6
+LEFT = 1e-10  # of the first values after so many sweeps of value iteration within a ball
 RADII = np.linspace(0.0, 1.0, 101)
 
 
@@ -48,7 +48,8 @@ def best_within(transitions: Array, rewards: Array, old: Array, radius: Any, dis
         q = solve.ahead(transitions, rewards, after, discount)
         return (within(q, old, radius) * q).sum(1)
 
-    after = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros(len(rewards), rewards.dtype))
+    sweeps = jnp.ceil(jnp.log(LEFT) / jnp.log(jnp.clip(discount, 1e-3, 1.0 - 1e-6))).astype(int)
+    after = jax.lax.fori_loop(0, sweeps, sweep, jnp.zeros(len(rewards), rewards.dtype))
     return within(solve.ahead(transitions, rewards, after, discount), old, radius)
 
 
