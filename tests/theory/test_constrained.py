@@ -1,4 +1,4 @@
-"""Chapter 4 and appendix A: operators by hand, bounds over thousands of random worlds, and counter-examples to what is printed."""
+"""Chapter 4 and appendix A: operators by hand, bounds over thousands of random worlds, counter-examples to what is printed."""
 
 import numpy as np
 import pytest

@@ -13,7 +13,7 @@ from deadreckon.errors import unknown
 
 @dataclass
 class Theory:
-    """The thesis's arguments in small exact worlds: pictures (SVG) and the numbers behind them (CSV). Without a name: what there is."""
+    """The thesis's arguments in small exact worlds: pictures (SVG) and their numbers (CSV). Without a name: what there is."""
 
     name: Annotated[str | None, tyro.conf.Positional] = None  # gridworld, mmd, bounds or cnml
     out: str | None = None  # folder; None: runs/theory/NAME

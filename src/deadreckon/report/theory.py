@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,22 +23,24 @@ def columns(path: Path, values: Mapping[str, np.ndarray]) -> Path:
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(values)
-        writer.writerows([f"{v:.8g}" if isinstance(v, float) else v for v in row] for row in zip(*map(np.ndarray.tolist, map(np.asarray, values.values()))))
+        rows = zip(*(np.asarray(column).tolist() for column in values.values()))
+        writer.writerows([f"{v:.8g}" if isinstance(v, float) else v for v in row] for row in rows)
     return path
 
 
 def _lines(x: np.ndarray, named: Mapping[str, np.ndarray], names: Sequence[str], unit: str, across: str, **more) -> Markup:
     """Lines whose colours are their places in `names`."""
     series = [charts.Series(name, names.index(name), np.asarray(x, float), np.asarray(y, float)) for name, y in named.items()]
-    return charts.lines(series, title=f"{unit} against {across}", unit=unit, across=across, size=PANEL, **more)
+    return charts.lines(series, title=f"{unit} against {across}", unit=unit, across=across, size=PANEL, ticks=7, **more)
 
 
 def _drawing(path: Path, size: tuple[int, int], *parts: Markup | list[Markup]) -> Path:
     """An SVG file that needs nothing else, in the charts' colours."""
     rules = (
-        ".shade { fill: var(--c1) } .ground { fill: var(--floor); stroke: var(--line) } .dark { fill: var(--ink) }"
+        ".shade { fill: var(--c1) } .ground { fill: var(--floor); stroke: var(--line) }"
         " .way { fill: none; stroke-width: 3; stroke: var(--c) } .thin { fill: none; stroke: var(--ink); stroke-width: 1.4 }"
-        " .dots { fill: none; stroke: var(--ink); stroke-dasharray: 3 3 } .dot { fill: var(--c1) } .cell { fill: none; stroke: var(--grid) }"
+        " .dots { fill: none; stroke: var(--ink); stroke-dasharray: 3 3 } .dot { fill: var(--c0) }"
+        " .cell { fill: none; stroke: var(--grid) }"
         " .word { font-size: 13px; fill: var(--ink) } .soft { font-size: 12px; fill: var(--soft) } .mid { text-anchor: middle }"
         " .query { stroke: var(--no); stroke-width: 1.5 }"
     )
@@ -54,7 +57,7 @@ def _shades(values: np.ndarray, shape_of: Callable[..., str], most: float) -> li
     """One path a shade for all places whose value falls into it."""
     level = np.clip(np.rint(SHADES * values / most), 0, SHADES).astype(int)
     return [
-        tag("path", d="".join(shape_of(*place) for place in np.argwhere(level == k)), class_="shade", opacity=f"{k / SHADES:.2f}")
+        tag("path", d="".join(shape_of(*at) for at in np.argwhere(level == k)), class_="shade", opacity=f"{k / SHADES:.2f}")
         for k in range(1, SHADES + 1)
         if (level == k).any()
     ]
@@ -99,7 +102,7 @@ def draw_propagation(path: Path, found: propagation.Propagation) -> Path:
     for s in state:
         x, y = 20 + (s % on.width + 0.5) * size, top + (s // on.width + 0.5) * size
         for a, (dx, dy) in enumerate(((0, -1), (1, 0), (0, 1), (-1, 0))):
-            reach = 9 * on.behavior[s, a]
+            reach = 13 * on.behavior[s, a]
             arrows.append(f"M{x:.1f} {y:.1f}l{dx * reach:.1f} {dy * reach:.1f}")
     parts = [
         tag("text", "the data's policy", x=20, y=top - 12, class_="title"),
@@ -119,7 +122,8 @@ def draw_propagation(path: Path, found: propagation.Propagation) -> Path:
     legend = left, top + 3 * (high + 50) + 4
     parts.append(tag("text", "|Qₖ − Q*|   0", x=left, y=legend[1] + 11, class_="soft"))
     for k in range(SHADES + 1):
-        parts.append(tag("rect", x=left + 88 + 22 * k, y=legend[1], width=22, height=13, class_="shade", opacity=f"{k / SHADES:.2f}"))
+        box = {"x": left + 88 + 22 * k, "y": legend[1], "width": 22, "height": 13}
+        parts.append(tag("rect", **box, class_="shade", opacity=f"{k / SHADES:.2f}"))
     parts.append(tag("text", f"{most:.1f}", x=left + 96 + 22 * (SHADES + 1), y=legend[1] + 11, class_="soft"))
     return _drawing(path, (left + len(found.shown) * step + 8, legend[1] + 26), parts)
 
@@ -137,14 +141,16 @@ def draw_stitching(path: Path, found: fitted.Stitching) -> Path:
         ]
         for way, slot in zip(ways, slots):
             d = "M" + "L".join("{:.0f} {:.0f}".format(*middle(s)) for s in way)
-            out += [tag("g", tag("path", d=d, class_="way"), class_=f"s{slot}"), charts.marker(slot, *middle(way[-1]))]
-            out[-1] = tag("g", out[-1], class_=f"s{slot}")
+            out.append(tag("g", tag("path", d=d, class_="way"), charts.marker(slot, *middle(way[-1])), class_=f"s{slot}"))
         for word, s in (("A", found.start), ("B", found.meeting), ("C", found.end)):
             px, py = middle(s)
             out.append(tag("text", word, x=px + 9, y=py - 6, class_="title"))
         return out
 
-    values = [tag("text", f"{name}: {v:.2f}", x=2 * wide + 90, y=top + 22 * (i + 1), class_="word") for i, (name, v) in enumerate(found.values.items())]
+    values = [
+        tag("text", f"{name}: {v:.2f}", x=2 * wide + 90, y=top + 22 * (i + 1), class_="word")
+        for i, (name, v) in enumerate(found.values.items())
+    ]
     head = tag("text", "value at A", x=2 * wide + 90, y=top - 14, class_="title")
     return _drawing(
         path, (2 * wide + 370, wide + top + 16), panel(20, "the log: two trajectories", found.ways, (0, 1)),
@@ -158,7 +164,8 @@ def gridworld(out: Path) -> Made:
     found, trade = propagation.propagate(on), propagation.tradeoff(on)
     state, action = (each.ravel() for each in np.indices(on.behavior.shape))
     errors = {f"{name}_k{k}": e.ravel() for name, each in found.errors.items() for k, e in zip(found.shown, each)}
-    pairs = {"state": state, "action": action, "behavior": on.behavior.ravel(), "data": on.data.ravel(), "delta": on.delta.ravel()}
+    pairs = {"state": state, "action": action}
+    pairs |= {"behavior": on.behavior.ravel(), "data": on.data.ravel(), "delta": on.delta.ravel()}
     files = [
         draw_propagation(out / "propagation.svg", found),
         columns(out / "propagation.csv", pairs | {"allowed": found.allowed.ravel().astype(int)} | errors),
@@ -167,11 +174,15 @@ def gridworld(out: Path) -> Made:
     names = ["corrected", "as printed", "measured, mean over errors"]
     across = "threshold ε"
     panels = {
-        "what the set leaves out": _lines(trade.epsilon, {"corrected": trade.gap, "as printed": trade.printed_gap}, names, "α", across),
+        "what the set leaves out": _lines(
+            trade.epsilon, {"corrected": trade.gap, "as printed": trade.printed_gap}, names, "α", across
+        ),
         "how far it leads from the data": _lines(
             trade.epsilon, {"corrected": trade.coefficient, "as printed": trade.printed_coefficient}, names, "C", across
         ),
-        "Theorem 4.2.1": _lines(trade.epsilon, {"corrected": trade.bound, "as printed": trade.printed_bound}, names, "bound", across, symlog=True),
+        "Theorem 4.2.1": _lines(
+            trade.epsilon, {"corrected": trade.bound, "as printed": trade.printed_bound}, names, "bound", across, symlog=True
+        ),
         "what is lost": _lines(trade.epsilon, {"measured, mean over errors": trade.loss}, names, "loss of return", across),
     }
     files.append(sheet(out / "tradeoff.svg", panels, names))
@@ -184,19 +195,22 @@ def gridworld(out: Path) -> Made:
     growth = fitted.growth(share, discount)
     names = [*runs, "growth"]
     panels = {
-        "one feature, Q-iteration": _lines(steps, iterates, names, "weight w", "iterations"),
-        "factor of w an iteration": _lines(share, {"growth": growth}, names, "factor", "share of the data in state 1", references=[("diverges above", 1.0)]),
+        "one feature, Q-iteration": _lines(steps, iterates, names, "weight w", "iterations", symlog=True),
+        "factor of w an iteration": _lines(
+            share, {"growth": growth}, names, "factor", "share of the data in state 1", references=[("diverges above", 1.0)]
+        ),
     }
     files += [sheet(out / "projection.svg", panels, names), columns(out / "projection.csv", {"share": share, "factor": growth})]
     stitched = fitted.stitching()
     files.append(draw_stitching(out / "stitching.svg", stitched))
-    said = [f"return of the last iterate's greedy policy, of {found.best:.2f}: " + ", ".join(f"{n} {r:.2f}" for n, r in found.returns.items())]
+    returns = ", ".join(f"{name} {value:.2f}" for name, value in found.returns.items())
+    said = [f"return of the last iterate's greedy policy, of {found.best:.2f}: {returns}"]
     best = int(trade.loss.argmin())
     said.append(
         f"loss of return along ε: {trade.loss[0]:.2f} at 0, {trade.loss[best]:.2f} at {trade.epsilon[best]:.2f}, "
         f"{trade.loss[-1]:.2f} at {trade.epsilon[-1]:.2f}"
     )
-    said.append(f"Q-iteration under a projection: grows {growth[50]:.2f} times an iteration with half of the data in either state")
+    said.append(f"Q-iteration under a projection: grows {growth[50]:.2f} times an iteration, data half in either state")
     said.append("stitching, value at A: " + ", ".join(f"{name} {value:.2f}" for name, value in stitched.values.items()))
     return files, said
 
@@ -212,11 +226,13 @@ def mmd(out: Path) -> Made:
     for c in curves:
         known = f"preferred below n = {c.crossing:.0f}" if c.crossing >= 1 else "never preferred"
         series = [
-            charts.Series(names[0], 0, c.n.astype(float), *c.self_drawn.T), charts.Series(names[1], 1, c.n.astype(float), *c.uniform_drawn.T),
-            charts.Series(names[2], 2, c.n.astype(float), c.self_expected), charts.Series(names[3], 3, c.n.astype(float), c.uniform_expected),
+            charts.Series(names[0], 0, c.n.astype(float), *c.self_drawn.T),
+            charts.Series(names[1], 1, c.n.astype(float), *c.uniform_drawn.T),
+            charts.Series(names[2], 2, c.n.astype(float), c.self_expected, dashed=True),
+            charts.Series(names[3], 3, c.n.astype(float), c.uniform_expected, dashed=True),
         ]  # fmt: skip
         title = f"uniform over ±{c.alpha:g} std: {known}"
-        panels[title] = charts.lines(series, title=title, unit="MMD", across="draws of each side", size=PANEL)
+        panels[title] = charts.lines(series, title=title, unit="MMD", across="draws of each side", size=PANEL, ticks=7)
         rows |= {
             f"self_{c.alpha:g}": c.self_drawn[:, 0], f"uniform_{c.alpha:g}": c.uniform_drawn[:, 0],
             f"uniform_expected_{c.alpha:g}": c.uniform_expected,
@@ -232,15 +248,15 @@ def mmd(out: Path) -> Made:
     for n in (4, 100):
         swept = {name: discrepancy.allowed(kernel, n, epsilon) for name, kernel in kernels.items()}
         across = "threshold ε"
-        panels[f"best mean allowed, {n} draws"] = _lines(
-            epsilon, {name: a.value for name, a in swept.items()}, [*kernels], "mean action", across, references=[("edge of the support", discrepancy.EDGE)]
-        )
-        panels[f"actions outside the support, {n} draws"] = _lines(epsilon, {name: a.outside for name, a in swept.items()}, [*kernels], "probability", across)
+        means, outside = ({name: getattr(a, what) for name, a in swept.items()} for what in ("value", "outside"))
+        edge = [("edge of the support", discrepancy.EDGE)]
+        panels[f"best mean allowed, {n} draws"] = _lines(epsilon, means, [*kernels], "mean action", across, references=edge)
+        panels[f"actions outside the support, {n} draws"] = _lines(epsilon, outside, [*kernels], "probability", across)
         for name, a in swept.items():
             rows |= {f"{name}, n {n}: {what}": getattr(a, what) for what in ("value", "spread", "outside")}
             said.append(f"{n} draws, {name}: the behaviour policy's own MMD is {a.own:.3f}")
     files += [sheet(out / "threshold.svg", panels, [*kernels]), columns(out / "threshold.csv", rows)]
-    said.append(f"chance of {9} draws from {81} points being different: {discrepancy.unseen_chance(9):.4f} (A.3 says above 0.6321)")
+    said.append(f"chance that 9 draws from 81 points are different: {discrepancy.unseen_chance(9):.4f} (A.3 says above 0.6321)")
     return files, said
 
 
@@ -250,22 +266,22 @@ def mmd(out: Path) -> Made:
 def bounds(out: Path) -> Made:
     """What the bounds of chapter 5 leave unused, k*, and Algorithm 2."""
     found = looseness.looseness()
-    names = ["as printed", "sharper", "exact", *(f"γ = {g}" for g in (0.9, 0.95, 0.99)), "greatest, as printed", "greatest, sharper"]
+    names = ["as printed", "sharper", "exact", *(f"k*, γ = {g}" for g in (0.9, 0.95, 0.99))]
     panels, rows = {}, {"discount": found.discount}
     for number in ("5.2.1", "5.2.2", "5.2.3"):
-        both = {"greatest, as printed": found.used[f"Theorem {number}"][:, 2], "greatest, sharper": found.used[f"{number}, sharper"][:, 2]}
-        drawn = {names[i]: values for i, values in ((6, both["greatest, as printed"]), (7, both["greatest, sharper"]))}
-        panels[f"Theorem {number}: share of the bound used"] = _lines(found.discount, drawn, names, "gap / bound", "discount")
+        most = {"as printed": found.used[f"Theorem {number}"][:, 2], "sharper": found.used[f"{number}, sharper"][:, 2]}
+        panels[f"{number}: most that is used of the bound"] = _lines(found.discount, most, names, "gap / bound", "discount")
     for name, used in found.used.items():
         rows |= {f"{name}, {what}": used[:, i] for i, what in enumerate(("median", "90th percentile", "greatest"))}
     files = [columns(out / "loose.csv", rows)]
     ratio, best = looseness.best_lengths()
-    panels["k* of 5.2.3 by the model's error"] = _lines(ratio, {f"γ = {g}": k for g, k in best.items()}, names, "k*", "model error / policy error")
-    files.append(columns(out / "length.csv", {"ratio": ratio} | {f"{g}": k for g, k in best.items()}))
-    for under in ("old", "new"):
+    drawn = {f"k*, γ = {g}": k for g, k in best.items()}
+    panels["length of the least bound 5.2.3"] = _lines(ratio, drawn, names, "k*", "model error / policy error")
+    files.append(columns(out / "length.csv", {"ratio": ratio} | drawn))
+    for under, number in (("old", "5.2.2"), ("new", "5.2.3")):
         tight = looseness.lengths(under=under)
-        title = f"a world that meets the bound, error under the {under} policy"
-        panels[title] = _lines(tight.k, {"as printed": tight.printed, "sharper": tight.sharp, "exact": tight.exact}, names, "promised too much", "rollout length k")
+        drawn = {"as printed": tight.printed, "sharper": tight.sharp, "exact": tight.exact}
+        panels[f"{number} where it is met, by length"] = _lines(tight.k, drawn, names, "promised too much", "rollout length k")
         files.append(columns(out / f"tight-{under}.csv", vars(tight)))
     files.insert(0, sheet(out / "bounds.svg", panels, names))
     courses = looseness.courses()
@@ -273,9 +289,10 @@ def bounds(out: Path) -> Made:
     means = {name: each.mean(0) for name, each in courses.items()}
     chart = charts.lines(
         [charts.Series.over_seeds(name, i, turns.astype(float), each.T) for i, (name, each) in enumerate(courses.items())],
-        title="Algorithm 2", unit="share of the way to the best return", across="turns", size=PANEL,
+        title="Algorithm 2", unit="share of the way to the best return", across="turns", size=PANEL, ticks=7,
     )  # fmt: skip
-    files += [sheet(out / "algorithm-2.svg", {"Algorithm 2": chart}, [*courses]), columns(out / "algorithm-2.csv", {"turn": turns} | means)]
+    files.append(sheet(out / "algorithm-2.svg", {"Algorithm 2": chart}, [*courses]))
+    files.append(columns(out / "algorithm-2.csv", {"turn": turns} | means))
     said = [f"{name}: {found.violations[name]} violations in {found.count:,} random worlds" for name in found.violations]
     said += [f"Algorithm 2, {name}: {each[-1]:.0%} of the way" for name, each in means.items()]
     return files, said
@@ -284,11 +301,20 @@ def bounds(out: Path) -> Made:
 # ---- chapter 6 --------------------------------------------------------------------------------------------------------
 
 
-def _frame(x: int, y: int, wide: int, high: int, title: str, ticks: Sequence[float], across: Callable[[float], float]) -> list[Markup]:
+def _frame(
+    x: int, y: int, wide: int, high: int, title: str, ticks: Sequence[float], across: Callable[[float], float]
+) -> list[Markup]:
+    word = lambda t: f"{t:g}".replace("-", "\N{MINUS SIGN}")  # noqa: E731
     return [
         tag("text", title, x=x, y=y - 12, class_="title"), tag("rect", x=x, y=y, width=wide, height=high, class_="ground"),
-        *(tag("text", f"{t:g}".replace("-", "\N{MINUS SIGN}"), x=f"{across(t):.1f}", y=y + high + 17, class_="soft mid") for t in ticks),
+        *(tag("text", word(t), x=f"{across(t):.1f}", y=y + high + 17, class_="soft mid") for t in ticks),
     ]  # fmt: skip
+
+
+def _dots(found: piecewise.Beliefs, across: Callable[[float], float], up: Callable[[Any], Any]) -> list[Markup]:
+    """The data."""
+    places = zip(found.x, found.label)
+    return [tag("circle", cx=f"{across(x):.1f}", cy=f"{up(y):.1f}", r=2.4, class_="dot") for x, y in places]
 
 
 def draw_beliefs(path: Path, found: piecewise.Beliefs) -> Path:
@@ -307,7 +333,7 @@ def draw_beliefs(path: Path, found: piecewise.Beliefs) -> Path:
         parts += _shades(np.sqrt(probs), place, 1.0)
         line = "M" + "L".join(f"{across(v):.1f} {up(t):.1f}" for v, t in zip(found.queries, found.truth))
         parts.append(tag("path", d=line, class_="dots"))
-        parts += [tag("circle", cx=f"{across(v):.1f}", cy=f"{up(y):.1f}", r=2.4, class_="dot s0") for v, y in zip(found.x, found.label)]
+        parts += _dots(found, across, up)
     return _drawing(path, (left + 3 * (wide + left), top + high + 30), parts)
 
 
@@ -323,8 +349,7 @@ def draw_claims(path: Path, found: piecewise.Beliefs, query: float = 5.0, shown:
         x = left + j * (wide + left)
         across = lambda v: x + (v - curves.knots[0]) / (curves.knots[-1] - curves.knots[0]) * wide  # noqa: E731
         parts.extend(_frame(x, top, wide, high, title, (-8, -4, 0, 4, 8), across))
-        dots = [tag("circle", cx=f"{across(v):.1f}", cy=f"{up(y):.1f}", r=2.4, class_="dot s0") for v, y in zip(found.x, found.label)]
-        parts.extend(dots)
+        parts.extend(_dots(found, across, up))
         parts.append(tag("line", x1=f"{across(query):.1f}", x2=f"{across(query):.1f}", y1=top, y2=top + high, class_="query"))
         return across
 
@@ -338,9 +363,12 @@ def draw_claims(path: Path, found: piecewise.Beliefs, query: float = 5.0, shown:
     x = left + 2 * (wide + left)
     probs = cnml.p_nml(known)
     parts += _frame(x, top, wide, high, f"p(y | x = {query:g}) under NML", (), lambda v: v)
-    bars = "".join(f"M{x} {up(y) - high / levels * 0.4:.1f}h{wide * p / probs.max() * 0.95:.1f}v{high / levels * 0.8:.1f}H{x}Z" for y, p in enumerate(probs))
-    parts.append(tag("path", d=bars, class_="shade"))
-    parts.append(tag("text", f"longest bar {probs.max():.3f}; Γ = {float(cnml.minimax_regret(known)):.2f}", x=x, y=top + high + 17, class_="soft"))
+    thick = high / levels
+    reach = 0.95 * wide * probs / probs.max()
+    bars = (f"M{x} {up(y) - 0.4 * thick:.1f}h{r:.1f}v{0.8 * thick:.1f}H{x}Z" for y, r in enumerate(reach))
+    parts.append(tag("path", d="".join(bars), class_="shade"))
+    said = f"longest bar {probs.max():.3f}; Γ = {float(cnml.minimax_regret(known)):.2f}"
+    parts.append(tag("text", said, x=x, y=top + high + 17, class_="soft"))
     return _drawing(path, (left + 3 * (wide + left), top + high + 30), parts)
 
 
@@ -351,8 +379,10 @@ def nml(out: Path) -> Made:
     g = np.arange(found.curves.levels) / (found.curves.levels - 1)
     regret = {
         "functional regret": cnml.functional_regret(found.nml, found.known, g).max(1),
-        "as printed": cnml.printed_bound(found.known, g), "corrected": cnml.bound(found.known, g), "sharper": cnml.sharp_bound(found.known, g),
-    }  # fmt: skip
+        "as printed": cnml.printed_bound(found.known, g),
+        "corrected": cnml.bound(found.known, g),
+        "sharper": cnml.sharp_bound(found.known, g),
+    }
     n = np.arange(1, 101)
     names = [*regret, "Jeffreys, half ones", "Jeffreys, no ones", "NML"]
     whole = {
@@ -368,11 +398,13 @@ def nml(out: Path) -> Made:
     files.append(columns(out / "regret.csv", {"x": found.queries} | regret))
     files.append(columns(out / "coins.csv", {"n": n} | whole))
     for name in ("nml", "bootstrap", "bayes"):
-        files.append(columns(out / f"{name}.csv", {"x": found.queries} | {f"label_{y}": p for y, p in enumerate(getattr(found, name).T)}))
+        labels = {f"label_{y}": p for y, p in enumerate(getattr(found, name).T)}
+        files.append(columns(out / f"{name}.csv", {"x": found.queries} | labels))
     entropy = lambda p: float(-(p * np.log(np.maximum(p, 1e-300))).sum(1).mean())  # noqa: E731
     inside = np.any([(found.queries >= a) & (found.queries <= b) for a, b in piecewise.SEEN], 0)
     truth = np.rint(found.truth).astype(int)
-    said = [f"{found.curves.count:.1e} curves; mean entropy of the label, of at most {np.log(found.curves.levels):.2f}, and surprise at the truth:"]
+    most = np.log(found.curves.levels)
+    said = [f"{found.curves.count:.1e} curves; mean entropy of the label, of at most {most:.2f}, and surprise at the truth:"]
     for name, p in (("NML", found.nml), ("bootstrap", found.bootstrap), ("Bayes", found.bayes)):
         surprise = -np.log(p[np.arange(len(p)), truth])
         said.append(
@@ -380,7 +412,7 @@ def nml(out: Path) -> Made:
             f"outside {entropy(p[~inside]):.2f} and {surprise[~inside].mean():.2f}"
         )
     above = int((regret["functional regret"] > regret["as printed"] + 1e-9).sum())
-    said.append(f"functional regret above the printed bound at {above} of {len(found.queries)} queries, above the corrected ones at none")
+    said.append(f"functional regret above the printed bound at {above} of {len(found.queries)} queries")
     return files, said
 
 

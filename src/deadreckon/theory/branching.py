@@ -2,9 +2,9 @@
 
 A k-branched rollout starts at states that the old policy comes to in the true world and takes k steps of the new policy in the
 model. All bounds are on J(pi) - J_branch(pi) from below, in units of a return: a promise of the model minus the bound is kept.
-Errors are total variations: `model` of the next state, at the worst step, in expectation under the policy that is said; `policy`
-between the two policies at the worst state. `r_max` is the greatest |reward|. All may be arrays. Appendix B prints KL
-divergences in B.2.2 to B.2.4: with these the lemmas fail, since a small KL leaves a total variation of its root.
+Errors are total variations: `model` of the next state, at the worst step, in expectation under the policy that is said;
+`policy` between the two policies at the worst state. `r_max` is the greatest |reward|. All may be arrays. Appendix B prints
+KL divergences in B.2.2 to B.2.4: with these the lemmas fail, since a small KL leaves a total variation of its root.
 
 Rewards are known: where the model learns these too, and their error counts in `model`, 2 r_max model / (1 - discount) comes to
 every bound (`learned_rewards`).
@@ -13,8 +13,8 @@ every bound (`learned_rewards`).
 them together: the same action as long as the policies allow it, the same next state as long as the dynamics do. The second and
 the third differ only after the first action in which the policies differed, of probability `policy` a step, or the first wrong
 step of the model. They are the *same* policy, so its distance from the old one is paid once, where the printed proofs pay it
-twice, and never for the last action. That gives t (model + policy) for the total variation at time t, and `sharp_*` below, which
-`tight` meets with equality to first order in the errors.
+twice, and never for the last action. That gives t (model + policy) for the total variation at time t, and `sharp_*` below,
+which `tight` meets with equality to first order in the errors.
 """
 
 import math
@@ -71,7 +71,8 @@ def full_bound(model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -> Any:
 def branched_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -> Any:
     """Theorem 5.2.2: `model` is measured under the old policy, so that the new one's shift is added to it.
 
-    The proof's third reference must be the old policy in the *true* world (it prints the model), under which `model` is measured.
+    The proof's third reference must be the old policy in the *true* world (it prints the model), under which `model` is
+    measured.
     """
     _check(discount, model, policy)
     left = 1.0 - discount
@@ -107,7 +108,7 @@ def averaged_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: Any = 
 
 
 def learned_rewards(model: Any, discount: Any, r_max: Any = 1.0) -> Any:
-    """What comes to a bound if `model` is the error of next state and reward together, as 5.2 defines it: 2 r_max at each step."""
+    """What comes to a bound if `model` is the error of next state and reward together, as in 5.2: 2 r_max model a step."""
     _check(discount, model)
     return 2.0 * r_max * model / (1.0 - discount)
 
@@ -141,8 +142,9 @@ def sharp_full_bound(model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -
 def sharp_branched_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -> Any:
     """In place of Theorem 5.2.2, `model` under the old policy: least at k = 1 if discount model < policy.
 
-    At time t >= k >= 1 every action but the last may differ, and k model steps may be wrong: t policy + k model. Without a branch
-    the last action is the old policy's too: (t + 1) policy. So one step pays for itself, a second one never; as printed, none.
+    At time t >= k >= 1 every action but the last may differ, and k model steps may be wrong: t policy + k model. Without a
+    branch the last action is the old policy's too: (t + 1) policy. So one step pays for itself, a second one never; as
+    printed, none.
     """
     _check(discount, model, policy)
     left, k = 1.0 - discount, np.asarray(k)
@@ -153,9 +155,9 @@ def sharp_branched_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: 
 def sharp_generalising_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -> Any:
     """In place of Theorem 5.2.3, `model` under the new policy: falls in k for ever if discount model < policy, else rises.
 
-    At time t >= k the total variation is at most (t - k + 1) policy + k model, before it t model, and sum_t discount^t min(t, k)
-    is discount (1 - discount^k) / (1 - discount)^2, where the thesis has k / (1 - discount), which grows without end: from there
-    comes a best length k* in between.
+    At time t >= k the total variation is at most (t - k + 1) policy + k model, before it t model, and sum_t discount^t min(t,
+    k) is discount (1 - discount^k) / (1 - discount)^2, where the thesis has k / (1 - discount), which grows without end: from
+    there comes a best length k* in between.
     """
     _check(discount, model, policy)
     fade = np.power(discount, np.asarray(k))
@@ -242,12 +244,12 @@ def model_error(world: MDP, model: MDP, policy: np.ndarray | None = None, steps:
 
 
 def tight(model: float, policy: float, *, under: str = "old") -> tuple[MDP, np.ndarray, MDP, np.ndarray]:
-    """World, old policy, model and new policy whose returns are apart as far as the sharp bounds allow, to first order in the errors.
+    """World, old policy, model and new policy that meet the sharp bounds, to first order in the errors.
 
     A good state that pays 1 and a bad one that pays -1 for ever. The old policy always takes action 0, which leaves the good
     state with probability `model`; the model does not know. The new policy takes action 1 with probability `policy`; it pays -1
-    and leads to the bad state. `under` says which policy the error is measured under: under the "old" one the model may be wrong
-    about action 1 altogether, under the "new" one it is right about it.
+    and leads to the bad state. `under` says which policy the error is measured under: under the "old" one the model may be
+    wrong about action 1 altogether, under the "new" one it is right about it.
     """
     flow = np.zeros((2, 2, 2))
     flow[0, 0], flow[0, 1], flow[1, :, 1] = [1.0 - model, model], [0.0, 1.0], 1.0

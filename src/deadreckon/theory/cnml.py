@@ -1,14 +1,14 @@
 """Conditional normalised maximum likelihood over enumerable model classes, exactly (thesis 6.2 and 6.4).
 
-A class is an array `likelihoods` (m, y): each model's distribution of the label at one query point; `evidence` (m,) is each model's
-log-likelihood of the data. All else follows from its experts, `known` (..., y, y): row y* is the distribution of the model that
-is most likely on the data with (x, y*) appended.
+A class is an array `likelihoods` (m, y): each model's distribution of the label at one query point; `evidence` (m,) is each
+model's log-likelihood of the data. All else follows from its experts, `known` (..., y, y): row y* is the distribution of the
+model that is most likely on the data with (x, y*) appended.
 
 Theorem 6.4.1 as printed, 2 g_max sqrt(Γ / 2), does not hold: its proof takes p(y | expert of y) for an upper bound of
 p(y | expert of y*), which maximum likelihood on data *and* label does not give, and g_max for the range of g. With
-D = max over y, y* of log p(y | expert of y*) - log p_NML(y), which is Γ or more, |E_p g - E_q g| <= (g_max - g_min) TV(p, q) and
-Pinsker's inequality give `bound`. `sharp_bound` needs no Pinsker: where p <= e^D q, TV(p, q) = Σ (p - q)^+ <= Σ p (1 - e^-D) <= 1 - e^-D,
-which is met by experts that are certain, and never above sqrt(D / 2).
+D = max over y, y* of log p(y | expert of y*) - log p_NML(y), which is Γ or more, |E_p g - E_q g| <= (g_max - g_min) TV(p, q)
+and Pinsker's inequality give `bound`. `sharp_bound` needs no Pinsker: where p <= e^D q, TV(p, q) = Σ (p - q)^+ <= Σ p (1 -
+e^-D) <= 1 - e^-D, which is met by experts that are certain, and never above sqrt(D / 2).
 """
 
 import math
@@ -88,14 +88,14 @@ def sequence_regret(n: int) -> float:
     """log Σ_k C(n, k) (k/n)^k (1 - k/n)^(n-k): what NML of whole sequences of n coins regrets, whatever the sequence."""
     k = np.arange(n + 1)
     chosen = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
-    return float(logsumexp(chosen + xlogy(k, k / n) + xlogy(n - k, 1.0 - k / n)))
+    return float(np.asarray(logsumexp(chosen + xlogy(k, k / n) + xlogy(n - k, 1.0 - k / n))))
 
 
 def jeffreys_regret(n: int) -> Float[np.ndarray, "k"]:
     """The same for Bayes under Jeffreys' prior, by the number of ones 0 .. n.
 
-    It comes near NML's, log(π n / 2) / 2, wherever the share of ones stays inside (0, 1), which is what "asymptotically equivalent"
-    (6.2) means; with no ones at all it stays log(2) / 2 above.
+    It comes near NML's, log(π n / 2) / 2, wherever the share of ones stays inside (0, 1), which is what "asymptotically
+    equivalent" (6.2) means; with no ones at all it stays log(2) / 2 above.
     """
     k = np.arange(n + 1)
     mixed = gammaln(k + 0.5) + gammaln(n - k + 0.5) - gammaln(n + 1.0) - math.log(math.pi)

@@ -4,13 +4,16 @@ A set Π of policies is an array `choices` (k, s, a): in every state any of the 
 any time and independently of what is followed elsewhere. `support(behavior, epsilon)` is the thesis's Π_ε, `behavior[None]` the
 singleton, and `everything(states, actions)` all policies (mixtures of choices never have a larger maximum).
 
-Theorem 4.2.1 as printed does not hold. With Q_k = T^Π Q_{k-1} + e_k, |e_k| <= δ, d(s) = max_{π in Π} E_π δ and π_k greedy on Q_k in Π:
+Theorem 4.2.1 as printed does not hold. With Q_k = T^Π Q_{k-1} + e_k, |e_k| <= δ, d(s) = max_{π in Π} E_π δ and π_k greedy on
+Q_k in Π:
 
-- V^Π - V^{π_k} <= (I - γ P^{π_k})^{-1} (E_{π*} |Q^Π - Q_k| + E_{π_k} |Q_k - Q^Π|): the inserted terms E_{π*} Q_k - E_{π_k} Q_k are not
-  positive, because π_k is greedy;
+- V^Π - V^{π_k} <= (I - γ P^{π_k})^{-1} (E_{π*} |Q^Π - Q_k| + E_{π_k} |Q_k - Q^Π|): the inserted terms E_{π*} Q_k - E_{π_k}
+  Q_k are not positive, because π_k is greedy;
 - E_π |Q_k - Q^Π| <= d + γ P^π d + γ² P^π P^{π'} d + ..., with any policies of Π;
-- so E_ρ0 |V^Π - V^{π_k}| <= 2 Σ_m (m + 1) γ^m c(m) E_μ d = 2 C~ / (1 - γ)² E_μ d, with C~ = (1 - γ)² Σ_{m >= 0} (m + 1) γ^m c(m);
-- and |V^Π - V*| <= α_V / (1 - γ), α_V = max_s [max_a Q* - max_{π in Π} E_π Q*], as T^Π contracts and T^Π V* is at most α_V below V*.
+- so E_ρ0 |V^Π - V^{π_k}| <= 2 Σ_m (m + 1) γ^m c(m) E_μ d = 2 C~ / (1 - γ)² E_μ d, with C~ = (1 - γ)² Σ_{m >= 0} (m + 1) γ^m
+  c(m);
+- and |V^Π - V*| <= α_V / (1 - γ), α_V = max_s [max_a Q* - max_{π in Π} E_π Q*], as T^Π contracts and T^Π V* is at most α_V
+  below V*.
 """
 
 from typing import Any
@@ -106,7 +109,7 @@ def iterates(
 
 
 def printed_suboptimality(transitions: Array, rewards: Array, choices: Array, discount: Any) -> Float[Array, ""]:
-    """α(Π) = max |T^Π Q* - T Q*| (Definition 4.2.2): a discount less than the gap, which divided by 1 - γ bounds Q* - Q^Π only."""
+    """α(Π) = max |T^Π Q* - T Q*| (Definition 4.2.2): γ times a gap; α / (1 - γ) bounds Q* - Q^Π, not V* - V^Π."""
     q = solve.policy_iteration(transitions, rewards, discount)
     return jnp.abs(discount * transitions @ (q.max(1) - best(q, choices))).max()
 
@@ -140,7 +143,7 @@ def concentrability(
 
 
 def coefficient(c: Float[Array, "n"], discount: Any) -> Float[Array, ""]:
-    """C~ = (1 - γ)² Σ_{m >= 0} (m + 1) γ^m c(m), as far as `c` goes: a little too small, which makes checks of bounds stricter."""
+    """C~ = (1 - γ)² Σ_{m >= 0} (m + 1) γ^m c(m), as far as `c` goes: a little less, so checks are stricter."""
     m = jnp.arange(len(c))
     return (1.0 - discount) ** 2 * ((m + 1) * discount**m * c).sum()
 
@@ -189,17 +192,17 @@ def reachable(transitions: Array, initial: Array, choices: Array) -> Bool[Array,
 def support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> Any:
     """C(Π_ε) <= C(β) + (1 + γ) (1 - ε) / ((1 - γ) f), both C as printed, with f the least μ(s) where Π_ε comes to.
 
-    A policy on actions with β >= ε has Σ_a min(π, β) >= Σ_a π β >= ε, so it is within 1 - ε of β in total variation, and after k steps
-    its states within min(1, k (1 - ε)): c(k) <= c_β(k) + k (1 - ε) / f. Then Σ k² γ^{k-1} = (1 + γ) / (1 - γ)³.
+    A policy on actions with β >= ε has Σ_a min(π, β) >= Σ_a π β >= ε, so it is within 1 - ε of β in total variation, and
+    after k steps its states within min(1, k (1 - ε)): c(k) <= c_β(k) + k (1 - ε) / f. Then Σ k² γ^{k-1} = (1 + γ) / (1 - γ)³.
     """
     return own + (1.0 + discount) * (1.0 - epsilon) / ((1.0 - discount) * least)
 
 
 def printed_support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> Any:
-    """C(Π_ε) <= C(β) (1 + γ (1 - ε) / ((1 - γ) f)): Theorem 4.2.2 as printed, which takes a ratio of sums for a sum of ratios."""
+    """C(Π_ε) <= C(β) (1 + γ (1 - ε) / ((1 - γ) f)): Theorem 4.2.2 as printed, where sums of ratios are ratios of sums."""
     return own * (1.0 + discount * (1.0 - epsilon) / ((1.0 - discount) * least))
 
 
 def shifted_support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> Any:
-    """C~(Π_ε) <= C~(β) + 2 γ (1 - ε) / ((1 - γ) f): the same for the corrected coefficient, by Σ (m + 1) m γ^m = 2 γ / (1 - γ)³."""
+    """C~(Π_ε) <= C~(β) + 2 γ (1 - ε) / ((1 - γ) f): the same for C~, by Σ (m + 1) m γ^m = 2 γ / (1 - γ)³."""
     return own + 2.0 * discount * (1.0 - epsilon) / ((1.0 - discount) * least)

@@ -1,4 +1,4 @@
-"""How loose the bounds of chapter 5 are: on random worlds, on the worlds that meet the sharper ones, and what that does to k*."""
+"""How loose the bounds of chapter 5 are, on random worlds and where the sharper ones are met, and what that does to k*."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -58,21 +58,24 @@ class Measured:
     r_max: np.ndarray
 
 
-def _exact(transitions, model, rewards, initial, old, new, discount, length: int, steps: int) -> tuple[Array, ...]:
+def _exact(transitions, model, rewards, initial, old, new, discount, length, steps) -> tuple[Array, ...]:
     begun = solve.occupancy(transitions, initial, old, discount)
     branched = branching.branched_occupancies(model, initial, new, begun, length, discount)
     value = initial @ solve.values(transitions, rewards, new, discount)
     promised = initial @ solve.values(model, rewards, new, discount)
-    errors = [branching.expected_error(transitions, model, initial, policy, steps) for policy in (old, new)]
-    return value, promised, (branched * rewards).sum((1, 2)) / (1.0 - discount), *errors
+    under_old, under_new = (branching.expected_error(transitions, model, initial, policy, steps) for policy in (old, new))
+    return value, promised, (branched * rewards).sum((1, 2)) / (1.0 - discount), under_old, under_new
 
 
 def measure(drawn: Sample, length: int = 10, steps: int = 250) -> Measured:
     """Solves them exactly, with rollouts of up to `length` steps."""
     worlds = drawn.worlds
     run = solve.exactly(lambda *arrays: _exact(*arrays, length, steps), over=(0,) * 7)
-    found = run(worlds.transitions, drawn.model, worlds.rewards, worlds.initial, drawn.old, drawn.new, drawn.discount)
-    return Measured(*found, branching.policy_divergence(drawn.old, drawn.new), np.abs(worlds.rewards).max((1, 2)))
+    value, promised, branched, under_old, under_new = run(
+        worlds.transitions, drawn.model, worlds.rewards, worlds.initial, drawn.old, drawn.new, drawn.discount
+    )
+    apart, r_max = branching.policy_divergence(drawn.old, drawn.new), np.abs(worlds.rewards).max((1, 2))
+    return Measured(value, promised, branched, under_old, under_new, apart, r_max)
 
 
 K = 4  # length of the rollouts in the picture
@@ -151,7 +154,9 @@ def lengths(model: float = 2e-3, policy: float = 4e-3, discount: float = 0.9, mo
     return Lengths(k, exact, printed(k, error, policy, discount), sharp(k, error, policy, discount))
 
 
-def best_lengths(discounts: tuple[float, ...] = (0.9, 0.95, 0.99), points: int = 60) -> tuple[np.ndarray, dict[float, np.ndarray]]:
+def best_lengths(
+    discounts: tuple[float, ...] = (0.9, 0.95, 0.99), points: int = 60
+) -> tuple[np.ndarray, dict[float, np.ndarray]]:
     """k* of Theorem 5.2.3 by eps_m' / eps_pi, on which alone it depends."""
     ratio = np.linspace(0.02, 1.1, points)
     half = 0.5
@@ -159,7 +164,7 @@ def best_lengths(discounts: tuple[float, ...] = (0.9, 0.95, 0.99), points: int =
 
 
 def courses(worlds: int = 12, discount: float = 0.3, epochs: int = 6, rows: int = 100, seed: int = 0) -> dict[str, np.ndarray]:
-    """Algorithm 2 with three penalties: (worlds, epochs + 1) returns, as shares of the way from the first policy to the best."""
+    """Algorithm 2 with three penalties: (worlds, epochs + 1) shares of the way from the first policy's return to the best."""
     drawn = garnets(worlds, np.random.default_rng(seed), states=5, actions=3)
     penalties = {"no penalty": None, "printed C": branching.full_bound, "sharper C": branching.sharp_full_bound}
     found = {}

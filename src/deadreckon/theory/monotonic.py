@@ -1,16 +1,16 @@
-"""Algorithm 2 on finite worlds: collect, fit a model, and maximise what it promises MINUS C(eps_m, eps_pi) (the minus is not printed).
+"""Algorithm 2 on finite worlds: collect, fit a model, maximise its promise MINUS C(eps_m, eps_pi); the minus is not printed.
 
 The penalty depends on a policy only through eps_pi, its total variation from the old one at the worst state. So the maximum is
-found exactly: for each radius the best policy within it solves a constrained decision problem (a ball around the old policy in every
-state, in which the best policy moves mass from the worst actions to the best), and the radius is searched on a grid.
+found exactly: for each radius the best policy within it solves a constrained decision problem (a ball around the old policy
+in every state, in which the best policy moves mass from the worst actions to the best), and the radius is searched on a grid.
 
 **With the printed C nothing ever moves.** Lemma B.2.3, inside the model, bounds what a policy eps_pi away can gain there by
-2 r_max eps_pi (discount / (1 - discount)² + 1 / (1 - discount)); C(eps_m, eps_pi) grows by twice that. Any other policy scores less than
-the old one, in every world. The sharper C grows by 2 r_max eps_pi discount / (1 - discount)² only, and leaves room: most of it
-where the discount is small.
+2 r_max eps_pi (discount / (1 - discount)² + 1 / (1 - discount)); C(eps_m, eps_pi) grows by twice that. Any other policy
+scores less than the old one, in every world. The sharper C grows by 2 r_max eps_pi discount / (1 - discount)² only, and
+leaves room: most of it where the discount is small.
 
-**The maximum alone is no promise of improvement**: the new policy is worth at least its score, but the old one may be worth up to
-2 C(eps_m, 0) more than its own. `keep` takes the new policy only if its score is above the old one's measured return.
+**The maximum alone is no promise of improvement**: the new policy is worth at least its score, but the old one may be worth
+up to 2 C(eps_m, 0) more than its own. `keep` takes the new policy only if its score is above the old one's measured return.
 """
 
 from collections.abc import Callable

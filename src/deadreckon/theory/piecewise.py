@@ -1,9 +1,9 @@
 """A large class of curves whose maximum likelihood is found exactly: what NML believes, without networks (Figures 6.1 and 6.3).
 
-The curves are linear between knots, take whole levels there, and change by at most `slope` levels from knot to knot. The label's
-distribution is a discretised Gaussian around the curve. There are about levels x (2 slope + 1)^(knots - 1) curves, but the likelihood
-is a sum over the stretches between knots, so the best curve is a shortest path, and the posterior under a uniform prior a sum
-over paths. Nothing is approximated.
+The curves are linear between knots, take whole levels there, and change by at most `slope` levels from knot to knot. The
+label's distribution is a discretised Gaussian around the curve. There are about levels x (2 slope + 1)^(knots - 1) curves,
+but the likelihood is a sum over the stretches between knots, so the best curve is a shortest path, and the posterior under a
+uniform prior a sum over paths. Nothing is approximated.
 """
 
 from dataclasses import dataclass
@@ -47,7 +47,9 @@ class Curves:
         level = np.arange(self.levels)
         return i, (1.0 - share) * level[:, None] + share * level
 
-    def scores(self, x: np.ndarray, label: Int[np.ndarray, "r"], weight: np.ndarray | None = None) -> Float[np.ndarray, "n l l"]:
+    def scores(
+        self, x: np.ndarray, label: Int[np.ndarray, "r"], weight: np.ndarray | None = None
+    ) -> Float[np.ndarray, "n l l"]:
         """Log-likelihood of rows by stretch and by the levels at its ends; -inf where a curve may not go."""
         level = np.arange(self.levels)
         allowed = np.abs(level[:, None] - level) <= self.slope
@@ -67,7 +69,7 @@ class Curves:
         return np.array(path)
 
     def through(self, scores: np.ndarray, x: float, *, summed: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """(levels, levels) log-likelihood of the best curve with given levels around x, or of all of them, and the heights at x."""
+        """(levels, levels) log-likelihood of the best curve by its levels around x, or of all of them; and heights at x."""
         reduce = logsumexp if summed else np.max
         i, heights = self.place(x)
         before = _messages(scores[:i], reduce)[-1]

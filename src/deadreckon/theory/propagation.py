@@ -1,8 +1,9 @@
 """How errors travel through backups on a grid, and what a support threshold trades (thesis 4.2, Figure 4.2).
 
-From the top left corner a goal in the bottom left one is to be reached; the data comes from somebody who mostly goes to the bottom
-right. Its size makes the Bellman error: δ(s, a) = scale / sqrt(1 + n(s, a)), n being the expected number of rows. Errors stay the same from
-iteration to iteration, as those of a fit to fixed data do, and are drawn uniformly within ±δ, many times over.
+From the top left corner a goal in the bottom left one is to be reached; the data comes from somebody who mostly goes to the
+bottom right. Its size makes the Bellman error: δ(s, a) = scale / sqrt(1 + n(s, a)), n being the expected number of rows.
+Errors stay the same from iteration to iteration, as those of a fit to fixed data do, and are drawn uniformly within ±δ, many
+times over.
 """
 
 from dataclasses import dataclass
@@ -59,7 +60,7 @@ def grid(width: int = 8, height: int = 8, discount: float = 0.9, rows: int = 200
 
 
 def _run(transitions, rewards, choices, discount, errors, steps: int):
-    """(e, steps, s, a) iterates from zero and (e, s) values of the last one's greedy policy, for every draw of errors (e, s, a)."""
+    """(e, steps, s, a) iterates from zero and (e, s) values of the last one's greedy policy, by draw of errors (e, s, a)."""
 
     def one(error):
         many = jnp.broadcast_to(error, (steps, *error.shape))
@@ -171,7 +172,8 @@ def tradeoff(on: Grid, thresholds: int = 24, draws: int = 100, steps: int = 100,
         rows.append((
             epsilon, (on.behavior >= epsilon).mean(), wide, printed, constrained.support_bound(own, least, epsilon, discount),
             constrained.printed_support_bound(own, least, epsilon, discount), gap, printed_gap, error,
-            constrained.loss_bound(wide, error, gap, discount), constrained.printed_loss_bound(printed, error, printed_gap, discount),
+            constrained.loss_bound(wide, error, gap, discount),
+            constrained.printed_loss_bound(printed, error, printed_gap, discount),
             lost.mean(), lost.max(),
         ))  # fmt: skip
     return Tradeoff(*np.array(rows).T)

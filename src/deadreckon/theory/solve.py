@@ -1,7 +1,7 @@
-"""Exact solutions of finite worlds, as pure JAX functions of one world's arrays that `exactly` runs, for one world or thousands.
+"""Exact solutions of finite worlds: pure JAX functions of one world's arrays, which `exactly` runs for one world or thousands.
 
-Rows of `transitions` (s, a, s) may lack to one: the rest is the probability of the end. `rewards` (s, a) are means, `initial` (s,)
-and a policy (s, a) are probabilities.
+Rows of `transitions` (s, a, s) may lack to one: the rest is the probability of the end. `rewards` (s, a) are means, `initial`
+(s,) and a policy (s, a) are probabilities.
 """
 
 from collections.abc import Callable, Sequence
