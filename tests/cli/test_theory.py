@@ -43,7 +43,7 @@ def test_pictures_of_small_worlds(tmp_path):
     assert f"return {found.returns['support']:.2f} of {found.best:.2f}" in texts[0]
     assert "Q-iteration on the log: 0.43" in texts[1]
     shades = [e for e in roots[0].iter() if e.get("class") == "shade" and e.tag.endswith("path")]
-    support = [e for e in shades if e.get("opacity") == "1.00"][0]
+    support = next(e for e in shades if e.get("opacity") == "1.00")
     assert support.get("d", "").count("M") == found.allowed.sum()
 
 

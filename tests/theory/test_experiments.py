@@ -105,7 +105,7 @@ def test_the_best_policy_within_a_distance():
 
 
 def test_the_printed_penalty_holds_every_policy_where_it_is():
-    """In 2,000 worlds the best of all radii gains less in the model than C grows, so that the old policy is always the maximum."""
+    """In 2,000 worlds no radius gains as much in the model as C grows: the old policy is the maximum."""
     rng = np.random.default_rng(0)
     worlds, old = garnets(2000, rng, states=4, actions=2), policies(2000, rng, states=4, actions=2)
     discount, radii = rng.uniform(0.05, 0.6, 2000), np.array([0.0, 0.01, 0.3, 1.0])

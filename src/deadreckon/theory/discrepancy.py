@@ -18,8 +18,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import jax
 import numpy as np
 from scipy.special import erf
+
+from deadreckon.nets.mmd import FLOOR, mmd
 
 NODES = 60  # of Gauss-Legendre quadrature over distances
 
@@ -88,7 +91,7 @@ def expected_kernel(p: Distribution, q: Distribution, kernel: Kernel) -> float:
 
 def expected_mmd2(p: Distribution, q: Distribution, kernel: Kernel, n: np.ndarray | float = math.inf) -> np.ndarray:
     """E[MMD²_n] of n draws each; without n that of the distributions."""
-    return _mmd2(*(expected_kernel(*pair, kernel) for pair in ((p, p), (q, q), (p, q))), n)
+    return _mmd2(expected_kernel(p, p, kernel), expected_kernel(q, q, kernel), expected_kernel(p, q, kernel), n)
 
 
 def _mmd2(pp: Any, qq: Any, pq: Any, n: Any) -> np.ndarray:
@@ -144,10 +147,6 @@ def figure(
     sets: int = 1000, seed: int = 0,
 ) -> list[Curve]:  # fmt: skip
     """Figure A.1 with BEAR's Gaussian kernel: sampled by `nets.mmd`, and exact."""
-    import jax
-
-    from deadreckon.nets.mmd import FLOOR, mmd
-
     rng, p, kernel = np.random.default_rng(seed), Normal(std=std), gaussian(variance)
     sampled = jax.jit(lambda x, y: mmd(x, y, "gaussian", variance))
 

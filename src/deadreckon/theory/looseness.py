@@ -1,6 +1,7 @@
 """How loose the bounds of chapter 5 are, on random worlds and where the sharper ones are met, and what that does to k*."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +71,7 @@ def _exact(transitions, model, rewards, initial, old, new, discount, length, ste
 def measure(drawn: Sample, length: int = 10, steps: int = 250) -> Measured:
     """Solves them exactly, with rollouts of up to `length` steps."""
     worlds = drawn.worlds
-    run = solve.exactly(lambda *arrays: _exact(*arrays, length, steps), over=(0,) * 7)
+    run = solve.exactly(partial(_exact, length=length, steps=steps), over=(0,) * 7)
     value, promised, branched, under_old, under_new = run(
         worlds.transitions, drawn.model, worlds.rewards, worlds.initial, drawn.old, drawn.new, drawn.discount
     )

@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import log_softmax, logsumexp
 
+from deadreckon.theory.cnml import p_nml
+
 
 @dataclass(frozen=True)
 class Curves:
@@ -127,8 +129,6 @@ SEEN = (-4.0, -1.0), (1.5, 3.0)  # where there is data, as in examples/nemo_sine
 
 def sine(points: int = 60, queries: int = 65, members: int = 32, seed: int = 0) -> Beliefs:
     """Figure 6.3 in exact arithmetic: sin(x) seen in two stretches, by NML, by Bayes and by curves fitted to redrawn data."""
-    from deadreckon.theory.cnml import p_nml
-
     rng = np.random.default_rng(seed)
     curves = Curves(np.linspace(-8.0, 8.0, 17), levels=32, slope=14, spread=1.0)
     low, high = np.array(SEEN)[rng.integers(0, len(SEEN), points)].T
