@@ -16,6 +16,7 @@ class Theory:
     """The thesis's arguments in small exact worlds: pictures (SVG) and their numbers (CSV). Without a name: what there is."""
 
     name: Annotated[str | None, tyro.conf.Positional] = None  # gridworld, mmd, bounds or cnml
+    seed: int = 0  # of everything random
     out: str | None = None  # folder; None: runs/theory/NAME
 
 
@@ -31,5 +32,5 @@ def theory(args: Sequence[str]) -> None:
         return
     if options.name not in EXPERIMENTS:
         raise unknown("theory", options.name, EXPERIMENTS)
-    files, said = EXPERIMENTS[options.name][0](Path(options.out or f"runs/theory/{options.name}"))
+    files, said = EXPERIMENTS[options.name][0](Path(options.out or f"runs/theory/{options.name}"), options.seed)
     print("\n".join([*said, "", *map(str, files)]))

@@ -158,10 +158,10 @@ def draw_stitching(path: Path, found: fitted.Stitching) -> Path:
     )  # fmt: skip
 
 
-def gridworld(out: Path) -> Made:
+def gridworld(out: Path, seed: int = 0) -> Made:
     """Chapter 4 on a grid, the diverging projection of chapter 2 and the stitching of chapter 7."""
-    on = propagation.grid()
-    found, trade = propagation.propagate(on), propagation.tradeoff(on)
+    on = propagation.grid(seed=seed)
+    found, trade = propagation.propagate(on, seed=seed), propagation.tradeoff(on, seed=seed)
     state, action = (each.ravel() for each in np.indices(on.behavior.shape))
     errors = {f"{name}_k{k}": e.ravel() for name, each in found.errors.items() for k, e in zip(found.shown, each)}
     pairs = {"state": state, "action": action}
@@ -218,9 +218,9 @@ def gridworld(out: Path) -> Made:
 # ---- appendix A.3 -----------------------------------------------------------------------------------------------------
 
 
-def mmd(out: Path) -> Made:
+def mmd(out: Path, seed: int = 0) -> Made:
     """Figure A.1, and BEAR's threshold swept."""
-    curves = discrepancy.figure()
+    curves = discrepancy.figure(seed=seed)
     names = ["P and itself, sampled", "uniform and P, sampled", "P and itself, exact", "uniform and P, exact"]
     panels, rows = {}, {}
     for c in curves:
@@ -263,9 +263,9 @@ def mmd(out: Path) -> Made:
 # ---- chapter 5 --------------------------------------------------------------------------------------------------------
 
 
-def bounds(out: Path) -> Made:
+def bounds(out: Path, seed: int = 0) -> Made:
     """What the bounds of chapter 5 leave unused, k*, and Algorithm 2."""
-    found = looseness.looseness()
+    found = looseness.looseness(seed=seed)
     names = ["as printed", "sharper", "exact", *(f"k*, γ = {g}" for g in (0.9, 0.95, 0.99))]
     panels, rows = {}, {"discount": found.discount}
     for number in ("5.2.1", "5.2.2", "5.2.3"):
@@ -284,7 +284,7 @@ def bounds(out: Path) -> Made:
         panels[f"{number} where it is met, by length"] = _lines(tight.k, drawn, names, "promised too much", "rollout length k")
         files.append(columns(out / f"tight-{under}.csv", vars(tight)))
     files.insert(0, sheet(out / "bounds.svg", panels, names))
-    courses = looseness.courses()
+    courses = looseness.courses(seed=seed)
     turns = np.arange(len(next(iter(courses.values())).T))
     means = {name: each.mean(0) for name, each in courses.items()}
     chart = charts.lines(
@@ -372,9 +372,9 @@ def draw_claims(path: Path, found: piecewise.Beliefs, query: float = 5.0, shown:
     return _drawing(path, (left + 3 * (wide + left), top + high + 30), parts)
 
 
-def nml(out: Path) -> Made:
+def nml(out: Path, seed: int = 0) -> Made:
     """Figures 6.1 and 6.3 in exact arithmetic, the bounds of 6.4, and Jeffreys' prior."""
-    found = piecewise.sine()
+    found = piecewise.sine(seed=seed)
     files = [draw_claims(out / "claims.svg", found), draw_beliefs(out / "beliefs.svg", found)]
     g = np.arange(found.curves.levels) / (found.curves.levels - 1)
     regret = {
@@ -416,7 +416,7 @@ def nml(out: Path) -> Made:
     return files, said
 
 
-EXPERIMENTS: dict[str, tuple[Callable[[Path], Made], str]] = {
+EXPERIMENTS: dict[str, tuple[Callable[[Path, int], Made], str]] = {
     "gridworld": (gridworld, "error propagation and the support threshold (Figure 4.2), a diverging projection, stitching"),
     "mmd": (mmd, "what sampled MMD can tell apart (Figure A.1), and what a threshold allows"),
     "bounds": (bounds, "Theorems 5.2.1 to 5.2.3, how loose they are, rollout lengths, Algorithm 2"),
