@@ -50,12 +50,13 @@ def test_pictures_of_small_worlds(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", theory.EXPERIMENTS)
 def test_every_experiment(name, tmp_path, capsys):
-    assert main(["theory", name, "--out", str(tmp_path)]) == 0
-    written = [line for line in capsys.readouterr().out.splitlines() if line.startswith(str(tmp_path))]
-    assert sorted(written) == sorted(str(path) for path in tmp_path.iterdir())
-    for path in tmp_path.glob("*.svg"):
+    out = tmp_path / name
+    assert main(["theory", name, "--out", str(out)]) == 0
+    written = [line for line in capsys.readouterr().out.splitlines() if line.startswith(str(out))]
+    assert sorted(written) == sorted(str(path) for path in out.iterdir())
+    for path in out.glob("*.svg"):
         ET.parse(path)
-    for path in tmp_path.glob("*.csv"):
+    for path in out.glob("*.csv"):
         with open(path) as file:
             rows = [*csv.reader(file)]
         assert len({len(row) for row in rows}) == 1
