@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
-from deadreckon.theory import MDP, chain, garnet, gridworld
-from deadreckon.theory.tabular import softmax
+from deadreckon.theory import MDP, chain, garnet, gridworld, solve
+from deadreckon.theory.tabular import garnets, policies, softmax
 
 
 def test_a_chain_by_hand():
@@ -63,3 +63,32 @@ def test_worlds_that_are_none():
         MDP(right.transitions[:, :2], right.rewards, right.initial)
     with pytest.raises(UserError, match="initial must sum to one"):
         MDP(right.transitions, right.rewards, right.initial / 2)
+
+
+def test_iterations_agree_and_many_worlds_are_solved_as_one_is():
+    rng = np.random.default_rng(0)
+    worlds, policy, discounts = garnets(300, rng), policies(300, rng), rng.uniform(0.1, 0.95, 300)
+    assert all((world.transitions.sum(-1) == pytest.approx(1.0)) for world in map(worlds.world, range(3)))
+    best = solve.exactly(solve.policy_iteration, over=(0, 0, 0))(worlds.transitions, worlds.rewards, discounts)
+    near = solve.exactly(solve.value_iteration, over=(0, 0, 0))(worlds.transitions, worlds.rewards, discounts)
+    assert best.dtype == np.float64
+    np.testing.assert_allclose(near, best, atol=1e-9)
+    # The optimality equation itself, in numpy.
+    backup = worlds.rewards + discounts[:, None, None] * np.einsum("nsau,nu->nsa", worlds.transitions, best.max(2))
+    np.testing.assert_allclose(best, backup, atol=1e-10)
+    own = solve.exactly(solve.action_values, over=(0, 0, 0, 0))(worlds.transitions, worlds.rewards, policy, discounts)
+    np.testing.assert_allclose(own[7], worlds.world(7).q(policy[7], discounts[7]), atol=1e-12)
+    after = np.einsum("nsau,nub,nub->nsa", worlds.transitions, policy, own)
+    np.testing.assert_allclose(own, worlds.rewards + discounts[:, None, None] * after, atol=1e-10)
+    assert (own <= best + 1e-9).all()
+    # Ties are no reason to go on for ever.
+    even = MDP(worlds.transitions[0], np.ones((6, 3)), worlds.initial[0])
+    np.testing.assert_allclose(even.optimal(0.9), 10.0)
+
+
+def test_a_grid_with_a_goal_elsewhere():
+    """Goal bottom left, from the top left: down, down, and then stay."""
+    world = gridworld(3, 3, slip=0.0, goal=6)
+    assert world.optimal(0.5).argmax(1)[0] == 2
+    assert world.optimal(0.5)[0].max() == pytest.approx(0.5**2 / 0.5)
+    assert world.visits(np.eye(4)[np.full(9, 2)], 0).sum() == 0.0

@@ -26,6 +26,7 @@ COMMANDS = {
     "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
     "bench": ("bench", "bench", "run a whole declared table and show it beside published numbers; bench list, bench show"),
+    "theory": ("theory", "theory", "the arguments of the thesis in small exact worlds, drawn: gridworld, mmd, bounds, cnml"),
     "report": ("report", "report", "one self-contained HTML page from run folders"),
 }
 

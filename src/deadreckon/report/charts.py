@@ -122,6 +122,7 @@ def lines(
     symlog: bool = False,
     labels: bool = False,
     across: str = "updates",
+    ticks: int | None = None,
 ) -> Markup:
     """Lines over updates, or whatever `across` names.
 
@@ -134,6 +135,7 @@ def lines(
         symlog: a symmetric logarithmic vertical axis.
         labels: names at the lines' ends instead of a legend.
         across: unit of the horizontal axis.
+        ticks: most numbers along it; None: 4, which leaves room for long ones, or 7 on a wide drawing.
     """
     width, height = size
     bottom, left, top = height - 38, 52, 30
@@ -146,7 +148,7 @@ def lines(
     # What cannot be negative is shown from zero on, so that small differences do not look large.
     floor = min(float(values.min()), 0.0) if values.min() >= 0 or symlog else float(values.min())
     y = _Axis(floor, float(values.max()), bottom, top, symlog)
-    x = _Axis(min(0.0, float(steps.min())), float(steps.max()), left, right, most=7 if width > 600 else 4)
+    x = _Axis(min(0.0, float(steps.min())), float(steps.max()), left, right, most=ticks or (7 if width > 600 else 4))
     parts = [tag("title", title)]
     parts += [
         join(

@@ -70,7 +70,7 @@ def sheet(path: Path | str, panels: Mapping[str, Markup], names: Sequence[str], 
         drawn.append(join(tag("text", title, x=x + 8, y=y + 18, class_="title"), placed))
     full = columns * width, below + math.ceil(len(panels) / columns) * (height + HEAD)
     whole = tag(
-        "svg", tag("style", _style()), tag("rect", width="100%", height="100%", class_="back"), keys, drawn,
+        "svg", tag("style", style()), tag("rect", width="100%", height="100%", class_="back"), keys, drawn,
         xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {full[0]} {full[1]}", width=full[0], height=full[1],
     )  # fmt: skip
     text = re.sub(r' data-hover="[^"]*"', "", whole)
@@ -97,7 +97,7 @@ def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
     return tag("g", parts), y + 12
 
 
-def _style() -> Markup:
+def style() -> Markup:
     """The page's colours and the rules for charts, in light: a document's paper is white."""
     css = resources.files("deadreckon.report").joinpath("assets", "page.css").read_text()
     root = css[css.index("--back") : css.index("}")]

@@ -152,7 +152,7 @@ def _make(name: str, elements: tuple[str, ...]) -> Kitchen:
     return Kitchen(
         name=f"kitchen-{name}", domain="kitchen", horizon=280, observation_shape=(2 * JOINTS,), reference=published,
         action_space=Box((-1.0,) * ARM, (1.0,) * ARM), gym_id=f"deadreckon/Kitchen{name.title()}-v0", published=published,
-        summary=", ".join(elements), properties=("undirected and multitask data", "sparse rewards", "realistic"),
+        summary=", ".join(elements), properties=("undirected data", "sparse rewards", "realistic"),
         elements=elements,
     )  # fmt: skip
 

@@ -1,13 +1,19 @@
 """Finite Markov decision processes: exact values and occupancies, and logs drawn from them."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
+from deadreckon.theory import solve
+
+_action_values = solve.exactly(solve.action_values)
+_occupancy = solve.exactly(solve.occupancy)
+_optimal = solve.exactly(solve.policy_iteration)
+_visits = solve.exactly(solve.visits)
 
 
 @dataclass(frozen=True)
@@ -75,9 +81,7 @@ class MDP:
             policy: (states, actions) probabilities.
             discount: per step; 1 where every episode ends for certain.
         """
-        flow = np.einsum("sau,ub->saub", self.transitions, policy).reshape(self.states * self.actions, -1)
-        q = np.linalg.solve(np.eye(len(flow)) - discount * flow, self.rewards.reshape(-1))
-        return q.reshape(self.rewards.shape)
+        return _action_values(self.transitions, self.rewards, policy, discount)
 
     def value(self, policy: np.ndarray, discount: float) -> float:
         """Expected discounted return of an episode of the policy, sum_t discount^t r_t, however long it lasts."""
@@ -85,33 +89,21 @@ class MDP:
 
     def occupancy(self, policy: np.ndarray, discount: float) -> np.ndarray:
         """(states, actions) of (1 - discount) sum_t discount^t P(s_t, a_t): it sums to one where no episode ends."""
-        flow = np.einsum("sau,sa->su", self.transitions, policy)
-        states = np.linalg.solve(np.eye(self.states) - discount * flow.T, (1.0 - discount) * self.initial)
-        return states[:, None] * policy
+        return _occupancy(self.transitions, self.initial, policy, discount)
 
     def visits(self, policy: np.ndarray, steps: int) -> np.ndarray:
         """(states, actions) expected number of visits in the first `steps` steps of an episode."""
-        flow = np.einsum("sau,sa->su", self.transitions, policy)
-        now, total = self.initial, np.zeros(self.states)
-        for _ in range(steps):
-            total = total + now
-            now = now @ flow
-        return total[:, None] * policy
+        return _visits(self.transitions, self.initial, policy, steps)
 
-    def optimal(self, discount: float, tolerance: float = 1e-10) -> np.ndarray:
-        """(states, actions) values of the best policy, by iteration of the Bellman operator.
+    def optimal(self, discount: float) -> np.ndarray:
+        """(states, actions) values of the best policy, by policy iteration.
 
         Raises:
-            UserError: a discount that is not below one: the iteration need not end.
+            UserError: a discount that is not below one: values need not be finite.
         """
         if not 0.0 <= discount < 1.0:
             raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
-        q = np.zeros(self.rewards.shape)
-        while True:
-            new = self.rewards + discount * self.transitions @ q.max(1)
-            if np.abs(new - q).max() <= tolerance * (1.0 - discount):
-                return new
-            q = new
+        return _optimal(self.transitions, self.rewards, discount)
 
     # ---- logs -------------------------------------------------------------------------------------------------------
 
@@ -177,8 +169,11 @@ def chain(length: int = 5, slip: float = 0.1, noise: float = 0.0) -> MDP:
     return MDP(transitions, rewards, np.eye(length)[0], noise)
 
 
-def gridworld(width: int = 4, height: int = 4, slip: float = 0.1, noise: float = 0.0) -> MDP:
-    """Four moves on a grid without an end; a slip moves any way. Being in the last corner pays 1, a step elsewhere nothing."""
+def gridworld(width: int = 4, height: int = 4, slip: float = 0.1, noise: float = 0.0, goal: int | None = None) -> MDP:
+    """Four moves (up, right, down, left) on a grid without an end; a slip moves any way. States are numbered row by row.
+
+    Being in the goal, the last corner unless said otherwise, pays 1, a step elsewhere nothing.
+    """
     count = width * height
     transitions, rewards = np.zeros((count, 4, count)), np.zeros((count, 4))
     moves = ((0, -1), (1, 0), (0, 1), (-1, 0))
@@ -191,7 +186,7 @@ def gridworld(width: int = 4, height: int = 4, slip: float = 0.1, noise: float =
             transitions[s, a, targets[a]] += 1.0 - slip
             for target in targets:
                 transitions[s, a, target] += slip / 4
-    rewards[count - 1] = 1.0
+    rewards[count - 1 if goal is None else goal] = 1.0
     return MDP(transitions, rewards, np.eye(count)[0], noise)
 
 
@@ -206,3 +201,38 @@ def garnet(
             where = rng.choice(states, branches, replace=False)
             transitions[s, a, where] = (1.0 - ending) * rng.dirichlet(np.ones(branches))
     return MDP(transitions, rng.standard_normal((states, actions)), rng.dirichlet(np.ones(states)), noise)
+
+
+class Worlds(NamedTuple):
+    """Many worlds of one shape, for what runs over thousands of them at once.
+
+    Attributes:
+        transitions: (n, states, actions, states); rows sum to one.
+        rewards: (n, states, actions), within ±1.
+        initial: (n, states).
+    """
+
+    transitions: np.ndarray
+    rewards: np.ndarray
+    initial: np.ndarray
+
+    def world(self, i: int) -> MDP:
+        """One of them."""
+        return MDP(self.transitions[i], self.rewards[i], self.initial[i])
+
+
+def garnets(count: int, rng: np.random.Generator, states: int = 6, actions: int = 3) -> Worlds:
+    """Random worlds of all kinds: one successor of each action up to all, a certain first state or any, few rewards or many."""
+    branches = rng.integers(1, states + 1, count)
+    order = rng.random((count, states, actions, states)).argsort(-1)
+    weights = rng.exponential(size=order.shape) * (order < branches[:, None, None, None])
+    starts = rng.dirichlet(np.ones(states), count) ** rng.choice([0.0, 1.0, 8.0], count)[:, None]
+    rewards = rng.uniform(-1.0, 1.0, (count, states, actions))
+    kept = rng.random(rewards.shape) < rng.choice([0.2, 1.0], count)[:, None, None]
+    return Worlds(weights / weights.sum(-1, keepdims=True), rewards * kept, starts / starts.sum(-1, keepdims=True))
+
+
+def policies(count: int, rng: np.random.Generator, states: int = 6, actions: int = 3) -> np.ndarray:
+    """(count, states, actions) random policies, from nearly even to nearly decided."""
+    weights = rng.gamma(rng.choice([0.2, 1.0, 5.0], count)[:, None, None], size=(count, states, actions)) + 1e-6
+    return weights / weights.sum(-1, keepdims=True)

@@ -1,0 +1,36 @@
+"""`deadreckon theory NAME`: an argument of the thesis as pictures and numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from deadreckon.cli.parse import parse
+from deadreckon.errors import unknown
+
+
+@dataclass
+class Theory:
+    """The thesis's arguments in small exact worlds: pictures (SVG) and their numbers (CSV). Without a name: what there is."""
+
+    name: Annotated[str | None, tyro.conf.Positional] = None  # gridworld, mmd, bounds or cnml
+    seed: int = 0  # of everything random
+    out: str | None = None  # folder; None: runs/theory/NAME
+
+
+def theory(args: Sequence[str]) -> None:
+    """Lists, or computes, draws and prints."""
+    options = parse(Theory, args, "theory")
+    from deadreckon.cli.show import table
+    from deadreckon.report.theory import EXPERIMENTS
+
+    if options.name is None:
+        print(table([["name", "what"], *([name, line] for name, (_, line) in EXPERIMENTS.items())]))
+        print("\ndeadreckon theory NAME --out FOLDER writes the pictures and the numbers behind them.")
+        return
+    if options.name not in EXPERIMENTS:
+        raise unknown("theory", options.name, EXPERIMENTS)
+    files, said = EXPERIMENTS[options.name][0](Path(options.out or f"runs/theory/{options.name}"), options.seed)
+    print("\n".join([*said, "", *map(str, files)]))
