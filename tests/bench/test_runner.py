@@ -53,7 +53,7 @@ def made(job, scores, failure=""):
 
 
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
-    jobs = plan(suite)
+    jobs = plan(suite)[:1]
     lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log")
     store, events = Store(tmp_path / "out"), []
 
@@ -65,13 +65,12 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
 
     run("small", [*jobs, lost], store, told, Local(store.path, workers=1))
     whats = [event for event in events if event[0] != "progress"]
-    assert whats == [("begun", "BC"), ("died", "BC"), ("begun", "BC"), ("done", "BC"), ("begun", "TD3"), ("done", "TD3"),
-                     ("begun", "lost"), ("failed", "lost")]  # fmt: skip
+    assert whats == [("begun", "BC"), ("died", "BC"), ("begun", "BC"), ("done", "BC"), ("begun", "lost"), ("failed", "lost")]
     assert "no-such-log" in store.failure(lost, 0)["error"]
     found = store.of(jobs)
     assert sorted(found["cell"].to_pylist()) == sorted(cell for job in jobs for cell in job.cells)
     assert np.isfinite(found["score"].to_numpy()).all()
-    assert len(store.curves()) == 2 * 2 * 2  # evaluations, seeds, jobs
+    assert len(store.curves()) == 2 * 2  # evaluations, seeds
 
     events.clear()
     run("small", jobs, store, told, Local(store.path, workers=1))

@@ -118,6 +118,7 @@ def test_designs_improve_and_stay_within_bounds(bowl, fields):
     assert found.method == "NEMO"
 
 
+@pytest.mark.slow
 def test_claims_make_what_is_searched_uncertain(bowl):
     """Each model is pulled towards its own claim about the designs: without that, nothing is NML."""
     small = NEMO(bins=8, hidden=(32,), steps=300, pretrain=300, lr=0.005, design_lr=0.02, loss="likelihood")
@@ -133,7 +134,7 @@ def test_claims_make_what_is_searched_uncertain(bowl):
 @pytest.mark.parametrize(
     "fields",
     [
-        {"objective": "mean", "g": lambda y: y**3, "loss": "likelihood"},
+        pytest.param({"objective": "mean", "g": lambda y: y**3, "loss": "likelihood"}, marks=pytest.mark.slow),
         pytest.param({"objective": "confidence", "architecture": "categorical"}, marks=pytest.mark.slow),
     ],
 )

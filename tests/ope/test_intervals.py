@@ -86,7 +86,10 @@ def logs():
     return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(400)], true.value(target, 0.9)
 
 
-@pytest.mark.parametrize("name", COVERED)
+FAST = "wpdis, bootstrap", "dr, t"  # one of each method and of each kind of interval
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in COVERED])
 def test_coverage(logs, name):
     makers, exact = logs
     inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from deadreckon.cli.ope import Fits, _estimators
+from deadreckon.cli.ope import Fits, estimators
 from deadreckon.errors import UserError
 from deadreckon.ope.registry import CPU_BUDGET, ESTIMATORS, estimator
 
@@ -21,7 +21,7 @@ def test_the_budget_of_a_cpu_changes_fields_that_are_there(name):
 
 
 def test_what_is_asked_for_goes_before_the_budget():
-    distributional, doubly = _estimators("fqe-d, dr", Fits(members=2), CPU_BUDGET)
+    distributional, doubly = estimators("fqe-d, dr", Fits(members=2), CPU_BUDGET)
     assert (distributional.steps, distributional.members) == (5_000, 2)
     assert (doubly.fqe.steps, doubly.fqe.members) == (20_000, 2)
 

@@ -22,7 +22,7 @@ def made(tmp_path_factory):
     train(BC(hidden=(8,)), log, steps=20, seeds=2, episodes=2, task="maze2d-umaze", out=folder / "bc")
     judged = judge(
         [folder / "bc"], log, [SMALL, ImportanceSampling(model=BehaviorModel(hidden=(8,), steps=50))],
-        out=folder / "ope", task="maze2d-umaze", episodes=4,
+        out=folder / "ope", task="maze2d-umaze", episodes=4, model=BehaviorModel(hidden=(8,), steps=50),
     )  # fmt: skip
     return folder, log, judged
 
