@@ -44,7 +44,7 @@ lint: $(STAMP) ## ruff, import-linter, pyright
 docs: $(DOCS_STAMP) ## the site in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-bench: $(STAMP) ## all speed figures on an idle machine, about 40 minutes, into docs/results/speed.md
+bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, into docs/results/speed.md
 	$(BIN)/python benchmarks/report.py
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)

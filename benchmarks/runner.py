@@ -20,7 +20,7 @@ from deadreckon.bench.local import Local
 from deadreckon.bench.plan import Job, plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
-from deadreckon.bench.tables import rendered, table
+from deadreckon.bench.tables import rendered, tables
 from deadreckon.bench.times import forecast
 
 
@@ -84,7 +84,7 @@ def planning(cells: int) -> None:
         timed("keep all results", lambda: [store.keep("many", job, rows(job, 1.0)) for job in jobs])
         assert timed("ask what is missing of a full one", lambda: store.undone(jobs)) == []
         timed("forecast of what is missing (all results are read)", lambda: forecast(jobs[:1], store))
-        timed("make the table", lambda: rendered(table(suite, jobs, store), "csv"))
+        timed("make the table", lambda: rendered(tables(suite, jobs, store), "csv"))
     print(f"{sum(len(job.seeds) for job in jobs):,} cells in {len(jobs):,} jobs")
     for what, took in times.items():
         print(f"  {what}: {took:.2f} s")

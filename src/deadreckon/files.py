@@ -149,6 +149,7 @@ def alone(path: Path, wait: bool = False) -> Iterator[None]:
 @contextlib.contextmanager
 def _locked(lock: Path, wait: bool) -> Iterator[None]:
     while True:
+        lock.parent.mkdir(parents=True, exist_ok=True)  # whoever was waited for may have removed it
         with open(lock, "ab") as file:
             try:
                 if sys.platform == "win32":

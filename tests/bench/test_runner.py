@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import re
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -213,7 +214,11 @@ def test_workers_share_the_cores():
     assert shares(1, False) == [cores]
     assert [len(share) for share in shares(None, False)] == [1] * len(cores)
     assert shares(None, True) == [cores]
-    assert len(shares(len(cores) + 3, False)) == len(cores) + 3
+    many = shares(len(cores) + 3, False)
+    assert [len(share) for share in many] == [1] * (len(cores) + 3)
+    assert {core for share in many for core in share} == set(cores)
+    with pytest.raises(UserError, match="workers must be 1 or more, got 0"):
+        Local(Path("nowhere"), workers=0)
 
 
 def test_what_is_missing_of_a_job_is_done_once_and_packed_as_it_may_be(suite, tmp_path):
@@ -226,8 +231,10 @@ def test_what_is_missing_of_a_job_is_done_once_and_packed_as_it_may_be(suite, tm
     gap = dataclasses.replace(whole[0], seeds=(0, 1, 2, 3))
     store.keep("small", one := dataclasses.replace(gap, seeds=(2,)), made(one, (1.0,)))
     assert [job.seeds for job in store.undone([gap])] == [(1,), (3,)]
-    store.fail(alone[1], "out of luck", "")
-    assert "FAILED: BC on maze2d-umaze-v1: out of luck" in rendered(tables(suite, whole, store))
+    store.keep("small", whole[0], made(whole[0], (5.0, 6.0)))  # another command has done seed 0 once more
+    assert sorted(store.of(whole)["score"].to_pylist()) == [5.0, 6.0]
+    store.fail(alone[2], "out of luck", "")
+    assert "FAILED: TD3 on maze2d-umaze-v1: out of luck" in rendered(tables(suite, whole, store))
 
 
 def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):

@@ -66,6 +66,8 @@ def test_cells_are_named_by_all_that_their_numbers_depend_on(written):
         dataclasses.replace(job, asked=job.asked | {"steps": 41}), dataclasses.replace(job, agent="td3"),
     ]  # fmt: skip
     assert len({job.cell(0), job.cell(1), *(other.cell(0) for other in others)}) == 6
+    whole = plan(read(written(SMALL.replace("hidden = [8]", "hidden = [8], lr = 1"))))[0]
+    assert whole.cell(0) == plan(read(written(SMALL.replace("hidden = [8]", "hidden = [8], lr = 1.0"))))[0].cell(0)
     # What a table calls it changes nothing, nor does which seeds share its program.
     assert dataclasses.replace(job, method="cloning", seeds=(0, 1)).cell(0) == job.cell(0)
     assert job.cell(0, with_code=False) != job.cell(0)

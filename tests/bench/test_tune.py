@@ -79,6 +79,41 @@ def given(job, folder, watch):
     return Found([{"seed": seed, "score": score + seed} | told for seed in job.seeds], [])
 
 
+def test_what_is_tried_is_tried_once_and_the_defaults_first():
+    assert candidates("td3_bc", {"alpha": [5.0, 2.5, 2.5]}) == [{"alpha": 2.5}, {"alpha": 5.0}]
+    found = [candidates("td3_bc", {"alpha": [1.0, 5.0, 7.0]}, most=1, seed=seed)[0]["alpha"] for seed in range(20)]
+    assert set(found) == {1.0, 5.0, 7.0}  # the defaults are none of these, so none is kept
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fixed": {"alpha": 1.0}}, "alpha cannot be tried and be the same in all"),
+        ({"seeds": 0}, "must be >= 1"),
+        ({"steps": 0}, "must be >= 1"),
+    ],
+)
+def test_searches_that_make_no_sense_are_refused(changes, message):
+    with pytest.raises(UserError, match=message):
+        suite("td3_bc", [UMAZE], candidates("td3_bc"), by="ope", **{"steps": 10} | changes)
+
+
+def diverged(job, folder, watch):
+    found = given(job, folder, watch)
+    for row in found.rows:
+        row["failure"] = "loss was not finite at update 3" if job.settings["alpha"] == 5.0 else ""
+    return found
+
+
+def test_what_diverged_is_not_chosen(tmp_path):
+    settings = [{"alpha": value} for value in SCORES]
+    asked = suite("td3_bc", [UMAZE], settings, by="simulator", steps=10, seeds=1)
+    run = {"by": "simulator", "store": Store(tmp_path), "executor": Local(tmp_path, 1, diverged), "told": lambda event: None}
+    found = tune(asked, settings, **run)
+    assert found.best.fields == {"alpha": 2.5}
+    assert "alpha = 5.0  score 50.0  FAILED, not chosen: loss was not finite at update 3" in str(found)
+
+
 def test_the_best_mean_over_tasks_and_seeds_is_chosen(tmp_path):
     settings = [{"alpha": value} for value in SCORES]
     asked = suite("td3_bc", [UMAZE, "maze2d-medium-v1"], settings, by="simulator", steps=10, seeds=2)
@@ -108,5 +143,18 @@ def test_estimates_choose_from_the_log_alone(tmp_path, capsys):
     assert "chosen: --agent.alpha " in told
     assert "estimated" in told
     assert "the choice loses" in told  # there is a simulator after all
+    # Estimates are those of the settings that they are told for.
+    tuned = json.loads((tmp_path / "tuned.json").read_text())
+    estimates = json.loads((tmp_path / "estimates" / "estimates.json").read_text())
+    runs = {row["job"]: json.loads(row["settings"])["alpha"] for row in Store(tmp_path).results().to_pylist()}
+    for trial in tuned["trials"]:
+        own = [i for i, each in enumerate(estimates["policies"]) if runs[each["run"]] == trial["fields"]["alpha"]]
+        assert trial["values"] == [estimates["results"][0]["value"][i] for i in own]
+    assert tuned["best"] == max(tuned["trials"], key=lambda trial: np.mean(trial["values"]))["fields"]
+    assert main(["tune", "--agent", "td3_bc", "--data", UMAZE, "--workers", "-1", "--dry-run"]) == 2
+    assert "workers must be 1 or more, got -1" in capsys.readouterr().err
+    lists = ["--values", "hidden=[8],[8,8]", "--dry-run", "--out", str(tmp_path / "lists"), "--seeds", "1"]
+    assert main(["tune", "--agent", "td3_bc", "--data", UMAZE, *lists]) == 0
+    assert "2 cells" in capsys.readouterr().out
     assert main(["tune", "--agent", "td3_bc", "--data", UMAZE, "--values", "alpha"]) == 2
     assert "written alpha=1,2.5" in capsys.readouterr().err

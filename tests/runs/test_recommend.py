@@ -1,6 +1,8 @@
 """From a log and so much time to a decision, in time, and from the log alone."""
 
 import itertools
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,7 +44,8 @@ def test_times_are_told():
 @pytest.fixture
 def small(monkeypatch):
     """Sizes at which it takes seconds, and two candidates."""
-    sizes = {"CHUNK": 20, "TOLD": 10, "FEWEST": 20, "MOST": 60, "WORTH": 40, "ENOUGH": 2, "LARGE": (8,), "SMALL": (4,)}
+    sizes = {"CHUNK": 20, "TOLD": 10, "FEWEST": 20, "FEWEST_FITS": 20, "MOST": 60, "WORTH": 40, "ENOUGH": 2}
+    sizes |= {"LARGE": (8,), "SMALL": (4,)}
     for name, value in sizes.items():
         monkeypatch.setattr(module, name, value)
     loose = Candidate("loose", "td3_bc", {"batch_size": 16, "alpha": 9.0}, "-")
@@ -78,10 +81,46 @@ def test_a_run_may_be_ended_early(tmp_path):
         if progress.step == 40:
             raise Enough
 
-    run = dr.train("bc", a_log(), steps=1000, chunk=20, out=tmp_path / "run", watch=watch)
+    asked = {"steps": 100, "chunk": 20, "evaluate_every": 100}
+    run = dr.train("bc", a_log(), out=tmp_path / "run", watch=watch, **asked)
     assert run.metrics["step"].to_pylist() == [20, 40]
     assert run.evaluations["step"].to_pylist() == [40]
-    assert run.policy(np.zeros((1, 2), np.float32)).shape == (1, 1)
+    assert run.config["steps"] == 40
+    # It can be gone on with, and then is what it would have been without the break.
+    resumed = dr.train("bc", a_log(), out=tmp_path / "run", resume=True, **asked)
+    whole = dr.train("bc", a_log(), out=tmp_path / "whole", **asked)
+    x = np.linspace(-0.5, 0.5, 8, dtype=np.float32).reshape(4, 2)
+    assert resumed.config["steps"] == 100
+    assert np.array_equal(resumed.policy(x), whole.policy(x))
+    assert not np.array_equal(resumed.policy(x), run.policy(x))
+
+
+def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch):
+    lines, real = [], module._pilot
+    monkeypatch.setattr(module, "_pilot", lambda agent, log, seed: None if hasattr(agent, "alpha") else real(agent, log, seed))
+    monkeypatch.setattr(module, "SHARES", {"train": 1e-9, "estimate": 0.25})
+    monkeypatch.setattr(module, "_steps", lambda left, rates: 60)
+    found = recommend(a_log(), 120.0, out=tmp_path / "out", tell=lines.append)
+    assert "pilot: loose is left out, its numbers go bad on this log" in lines
+    assert "bc was ended after 20 updates: its time was over" in lines
+    assert found.runs[0].config["steps"] == 20
+
+
+def test_when_the_time_is_over_before_the_estimates_the_command_that_goes_on_is_told(small, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "judge", lambda runs, log, found, *, watch, **options: watch("fqe", 1, 2))
+
+    def late(what, step, steps):
+        if what == "fqe":
+            monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: 1e12))
+
+    told = r"are over before fqe is; this goes on: deadreckon ope --data near --policies .*/bc .*--hidden 8 --select"
+    with pytest.raises(UserError, match=told):
+        recommend(a_log(), 120.0, out=tmp_path / "out", watch=late)
+
+
+def test_a_discount_of_one_is_refused_at_once(tmp_path):
+    with pytest.raises(UserError, match=r"discount must be 0 \.\. 1 without 1, got 1"):
+        recommend(a_log(), 60.0, out=tmp_path / "out", discount=1.0)
 
 
 @pytest.mark.slow
@@ -103,7 +142,9 @@ def test_logs_of_all_kinds_end_in_a_card_in_time(kind, tmp_path, capsys, request
         return
     else:
         data = dr.collect.collect("maze2d-umaze-v1", steps=50_000, out=tmp_path / "maze.hdf5")
+    began = time.perf_counter()
     assert main(["recommend", str(data), "--budget", "4m", "--out", str(tmp_path / "out")]) == 0
+    assert time.perf_counter() - began < 260  # with the page and the card
     told = capsys.readouterr().out
     assert told.index("about ") < told.index("DEPLOY")
     assert ("checked: in the simulator" in told) == (kind == "maze")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from deadreckon.bench.executor import Event, Work, attempt
-from deadreckon.bench.plan import Job
+from deadreckon.bench.plan import Job, code
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
@@ -43,6 +43,7 @@ class Cluster:
         self.lanes = None if gpus else 1  # see `Local`
         self._news: deque[Event] = deque()
         self._running: dict[Any, Job] = {}
+        self._names: dict[str, Job] = {}
         self._own = not ray.is_initialized()
         if self._own:
             try:
@@ -77,7 +78,9 @@ class Cluster:
 
     def begin(self, job: Job) -> None:
         """Hands the job to the cluster."""
-        self._running[self._task.remote(job, self._path, self._work, self._inbox, *self._holds)] = job
+        given = job, code(), self._path, self._work, self._inbox, Path.cwd(), *self._holds
+        self._running[self._task.remote(*given)] = job
+        self._names[job.name] = job
 
     def wait(self) -> Event:
         """What tasks tell as they go, or the end of one."""
@@ -88,24 +91,24 @@ class Cluster:
             self._news.extend(self._told())
             for task in ended:
                 job = self._running.pop(task)
+                del self._names[job.name]
                 self._news.append(Event(*self._end(task, job)))
 
     def _told(self) -> list[Event]:
-        names = {job.name: job for job in self._running.values()}
         try:
             said = self._ray.get(self._inbox.take.remote())
         except self._ray.exceptions.RayActorError:  # it was killed, and is made again; nothing is lost but a line of progress
             return []
-        return [Event(what, names[name], told) for name, what, told in said if name in names]
+        return [Event(what, self._names[name], told) for name, what, told in said if name in self._names]
 
     def _end(self, task: Any, job: Job) -> tuple[str, Job, Any]:
-        lost = self._ray.exceptions
+        errors = self._ray.exceptions
         try:
             what, told = self._ray.get(task)
-        except (lost.WorkerCrashedError, lost.NodeDiedError, lost.OutOfMemoryError, lost.ObjectLostError) as error:
-            return "died", job, str(error).splitlines()[0]
-        except lost.RayTaskError as error:  # before or after the job itself, such as a node without the package
+        except errors.RayTaskError as error:  # before or after the job itself, such as a node without the package
             return "failed", job, (str(error).strip().splitlines()[-1], str(error))
+        except errors.RayError as error:  # its process, its node, memory: all that is not the job's own doing
+            return "died", job, str(error).splitlines()[0]
         return what, job, told
 
     def close(self) -> None:
@@ -130,13 +133,19 @@ class _Inbox:
         return said
 
 
-def _task(job: Job, path: Path, work: Work, inbox: Any, cpus: int, gpus: float) -> tuple[str, Any]:
-    """In a process of Ray's, which does one task after the other."""
+def _task(
+    job: Job, planned: str, path: Path, work: Work, inbox: Any, where: Path, cpus: int, gpus: float
+) -> tuple[str, Any]:
+    """In a process of Ray's, which does one task after the other; `where` is what relative names of logs are relative to."""
     _pin(cpus)
     if not gpus:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")  # Ray leaves all GPUs in sight of a task that asked for none
+    elif gpus < 1:
+        os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{0.9 * gpus:.2f}")  # JAX takes three quarters otherwise
+    if where.is_dir():
+        os.chdir(where)
     inbox.tell.remote(job.name, "begun", None)
-    return attempt(job, path, work, lambda done, total: inbox.tell.remote(job.name, "progress", (done, total)))
+    return attempt(job, planned, path, work, lambda done, total: inbox.tell.remote(job.name, "progress", (done, total)))
 
 
 _held: list[BinaryIO] | None = None  # locks of this process's cores

@@ -50,7 +50,7 @@ class Executor(Protocol):
         ...
 
     def wait(self) -> Event:
-        """The next thing that happens to a job that it has taken: `done` tells (what was found, by which code)."""
+        """The next thing that happens to a job that it has taken: `done` tells what was found."""
         ...
 
     def close(self) -> None:
@@ -68,8 +68,8 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
         told: called with what happens.
         executor: who does it; closed at the end.
     """
-    waiting, lost, running = deque(store.undone(jobs)), Counter[str](), 0
     with closing(executor):
+        waiting, lost, running = deque(store.undone(jobs)), Counter[str](), 0
         while waiting or running:
             while waiting and executor.room:
                 executor.begin(waiting.popleft())
@@ -90,32 +90,30 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
 
 
 def _judged(event: Event, lost: Counter[str]) -> Event:
-    """An end as it counts: too many deaths are a failure, and so is what other code has found."""
+    """An end as it counts: too many deaths are a failure."""
     if event.what == "died":
         lost[event.job.name] += 1
         if lost[event.job.name] >= TRIES:
             return Event("failed", event.job, (f"its process died {TRIES} times, the last with {event.told}", ""))
-    if event.what == "done":
-        found, made_by = event.told
-        if made_by != code():  # under its name lie results of that code alone
-            return Event("failed", event.job, ("the package's source is another where it ran; run it again", ""))
-        return event._replace(told=found)
     return event
 
 
-def attempt(job: Job, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
+def attempt(job: Job, planned: str, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
     """In a worker: does a job, and says how it ended: `done` or `failed`, and what goes with it.
 
     Args:
         job: the job.
+        planned: the code that it was planned with; under its name may lie results of that code alone.
         path: the store's folder.
         work: does it.
         watch: called as it goes; its `BrokenPipeError` passes, because then nobody listens.
     """
+    if planned != code():
+        return "failed", ("the package's source is another where it would run; install the same there, or run it again", "")
     folder = Store(path).run(job)
     try:
         with alone(folder):  # of all that write to it
-            return "done", (work(job, folder, watch), code())
+            return "done", work(job, folder, watch)
     except BrokenPipeError:
         raise
     except UserError as error:

@@ -8,15 +8,20 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from deadreckon.bench.executor import Event, Work, attempt
-from deadreckon.bench.plan import Job
+from deadreckon.bench.plan import Job, code
 from deadreckon.bench.work import perform
+from deadreckon.errors import UserError
 
 
 def shares(workers: int | None, accelerator: bool) -> list[list[int]]:
-    """The cores of each worker: where None says how many, one core each on a CPU, and one worker with all of them for a GPU."""
+    """The cores of each worker: where None says how many, one core each on a CPU, and one worker with all of them for a GPU.
+
+    All have as many, because how many threads there are decides the last bits.
+    """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
     workers = workers or (1 if accelerator else len(cores))
-    return [cores[i::workers] or [cores[i % len(cores)]] for i in range(workers)]
+    each = max(len(cores) // workers, 1)
+    return [[cores[(i * each + k) % len(cores)] for k in range(each)] for i in range(workers)]
 
 
 class Local:
@@ -29,11 +34,16 @@ class Local:
         path: the store's folder.
         workers: processes; None: one a core, or one for a GPU.
         work: does a job.
+
+    Raises:
+        UserError: fewer than one worker.
     """
 
     def __init__(self, path: Path, workers: int | None = None, work: Work = perform):
         import jax
 
+        if workers is not None and workers < 1:
+            raise UserError(f"workers must be 1 or more, got {workers}")
         accelerator = jax.default_backend() != "cpu"
         self.lanes = None if accelerator else 1
         self._team = [_Worker(cores, path, work) for cores in shares(workers, accelerator)]
@@ -67,7 +77,7 @@ class _Worker:
     """A process that does one job after the other."""
 
     def __init__(self, cores: list[int], path: Path, work: Work):
-        self.given = cores, path, work
+        self.given = code(), cores, path, work
         self.job: Job | None = None
         self.process: SpawnProcess | None = None
 
@@ -105,7 +115,7 @@ class _Worker:
             self.process.join()
 
 
-def _serve(pipe: Connection, cores: list[int], path: Path, work: Work) -> None:
+def _serve(pipe: Connection, planned: str, cores: list[int], path: Path, work: Work) -> None:
     """The process: on its cores, job after job until the pipe is closed."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)  # before anything starts threads
@@ -113,4 +123,4 @@ def _serve(pipe: Connection, cores: list[int], path: Path, work: Work) -> None:
         while True:
             job: Job = pipe.recv()
             pipe.send(("begun", None))
-            pipe.send(attempt(job, path, work, lambda done, total: pipe.send(("progress", (done, total)))))
+            pipe.send(attempt(job, planned, path, work, lambda done, total: pipe.send(("progress", (done, total)))))

@@ -136,7 +136,10 @@ class Store:
         """The rows of these jobs' cells; with `any_code` also those made by other versions of the methods' code."""
         wanted = [job.cell(seed, with_code=not any_code) for job in jobs for seed in job.seeds]
         found = self.results()
-        return found.filter(np.isin(found["content" if any_code else "cell"].to_numpy(), wanted))
+        found = found.filter(np.isin(found["content" if any_code else "cell"].to_numpy(), wanted))
+        # Two commands that pack seeds otherwise may have done a cell both; the newer counts.
+        last = {cell: i for i, cell in enumerate(found["cell"].to_pylist())}
+        return found.take(sorted(last.values()))
 
 
 @cache

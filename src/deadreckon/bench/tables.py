@@ -196,7 +196,7 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     if waiting := sum(failure is None for _, failure in failures):
         notes.append(f"not run yet: {waiting:,} of {sum(len(job.seeds) for job in jobs):,} cells")
     for row in (row for row in found if row["failure"]):
-        told = f"{row['failure']}; its last good policy counts"
+        told = row["failure"] + ("; its last good policy counts" if row["kind"] in ("learn", "online") else "")
         notes.append(f"seed {row['seed']} of {row['method']} on {row['on']} failed: {told}")
     return notes
 
@@ -256,7 +256,7 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
             counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
             row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
         rows.append(row)
-        if any(table.printed.get(on, {}).values()):
+        if table.printed[on]:
             theirs = table.printed[on]
             rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
     if len(table.suite.on) > 1 and table.metric.joint:

@@ -26,6 +26,7 @@ from deadreckon.ope.estimate import BehaviorModel, Watcher
 from deadreckon.ope.intervals import student
 from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.runs.offline import judge
+from deadreckon.runs.train import check_plan
 from deadreckon.tasks.registry import of_log
 from deadreckon.training.learner import check_fields
 
@@ -40,11 +41,13 @@ class Trial:
         fields: what differs from the agent's defaults.
         scores: (logs, seeds) normalised scores in the simulators; NaN where there is none, or none may be used.
         values: (seeds,) what its policies are estimated at from the log; empty where that was not asked for.
+        failure: why a seed's numbers went bad, or "": then it is not chosen.
     """
 
     fields: dict[str, Any]
     scores: np.ndarray
     values: np.ndarray
+    failure: str = ""
 
     def __str__(self) -> str:
         return named(self.fields)
@@ -79,6 +82,7 @@ class Tuned:
                 words.append(f"estimated {_interval(trial.values)}")
             if np.isfinite(trial.scores).all():
                 words.append(f"score {_interval(trial.scores.mean(0))}")
+            words += [f"FAILED, not chosen: {trial.failure}"] if trial.failure else []
             lines.append("  ".join(words))
         if self.lost is not None:
             spread = np.ptp([trial.scores.mean() for trial in self.trials])
@@ -90,18 +94,18 @@ class Tuned:
         return "\n".join(lines)
 
     def _standing(self, trial: Trial) -> float:
-        return float(np.mean(trial.values if self.by == "ope" else trial.scores))
+        return _standing(trial, self.by)
 
 
 def candidates(
     agent: str, given: Mapping[str, Sequence[Any]] | None = None, most: int | None = None, seed: int = 0
 ) -> list[dict[str, Any]]:
-    """Settings to try: all combinations, or some of them, with the agent's defaults among them.
+    """Settings to try: all combinations, or some of them, the agent's defaults first where they are one of the combinations.
 
     Args:
         agent: its name.
         given: field -> values; None: those that its paper varied, as far as the package knows them.
-        most: so many, drawn without replacement; None: all.
+        most: so many, drawn without replacement, but never without the defaults; None: all.
         seed: of the draw.
 
     Raises:
@@ -117,14 +121,17 @@ def candidates(
             raise UserError(f"{name} has no values to try")
         for choice in choices:
             check_fields(kind(**{name: choice}))
-    grid = [dict(zip(values, each)) for each in itertools.product(*values.values())]
-    grid.sort(key=lambda each: any(each[name] != defaults[name] for name in each))  # the defaults first, where they are there
+    distinct = [list(dict.fromkeys(choices)) for choices in values.values()]
+    grid = [dict(zip(values, each)) for each in itertools.product(*distinct)]
+    kept = [each for each in grid if all(each[name] == defaults[name] for name in each)]
+    others = [each for each in grid if each not in kept]
+    grid = kept + others
     if most is None or most >= len(grid):
         return grid
     if most < 1:
         raise UserError(f"at least one setting must be tried, got {most}")
-    picked = 1 + np.sort(np.random.default_rng(seed).choice(len(grid) - 1, most - 1, replace=False))
-    return [grid[0], *(grid[i] for i in picked)]
+    picked = np.sort(np.random.default_rng(seed).choice(len(others), most - len(kept), replace=False))
+    return kept + [others[i] for i in picked]
 
 
 def named(fields: Mapping[str, Any]) -> str:
@@ -149,9 +156,12 @@ def suite(
         fixed: fields that are the same in all.
 
     Raises:
-        UserError: a task that the thesis keeps for evaluation, or none, to be tuned in by its simulator; or several logs to be
-            tuned from by estimates, whose values do not compare.
+        UserError: a task that the thesis keeps for evaluation, or none, to be tuned in by its simulator; several logs to be
+            tuned from by estimates, whose values do not compare; a field that is both tried and fixed; or no steps or seeds.
     """
+    check_plan(0, None, steps=steps, seeds=seeds)
+    if both := {name for each in settings for name in each} & set(fixed or {}):
+        raise UserError(f"{', '.join(sorted(both))} cannot be tried and be the same in all")
     if by not in get_args(By):
         raise unknown("way to choose", by, get_args(By))
     if by == "ope" and len(logs) > 1:
@@ -192,6 +202,8 @@ def tune(
     Raises:
         UserError: a setting that failed, in the first one's words.
     """
+    if not 0.0 <= discount < 1.0:
+        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
     jobs = plan(asked, executor.lanes)
     run(asked.name, jobs, store, told, executor)
     failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
@@ -202,18 +214,25 @@ def tune(
     values = _estimated(jobs, store, rows, estimators, model, discount, watch) if by == "ope" else {}
     trials = []
     for method, fields in zip(asked.methods, settings):
-        scores = [[rows[c]["score"] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells]
-                  for on in asked.on]  # fmt: skip
-        trials.append(Trial(dict(fields), np.array(scores, float), np.array(values.get(method.name, []))))
+        own = [[rows[c] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells] for on in asked.on]
+        failure = next((row["failure"] for log in own for row in log if row["failure"]), "")
+        scores = np.array([[row["score"] for row in log] for log in own], float)
+        trials.append(Trial(dict(fields), scores, np.array(values.get(method.name, [])), failure))
     means = np.array([trial.scores.mean() for trial in trials])
-    standing = np.array([trial.values.mean() for trial in trials]) if by == "ope" else means
+    standing = np.array([_standing(trial, by) for trial in trials])
+    if not np.isfinite(standing).any():
+        raise UserError(f"no setting can be chosen: {trials[0].failure or 'nothing finite was estimated'}")
     best = int(np.nanargmax(standing))
     known = bool(np.isfinite(means).all()) and by == "ope"
-    truth = compare(standing, means) if known and len(trials) > 1 else None
+    truth = compare(standing, means) if known and len(trials) > 1 and np.isfinite(standing).all() else None
     lost = float(means.max() - means[best]) if known else None
     found = Tuned(asked.methods[0].agent, by, tuple(trials), trials[best], truth, lost)
     write_json(store.path / "tuned.json", _json(found, asked))
     return found
+
+
+def _standing(trial: Trial, by: By) -> float:
+    return -np.inf if trial.failure else float(np.mean(trial.values if by == "ope" else trial.scores))
 
 
 def _estimated(

@@ -39,10 +39,12 @@ def source(job: Job) -> Path | str:
 
 
 def _log(job: Job) -> Any:
+    from deadreckon.collect.recipes import recipe_names
     from deadreckon.data.catalogue import load
 
     log = load(source(job))
-    if "@" not in job.data and job.data != f"{log.name} {log.fingerprint}":  # here, or on the machine that made the plan
+    # The plan may be from another machine.
+    if job.on not in recipe_names() and job.data != f"{log.name} {log.fingerprint}":
         raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
     return log
 
@@ -138,7 +140,7 @@ def _ope(job: Job, folder: Path, watch: Watch) -> Found:
             {
                 "seed": seed, "score": found["rank_correlation"], "raw": None, "steps": 0, "seconds": result.seconds,
                 "more": json.dumps(found | {"result": to_json(result)}), "versions": json.dumps(versions()),
-                "failure": "" if sound else " ".join(result.warnings),
+                "failure": "" if sound else " ".join(result.warnings) or "its estimates are not finite",
             }
         )  # fmt: skip
     return Found(rows, [])

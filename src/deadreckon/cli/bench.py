@@ -1,5 +1,6 @@
 """`deadreckon bench`: a declared table, run to its end; `bench list`, `bench show SUITE`."""
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -78,6 +79,7 @@ def _run(options: Bench) -> None:
     from deadreckon.bench.tables import rendered, tables
 
     suite = read(options.suite)
+    plan(suite)  # refuses what cannot be run before a cluster is joined
     executor = _executor(options)
     jobs, store = plan(suite, executor.lanes), Store(Path(options.out))
     waiting = announce(suite, jobs, store, executor, options.dry_run)
@@ -106,7 +108,7 @@ def announce(suite, jobs, store, executor, each: bool):
     known = [took for took in seconds.values() if took is not None]
     if known:
         more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
-        spread = f"{in_words(sum(known) / executor.workers)} with {executor.workers} workers"
+        spread = f"{in_words(max(max(known), sum(known) / executor.workers))} with {executor.workers} workers"
         print(f"about {spread}, by the times of jobs that are done{more}")
     return waiting
 
@@ -123,8 +125,6 @@ def _executor(options: Bench):
     for name, default in (("address", None), ("cpus", 1), ("gpus", 0.0)):
         if getattr(options, name) != default:
             raise UserError(f"--{name} is of --executor ray")
-    if options.workers is not None and options.workers < 1:
-        raise UserError(f"--workers must be 1 or more, got {options.workers}")
     return Local(Path(options.out), options.workers)
 
 
@@ -149,7 +149,7 @@ class Lines:
         elif event.what == "failed":
             print(f"FAILED: {job}: {event.told[0]}", flush=True)
         elif event.what == "died":
-            print(f"{job}: its process ended with code {event.told}; it is begun again where it was", flush=True)
+            print(f"{job}: its process ended ({event.told}); it is begun again where it was", flush=True)
 
 
 def _page(suite, jobs, store):
@@ -163,7 +163,9 @@ def _page(suite, jobs, store):
         from deadreckon.ope.dope import from_json
         from deadreckon.report.dope import write_bench
 
-        results = [from_json(json.loads(row["more"])["result"]) for row in store.of(jobs).to_pylist()]
+        rows = store.of(jobs).to_pylist()
+        # By their names in the suite, which may have one estimator with several settings.
+        results = [dataclasses.replace(from_json(json.loads(row["more"])["result"]), method=row["method"]) for row in rows]
         return write_bench(results, store.path / "reports" / f"{file_name(suite.name)}.html") if results else None
     pages = []
     folders = {row["cell"]: store.path / "runs" / row["job"] for row in store.of(jobs).to_pylist()}

@@ -1,6 +1,7 @@
 """`deadreckon tune`: settings of an agent, chosen on training tasks or from a log alone."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,7 +78,8 @@ def _pair(text: str) -> tuple[str, str]:
 
 
 def _values(text: str) -> list[Any]:
-    return [_value(part) for part in text.split(",")]
+    """With commas between; those of lists, such as [64,64],[256,256], are none of these."""
+    return [_value(part) for part in re.split(r",(?![^\[]*\])", text)]
 
 
 def _value(text: str) -> Any:

@@ -43,7 +43,7 @@ def section(page: Page) -> Markup | None:
 
 
 def _scatter(page: Page, told: dict[str, Any], result: dict[str, Any]) -> Markup:
-    slots = {e.folder.path.name: page.slot(e) for e in page.entries}
+    slots = {folder.path.name: page.slot(e) for e in page.entries for folder, _ in e.folders}
     truth = told["truth"]
     points = []
     for i, each in enumerate(told["policies"]):

@@ -118,6 +118,10 @@ class Folder:
             for text in differences(before, config, ("versions",))
         ]
 
+    def shorten(self, steps: int) -> None:
+        """Takes note that the run has ended with fewer updates than were asked for."""
+        write_json(self.config, read_json(self.config) | {"steps": steps})
+
     def lengthen(self, config: dict[str, Any]) -> None:
         """Takes note that more updates are asked for than the run has had; called once it can be gone on with."""
         before = read_json(self.config)

@@ -1,6 +1,7 @@
 """From a log and so much time to a decision: which agents to try, how long, and what their policies are worth."""
 
 import dataclasses
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,9 +23,7 @@ from deadreckon.policies.policy import Deployed
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.offline import Judged, judge
 from deadreckon.runs.recorder import Enough
-from deadreckon.runs.train import Run, train
-from deadreckon.tasks.registry import of_log
-from deadreckon.tasks.registry import task as find_task
+from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.training.fit import Fit, Progress
 
 
@@ -73,7 +72,8 @@ LARGE, SMALL = (256, 256), (64, 64)  # networks
 PILOT = 0.2  # share of the budget after which the pilot looks no further
 SHARES = {"train": 0.55, "estimate": 0.25}  # of what the pilot leaves; the rest is for coverage, the page and what takes longer
 SAFETY = 0.85  # of a share is planned with: machines have moods
-MEMBERS = 3  # critics a policy in FQE, whose spread is the interval
+FEWEST_FITS = 1_000  # updates of FQE: with fewer its values have not left where they began
+MEMBERS = 5  # critics a policy in FQE, whose spread is the interval
 EPISODES = 20  # in the simulator, where there is one
 
 
@@ -158,7 +158,9 @@ def recommend(
     if out.exists():
         raise UserError(f"{out} is there already; give another --out")
     log = data if isinstance(data, Dataset) else catalogue.load(data)
-    judge_in = find_task(task) if task is not None else of_log(log.name)
+    if not 0.0 <= discount < 1.0:
+        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+    judge_in = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
     plan = _plan(log, left, discount, seed, tell)
     tell(str(plan))
@@ -177,13 +179,26 @@ def recommend(
             out=out / candidate.name, evaluate_every=plan.steps, episodes=EPISODES, chunk=CHUNK,
         )  # fmt: skip
 
-    runs = [learned(candidate, end) for candidate, end in zip(plan.candidates, ends)]
+    runs = []
+    for candidate, end in zip(plan.candidates, ends):
+        run = learned(candidate, end)
+        if failure := run.failures[0]:
+            tell(f"{candidate.name} is left out: its {failure.metric} was not finite at update {failure.step}")
+            continue
+        if run.config["steps"] < plan.steps:
+            tell(f"{candidate.name} was ended after {run.config['steps']:,} updates: its time was over")
+        runs.append(run)
+    if not runs:
+        raise UserError(f"no candidate learned anything from {log.name}: the numbers of all of them went bad")
 
     def in_time(what: str, step: int, steps: int) -> None:
         watch(what, step, steps)
         if left() < 0:
-            over = f"the {in_words(limit)} are over before {what} is; the policies are in {out}:"
-            raise UserError(f"{over} `deadreckon ope --data {log.name} --policies RUNS --select` goes on with them")
+            given = log.name if isinstance(data, Dataset) else data
+            words = ["deadreckon", "ope", "--data", given, "--policies", *(run.path for run in runs), "--estimators", "fqe",
+                     "--greedy", "--discount", discount, "--steps", plan.estimates, "--members", MEMBERS,
+                     "--hidden", *plan.hidden, "--select"]  # fmt: skip
+            raise UserError(f"the {in_words(limit)} are over before {what} is; this goes on: {shlex.join(map(str, words))}")
 
     model = BehaviorModel(hidden=plan.hidden, lr=1e-3, steps=max(TOLD, plan.estimates // 4))
     judged = judge(
@@ -211,7 +226,13 @@ def _plan(log: Dataset, left: Callable[[], float], discount: float, seed: int, t
     for hidden, fewest in ((LARGE, 1), (SMALL, ENOUGH)):
         candidates, rates, policies = [], [], []
         for candidate in DISCRETE if log.spec.discrete else CONTINUOUS:
-            rate, policy = _pilot(_agent(candidate, hidden, discount), log, seed)
+            if left() < (1.0 - 2.0 * PILOT) * whole:
+                break
+            found = _pilot(_agent(candidate, hidden, discount), log, seed)
+            if found is None:
+                tell(f"pilot: {candidate.name} is left out, its numbers go bad on this log")
+                continue
+            rate, policy = found
             tell(f"pilot: {candidate.name}, {rate:,.0f} updates a second with networks of {hidden[0]}")
             if len(candidates) >= fewest and _steps(left(), [*rates, rate]) < WORTH:
                 break  # more updates of the earlier ones are worth more
@@ -220,16 +241,22 @@ def _plan(log: Dataset, left: Callable[[], float], discount: float, seed: int, t
                 break
         if len(candidates) >= ENOUGH and _steps(left(), rates) >= WORTH:
             break
-    clock = _Clock()
+    if not candidates:
+        raise UserError(f"{in_words(whole)} are over before a candidate of {log.name} is tried; give it more, such as 30m")
+    clock, before = _Clock(), time.perf_counter()
     options = {"discount": discount, "seed": seed, "greedy": True, "logged": True}
     _estimator(hidden, 10 * TOLD).on(Case(log, policies, **options, watch=clock))
+    # What the policies do at all rows is asked before FQE begins, and so is the compiler.
+    once = max(time.perf_counter() - before - 10 * TOLD / clock.rate, 0.0)
     steps = min(_steps(left(), rates), MOST) // CHUNK * CHUNK
-    if steps < FEWEST:
-        need = whole - left() + FEWEST * sum(1.0 / rate for rate in rates) / (SAFETY * SHARES["train"])
-        raise UserError(f"{in_words(whole)} are too short for this log on this machine; give it {in_words(1.2 * need)} or more")
-    estimates = max(min(int(SAFETY * SHARES["estimate"] * left() * clock.rate), MOST) // CHUNK, 1) * CHUNK
+    estimates = min(int((SAFETY * SHARES["estimate"] * left() - once) * clock.rate), MOST) // CHUNK * CHUNK
+    if steps < FEWEST or estimates < FEWEST_FITS:
+        learning = FEWEST * sum(1.0 / rate for rate in rates) / (SAFETY * SHARES["train"])
+        fitting = (FEWEST_FITS / clock.rate + once) / (SAFETY * SHARES["estimate"])
+        need = in_words(1.2 * (whole - left() + max(learning, fitting)))
+        raise UserError(f"{in_words(whole)} are too short for this log on this machine; give it {need} or more")
     rest = (1.0 - sum(SHARES.values())) * left()
-    seconds = sum(steps / rate for rate in rates) + estimates / clock.rate + 0.5 * rest
+    seconds = sum(steps / rate for rate in rates) + once + estimates / clock.rate + 0.5 * rest
     return Plan(tuple(candidates), hidden, steps, tuple(rates), estimates, seconds)
 
 
@@ -238,12 +265,14 @@ def _steps(left: float, rates: Sequence[float]) -> int:
     return int(SAFETY * SHARES["train"] * left / sum(1.0 / rate for rate in rates))
 
 
-def _pilot(agent: Agent, log: Dataset, seed: int) -> tuple[float, Deployed]:
-    """Updates a second after the first chunk, which is compiled, and the policy as far as it is."""
+def _pilot(agent: Agent, log: Dataset, seed: int) -> tuple[float, Deployed] | None:
+    """Updates a second after the first chunk, which is compiled, and the policy as far as it is; None: its numbers go bad."""
     agent = agent.resolve(log.spec, MOST)
     fit, clock = Fit([agent], Rows(log, agent.needs(log.spec)), [seed], 3 * CHUNK, chunk=CHUNK), _Clock()
     for progress in fit.chunks():
         clock("", progress.step, fit.steps)
+    if any(fit.failures):
+        return None
     state = jax.tree.map(lambda leaf: leaf[0], fit.states)
     return clock.rate, Deployed.of(agent.policy(state), fit.rows.view)
 

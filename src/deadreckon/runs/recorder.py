@@ -24,7 +24,7 @@ PICTURED = 32  # most observation dimensions of a log whose stretches are kept f
 
 
 class Enough(Exception):
-    """Raised by a watcher: the run ends with this chunk, as if no more updates had been asked for."""
+    """Raised by a watcher: the run ends with this chunk, as if no more had been asked for. It may be resumed with more."""
 
 
 def _nothing(policy: Deployed) -> dict[str, float]:
@@ -77,8 +77,11 @@ class Recorder:
             try:
                 watch(progress, self.job.steps)
             except Enough:
+                self.job.steps = progress.step
+                self.folder.shorten(progress.step)
                 if progress.step not in self.folder.policy_steps():
                     self.judge_now(progress.step)
+                self.job.save()
                 break
         self.finish()
 

@@ -98,19 +98,14 @@ def train(
         resume: go on with the run in `out`; a finished one is given back as it is, or made longer if more steps are asked for.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
         strict: refuse logs with actions out of bounds.
-        watch: called after every chunk.
+        watch: called after every chunk; by raising `runs.recorder.Enough` it ends the run there.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
     check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
-    judge = _judge(task, log)
-    if judge is not None and judge.observation_shape != log.spec.observation_shape:
-        raise UserError(
-            f"{judge.name} shows observations of shape {judge.observation_shape}, "
-            f"{log.name} has {log.spec.observation_shape}"
-        )
+    judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
     lanes = [lane.resolve(log.spec, steps) for lane in lanes_of(agent, seeds)]
     folder = Folder(Path(out) if out is not None else Path("runs") / f"{agent_name(lanes[0])}-{log.name}")
@@ -171,10 +166,19 @@ def load(path: Path | str) -> Run:
     return Run(folder.path, config, config["seeds"], policies, failures)
 
 
-def _judge(task: Task | str | None, log: Dataset) -> Task | None:
-    if isinstance(task, Task):
-        return task
-    return find_task(task) if task is not None else of_log(log.name)
+def judge_of(log: Dataset, task: Task | str | None) -> Task | None:
+    """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
+
+    Raises:
+        UserError: it shows other observations than the log has.
+    """
+    judge = task if isinstance(task, Task) else find_task(task) if task is not None else of_log(log.name)
+    if judge is not None and judge.observation_shape != log.spec.observation_shape:
+        raise UserError(
+            f"{judge.name} shows observations of shape {judge.observation_shape}, "
+            f"{log.name} has {log.spec.observation_shape}"
+        )
+    return judge
 
 
 def check_plan(seed: int, evaluate_every: int | None, **counts: int) -> None:

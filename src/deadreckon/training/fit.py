@@ -381,7 +381,7 @@ class Fit:
         prepares = hasattr(self.learners[0], "prepare")
         try:
             if self.step == 0:
-                self._save()
+                self.save()
             while self.step < self.steps and not all(self.failures):
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
@@ -394,7 +394,7 @@ class Fit:
                 metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
                 self.step = stop
                 yield Progress(stop, self.states, metrics, self.failures)
-                self._save()
+                self.save()
         finally:
             if source is not None:
                 source.close()
@@ -483,7 +483,8 @@ class Fit:
         self.failures = tuple(failures)
         self.states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
 
-    def _save(self) -> None:
+    def save(self) -> None:
+        """Writes a checkpoint, where there is a folder."""
         if self.folder is None:
             return
         if self.experience is not None:
