@@ -139,7 +139,7 @@ class Store:
         found = found.filter(np.isin(found["content" if any_code else "cell"].to_numpy(), wanted))
         # Two commands that pack seeds otherwise may have done a cell both; the newer counts.
         last = {cell: i for i, cell in enumerate(found["cell"].to_pylist())}
-        return found.take(sorted(last.values()))
+        return found.take(pa.array(sorted(last.values()), pa.int64()))
 
 
 @cache
