@@ -51,7 +51,7 @@ def test_quick_runs_through_and_every_element_of_its_page_works(tmp_path, capsys
     assert len(found["sorted"]) >= 5
     assert set(found["sorted"]) <= {"ascending", "descending"}
     assert found["light"] == found["again"] != found["dark"]
-    assert len(found["tips"]) >= 3
+    assert found["tips"]  # the learning curves, all agents in one
     assert all(found["tips"])
     assert len(found["hidden"]) >= 4
     assert all(found["hidden"])

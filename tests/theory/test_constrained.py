@@ -208,6 +208,7 @@ def test_the_coefficient_of_a_support_set_is_bounded(many, shifts):
     assert (wide <= narrow + np.minimum(1.0, steps * (1 - epsilon[:, None])) / least[:, None] + 1e-6).all()
     printed, own = (run(con.printed_coefficient, c, discount, over=(0, 0)) for c in (wide, narrow))
     assert (printed <= con.support_bound(own, least, epsilon, discount) * (1 + 1e-6)).all()
+    assert (con.support_bound(own, least, epsilon, discount) <= own + 1.0 / least).all()  # it says something
     shifted = [run(con.coefficient, c, discount, over=(0, 0)) for c in (wide, narrow)]
     assert (shifted[0] <= con.shifted_support_bound(shifted[1], least, epsilon, discount) * (1 + 1e-6)).all()
 

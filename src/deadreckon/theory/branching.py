@@ -6,14 +6,13 @@ Errors are total variations: `model` of the next state, at the worst step, in ex
 `policy` between the two policies at the worst state. `r_max` is the greatest |reward|. All may be arrays. Appendix B prints
 KL divergences in B.2.2 to B.2.4: with these the lemmas fail, since a small KL leaves a total variation of its root.
 
-Rewards are known: where the model learns these too, and their error counts in `model`, 2 r_max model / (1 - discount) comes to
-every bound (`learned_rewards`).
+Rewards are known: where the model learns these too, and their error counts in `model`, `learned_rewards` comes to a bound.
 
 **Sharper forms.** Take the world under the old policy, the world under the new one and the model under the new one, and draw
 them together: the same action as long as the policies allow it, the same next state as long as the dynamics do. The second and
 the third differ only after the first action in which the policies differed, of probability `policy` a step, or the first wrong
-step of the model. They are the *same* policy, so its distance from the old one is paid once, where the printed proofs pay it
-twice, and never for the last action. That gives t (model + policy) for the total variation at time t, and `sharp_*` below,
+step of the model. They are the *same* policy, so its distance from the old one is paid once, where the printed proofs of 5.2.1
+and 5.2.2 pay it twice, and never for the last action (in 5.2.3 the only slack is min(t, k) <= k). That gives t (model + policy) for the total variation at time t, and `sharp_*` below,
 which `tight` meets with equality to first order in the errors.
 """
 
@@ -84,8 +83,9 @@ def generalising_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: An
     """Theorem 5.2.3: `model` is measured under the new policy in the true world.
 
     5.2 prints the expectation over the old one's states, with which it fails: a model that is wrong only where the new policy
-    goes has no error at all there. The proof goes through rollouts of the new policy, in the true world first and in the model
-    after the branch: those differ from J(pi) in the model alone, and from J_branch in what acted before.
+    goes has no error at all there. B.1.2's own reference, the old policy before the branch and the new one after it, would need
+    the error under that mixture. With rollouts of the new policy throughout, in the true world first and in the model after the
+    branch, the statement follows: those differ from J(pi) in the model alone, and from J_branch in what acted before.
     """
     _check(discount, model, policy)
     left = 1.0 - discount
@@ -107,10 +107,14 @@ def averaged_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: Any = 
     return 2.0 * r_max / left * inside
 
 
-def learned_rewards(model: Any, discount: Any, r_max: Any = 1.0) -> Any:
-    """What comes to a bound if `model` is the error of next state and reward together, as in 5.2: 2 r_max model a step."""
-    _check(discount, model)
-    return 2.0 * r_max * model / (1.0 - discount)
+def learned_rewards(model: Any, discount: Any, r_max: Any = 1.0, policy: Any = 0.0) -> Any:
+    """What comes to a bound if `model` is the error of next state and reward together, as in 5.2: 2 r_max model a step.
+
+    The sharper forms with `model` under the old policy (`sharp_full_bound`, `sharp_branched_bound`) do not pay for the last
+    action, whose reward may be wrong too: for these give `policy`, and it is 2 r_max (model + policy) a step.
+    """
+    _check(discount, model, policy)
+    return 2.0 * r_max * (model + policy) / (1.0 - discount)
 
 
 def best_length(model: float, policy: float, discount: float) -> float:
@@ -134,7 +138,7 @@ def best_length(model: float, policy: float, discount: float) -> float:
 
 
 def sharp_full_bound(model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -> Any:
-    """2 r_max discount (model + policy) / (1 - discount)^2 in place of Theorem 5.2.1: less than half where policies differ."""
+    """2 r_max discount (model + policy) / (1 - discount)^2 in place of Theorem 5.2.1; without model error discount / 2 of it."""
     _check(discount, model, policy)
     return 2.0 * r_max * discount * (model + policy) / (1.0 - discount) ** 2
 

@@ -190,12 +190,13 @@ def reachable(transitions: Array, initial: Array, choices: Array) -> Bool[Array,
 
 
 def support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> Any:
-    """C(Π_ε) <= C(β) + (1 + γ) (1 - ε) / ((1 - γ) f), both C as printed, with f the least μ(s) where Π_ε comes to.
+    """C(Π_ε) <= C(β) + [1 - ε (1 - γ)² / (1 - γ ε)²] / f, both C as printed, with f the least μ(s) where Π_ε comes to.
 
-    A policy on actions with β >= ε has Σ_a min(π, β) >= Σ_a π β >= ε, so it is within 1 - ε of β in total variation, and
-    after k steps its states within min(1, k (1 - ε)): c(k) <= c_β(k) + k (1 - ε) / f. Then Σ k² γ^{k-1} = (1 + γ) / (1 - γ)³.
+    A policy on actions with β >= ε has Σ_a min(π, β) >= Σ_a π β >= ε: drawn together, the two take the same action with at
+    least ε, and k times in a row with ε^k. So their states are within 1 - ε^k, c(k) <= c_β(k) + (1 - ε^k) / f, and
+    Σ k γ^{k-1} (1 - ε^k) = 1 / (1 - γ)² - ε / (1 - γ ε)². It is never above C(β) + 1 / f, where C <= 1 / f always.
     """
-    return own + (1.0 + discount) * (1.0 - epsilon) / ((1.0 - discount) * least)
+    return own + (1.0 - epsilon * ((1.0 - discount) / (1.0 - discount * epsilon)) ** 2) / least
 
 
 def printed_support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> Any:
@@ -204,5 +205,5 @@ def printed_support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> 
 
 
 def shifted_support_bound(own: Any, least: Any, epsilon: Any, discount: Any) -> Any:
-    """C~(Π_ε) <= C~(β) + 2 γ (1 - ε) / ((1 - γ) f): the same for C~, by Σ (m + 1) m γ^m = 2 γ / (1 - γ)³."""
-    return own + 2.0 * discount * (1.0 - epsilon) / ((1.0 - discount) * least)
+    """C~(Π_ε) <= C~(β) + [1 - (1 - γ)² / (1 - γ ε)²] / f: the same for C~, by Σ (m + 1) (γ ε)^m = 1 / (1 - γ ε)²."""
+    return own + (1.0 - ((1.0 - discount) / (1.0 - discount * epsilon)) ** 2) / least

@@ -39,7 +39,8 @@ def doubling() -> tuple[MDP, np.ndarray]:
 
     Q = w (1, 2) is exact for w = 0. The targets of both states are 2 γ w; their projection multiplies w by
     2 γ (μ_1 + 2 μ_2) / (μ_1 + 4 μ_2): γ where the data is that of the world itself, all in state 2, and up to 2 γ the more of
-    it is in state 1. T contracts in the maximum norm, Π_μ in that of μ, and both together in none.
+    it is in state 1. T contracts in the maximum norm, Π_μ does not expand that
+    of μ, and together they need not contract in any.
     """
     transitions = np.zeros((2, 1, 2))
     transitions[:, 0, 1] = 1.0

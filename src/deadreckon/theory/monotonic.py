@@ -1,8 +1,8 @@
 """Algorithm 2 on finite worlds: collect, fit a model, maximise its promise MINUS C(eps_m, eps_pi); the minus is not printed.
 
-The penalty depends on a policy only through eps_pi, its total variation from the old one at the worst state. So the maximum is
-found exactly: for each radius the best policy within it solves a constrained decision problem (a ball around the old policy
-in every state, in which the best policy moves mass from the worst actions to the best), and the radius is searched on a grid.
+The penalty depends on a policy only through eps_pi, its total variation from the old one at the worst state. So for each
+of 101 radii the best policy within it is found exactly: it solves a constrained decision problem (a ball around the old policy
+in every state, in which the best policy moves mass from the worst actions to the best).
 
 **With the printed C nothing ever moves.** Lemma B.2.3, inside the model, bounds what a policy eps_pi away can gain there by
 2 r_max eps_pi (discount / (1 - discount)² + 1 / (1 - discount)); C(eps_m, eps_pi) grows by twice that. Any other policy

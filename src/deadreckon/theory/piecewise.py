@@ -1,7 +1,7 @@
 """A large class of curves whose maximum likelihood is found exactly: what NML believes, without networks (Figures 6.1 and 6.3).
 
 The curves are linear between knots, take whole levels there, and change by at most `slope` levels from knot to knot. The
-label's distribution is a discretised Gaussian around the curve. There are about levels x (2 slope + 1)^(knots - 1) curves,
+label's distribution is a discretised Gaussian around the curve. There are at most levels x (2 slope + 1)^(knots - 1) curves,
 but the likelihood is a sum over the stretches between knots, so the best curve is a shortest path, and the posterior under a
 uniform prior a sum over paths. Nothing is approximated.
 """
