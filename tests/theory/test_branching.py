@@ -141,7 +141,7 @@ def test_learned_rewards_cost_more():
 
 
 def test_learned_rewards_cost_the_sharper_forms_the_last_action_too():
-    """One state; the new policy takes with 0.1 an action that costs 1, and that the model, which never saw it, thinks pays 1."""
+    """One state; the new policy takes with 0.1 an action that costs 1. The model, which never saw it, thinks that it pays 1."""
     for discount in (0.2, 0.4, 0.9):
         promised = 2 * 0.1 / (1 - discount)
         assert (promised > sharp_full_bound(0.0, 0.1, discount)) == (discount < 0.5)

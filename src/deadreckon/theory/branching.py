@@ -12,8 +12,9 @@ Rewards are known: where the model learns these too, and their error counts in `
 them together: the same action as long as the policies allow it, the same next state as long as the dynamics do. The second and
 the third differ only after the first action in which the policies differed, of probability `policy` a step, or the first wrong
 step of the model. They are the *same* policy, so its distance from the old one is paid once, where the printed proofs of 5.2.1
-and 5.2.2 pay it twice, and never for the last action (in 5.2.3 the only slack is min(t, k) <= k). That gives t (model + policy) for the total variation at time t, and `sharp_*` below,
-which `tight` meets with equality to first order in the errors.
+and 5.2.2 pay it twice, and never for the last action (in 5.2.3 the only slack is min(t, k) <= k). That gives
+t (model + policy) for the total variation at time t, and `sharp_*` below, which `tight` meets with equality to first order in
+the errors.
 """
 
 import math
@@ -138,7 +139,7 @@ def best_length(model: float, policy: float, discount: float) -> float:
 
 
 def sharp_full_bound(model: Any, policy: Any, discount: Any, r_max: Any = 1.0) -> Any:
-    """2 r_max discount (model + policy) / (1 - discount)^2 in place of Theorem 5.2.1; without model error discount / 2 of it."""
+    """2 r_max discount (model + policy) / (1 - discount)^2 for Theorem 5.2.1; without model error discount / 2 of it."""
     _check(discount, model, policy)
     return 2.0 * r_max * discount * (model + policy) / (1.0 - discount) ** 2
 
