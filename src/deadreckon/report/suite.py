@@ -88,7 +88,7 @@ def _bars(table: Table) -> Markup | None:
             spread = _spread(cells)
             rows.append((method, i % SLOTS, Interval(spread.value, spread.low, spread.high), other))
         if any(np.isfinite(spread.mean) for _, _, spread, _ in rows):
-            heading = name if members == [name] else f"{name}: mean of {len(members)}"
+            heading = members[0] if len(members) == 1 else f"{name}: mean of {len(members)}"
             drawn.append(figure(charts.bars(rows, table.metric.words), heading))
     if not drawn:
         return None
