@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from walks import walk
 
 import deadreckon as dr
 import deadreckon.tasks.envs
@@ -31,18 +32,6 @@ roads = pytest.mark.parametrize("task", [RING, MERGE], ids=["ring", "merge"])
 def moves(task, steps, copies, seed=0):
     low, high = np.array(task.action_space.low), np.array(task.action_space.high)
     return np.random.default_rng(seed).uniform(low, high, (steps, copies, len(low))).astype(np.float32)
-
-
-def walk(simulator, actions):
-    """Steps, and resets what is over: all that came out."""
-    out = []
-    for action in actions:
-        *step, terminals, timeouts = simulator.step(action)
-        out += [*step, terminals, timeouts]
-        over = np.flatnonzero(terminals | timeouts)
-        if len(over):
-            out.append(simulator.reset(over))
-    return out
 
 
 def same(ours, theirs):

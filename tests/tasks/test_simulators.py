@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from walks import walk
 
 from deadreckon import tasks
 
@@ -17,18 +18,6 @@ COPIES, STEPS = 40, 30  # enough copies for threads to be worth waking
 
 def forces(task, seed=0, steps=STEPS, copies=COPIES):
     return np.random.default_rng(seed).uniform(-1, 1, (steps, copies, task.action_space.size)).astype(np.float32)
-
-
-def walk(simulator, actions):
-    """Steps, and resets what is over: all that came out, one list of arrays."""
-    out = []
-    for action in actions:
-        *step, terminals, timeouts = simulator.step(action)
-        out += [*step, terminals, timeouts]
-        over = np.flatnonzero(terminals | timeouts)
-        if len(over):
-            out.append(simulator.reset(over))
-    return out
 
 
 def assert_same(ours, theirs):

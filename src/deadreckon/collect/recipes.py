@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from deadreckon.data.catalogue import ENTRIES, VERSION, cached_path, entry
 from deadreckon.data.dataset import Dataset
@@ -19,6 +19,7 @@ from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.tasks.kitchen import Kitchen
 from deadreckon.tasks.maze2d import Maze2D
+from deadreckon.tasks.task import Task
 
 Progress = Callable[[int, int], None]  # rows done, rows in all
 
@@ -224,27 +225,30 @@ for _task in gym_mujoco.TASKS:
             register(_gym(_task, _kind, _summary))
 
 
+def _of_the_catalogue(name: str, task: Task, make: Maker, summary: str) -> Recipe:
+    """The recipe of a log that the catalogue has, with as many rows."""
+    known = entry(name)
+    return Recipe(known.recipe, task.name, known.rows, make, summary)
+
+
 # ---- Flow -------------------------------------------------------------------------------------------------------------
 
 _FLOW = {"random": "accelerations drawn uniformly between the bounds", "controller": "the intelligent driver model"}
 
 
 def _flow(task: Flow, kind: str, summary: str) -> Recipe:
-    def make(
-        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
-    ) -> Dataset:
+    def make(**options: Any) -> Dataset:
         from deadreckon.collect.flow import collect_flow
 
-        options = {"name": name, "steps": steps, "seed": seed, "threads": threads, "scratch": scratch, "progress": progress}
         return collect_flow(task, kind, **options)
 
-    known = entry(f"{task.name}-{kind}-v0")
-    return Recipe(known.recipe, task.name, known.rows, make, summary)
+    return _of_the_catalogue(f"{task.name}-{kind}-v0", task, make, summary)
 
 
 for _task in flow.TASKS:
     for _kind, _summary in _FLOW.items():
         register(_flow(_task, _kind, _summary))
+
 
 # ---- Adroit -----------------------------------------------------------------------------------------------------------
 
@@ -256,17 +260,12 @@ _ADROIT = {
 
 
 def _adroit(task: Adroit, kind: str, summary: str) -> Recipe:
-    def make(
-        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
-    ) -> Dataset:
+    def make(**options: Any) -> Dataset:
         from deadreckon.collect.adroit import collect_adroit
 
-        return collect_adroit(
-            task, kind, name=name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress
-        )
+        return collect_adroit(task, kind, **options)
 
-    known = entry(f"{task.name}-{kind}-v1")
-    return Recipe(known.recipe, task.name, known.rows, make, summary)
+    return _of_the_catalogue(f"{task.name}-{kind}-v1", task, make, summary)
 
 
 for _task in adroit.TASKS:
@@ -284,17 +283,12 @@ _KITCHEN = {
 
 
 def _kitchen(task: Kitchen, summary: str) -> Recipe:
-    def make(
-        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
-    ) -> Dataset:
+    def make(**options: Any) -> Dataset:
         from deadreckon.collect.kitchen import collect_kitchen
 
-        return collect_kitchen(
-            task, name=name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress
-        )
+        return collect_kitchen(task, **options)
 
-    known = entry(f"{task.name}-v0")
-    return Recipe(known.recipe, task.name, known.rows, make, summary)
+    return _of_the_catalogue(f"{task.name}-v0", task, make, summary)
 
 
 for _task in kitchen.TASKS:

@@ -11,23 +11,11 @@ from gymnasium.envs.registration import registry as registered
 
 from deadreckon.tasks import adroit, flow, kitchen, maze2d, registry
 
-for _task in maze2d.TASKS:
-    if _task.gym_id not in registered:
-        register(
-            _task.gym_id,
-            "deadreckon.tasks.maze2d_env:Maze2DEnv",
-            max_episode_steps=_task.horizon,
-            kwargs={"task": _task.name},
-        )
-
-for _task in flow.TASKS:
-    if _task.gym_id not in registered:
-        register(
-            _task.gym_id,
-            "deadreckon.tasks.flow_env:FlowEnv",
-            max_episode_steps=_task.horizon,
-            kwargs={"task": _task.name},
-        )
+for _tasks, _env in ((maze2d.TASKS, "maze2d_env:Maze2DEnv"), (flow.TASKS, "flow_env:FlowEnv")):
+    for _task in _tasks:
+        if _task.gym_id not in registered:
+            where = f"deadreckon.tasks.{_env}"
+            register(_task.gym_id, where, max_episode_steps=_task.horizon, kwargs={"task": _task.name})
 
 for _name, _env in (("ant", "PaddedAntEnv"), ("humanoid", "PaddedHumanoidEnv")):
     _task = registry.task(_name)
