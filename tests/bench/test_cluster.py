@@ -75,10 +75,10 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     def told(event):
         events.append(event)
         # A job may lose three processes before it is given up, so each loses one at most.
-        wanted = event.what == "progress" and event.job.name not in killed and len(killed) < 3 and rng.random() < 0.3
+        wanted = event.what == "progress" and event.program.name not in killed and len(killed) < 3 and rng.random() < 0.3
         if wanted and (victims := at_work()):
             os.kill(rng.choice(victims), signal.SIGKILL)
-            killed.append(event.job.name)
+            killed.append(event.program.name)
 
     store = Store(tmp_path / "ray")
     cluster = Cluster(store.path, nodes)
@@ -88,7 +88,7 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     assert killed
     assert whats.count("died") == len(killed)
     assert whats.count("failed") == 0
-    assert sorted(event.job.name for event in events if event.what == "done") == sorted(job.name for job in jobs)  # each once
+    assert sorted(event.program.name for event in events if event.what == "done") == sorted(job.name for job in jobs)  # each once
 
     here = Store(tmp_path / "local")
     run("small", jobs, here, lambda event: None, Local(here.path, workers=2))
