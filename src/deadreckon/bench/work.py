@@ -27,9 +27,9 @@ def perform(program: Program, folder: Path, watch: Watch = lambda done, total: N
     Returns:
         What was found of each of its jobs.
     """
-    if len(program.jobs) > 1:
+    job, *others = program.jobs
+    if others:
         return _learn_together(program, folder, watch)
-    [job] = program.jobs
     return [{"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job, folder, watch)]
 
 

@@ -9,8 +9,8 @@
     evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
     replay/seedS.bin    online: every environment step, see `collect.online`; the newest checkpoint says how many count
 
-Runs that differ in their settings and share a program are folders like this one side by side, and have their checkpoints together:
-beside them, not in them.
+Runs that share a program because they differ in float settings alone are folders like this one side by side, and have their
+checkpoints together: beside them, not in them.
 """
 
 import contextlib
