@@ -22,7 +22,7 @@ class Bench:
     executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine, or a Ray cluster
     workers: int | None = None  # local: processes; None: one a core, or one for a GPU
     address: str | None = None  # ray: of the cluster; None: RAY_ADDRESS, or one on this machine, else a new one
-    cpus: int = 1  # ray: cores of a job, which is one compiled program
+    cpus: int = 1  # ray: cores of a job
     gpus: float = 0.0  # ray: of a job; a fraction where several share one
     dry_run: bool = False  # print what would be run, and how long it may take, and run nothing
 
