@@ -4,9 +4,9 @@ Each way trains the same agent (TD3+BC, batch 256, networks 256x256) on the same
 seed it makes a second, all seeds together, and how long a process needs before its first update is done (start, imports,
 compiling). Processes are started together and wait for each other before they are timed; on a CPU each has a core of its own.
 
-With --settings N it says instead how long whole runs of N learning rates take, as lanes of one program and one after another in
-one process: start, compiling and checkpoints included, each way in processes of its own, by turns, on a CPU on one core. The first
-repeat compiles for those that follow and is not counted.
+With --settings N it says instead how long whole runs of N learning rates take, as lanes of one program and one after another
+in one process: start, compiling and checkpoints included, each way in processes of its own, by turns, on a CPU on one core.
+The first repeat compiles for those that follow and is not counted.
 """
 
 import argparse

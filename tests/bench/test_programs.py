@@ -14,8 +14,11 @@ from deadreckon.bench.suite import read
 from deadreckon.bench.tables import rendered, tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.tune import suite as tuning
+from deadreckon.bench.tune import tune
 from deadreckon.bench.work import perform
-from deadreckon.cli.bench import _page
+from deadreckon.cli.bench import Lines, _page
+from deadreckon.errors import BusyError
+from deadreckon.files import alone
 from deadreckon.runs.train import load
 
 SUITE = """
@@ -205,3 +208,20 @@ def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):
     [event] = events
     assert str(event.program) == "plain and 2 other settings of td3_bc on no-such-log, seeds 0 to 1"
     assert all("no-such-log" in store.failure(job, seed)["error"] for job in lost for seed in job.seeds)
+
+
+def test_what_another_command_is_at_is_left_to_it(planned, tmp_path, capsys):
+    store, jobs = Store(tmp_path / "out"), planned()
+    [program] = programs(jobs)
+    with alone(store.folder(program)):
+        run("some", jobs, store, Lines(1), Here(store.path))
+    assert "seeds 0 to 1: another command is at it, and it is left to that one" in capsys.readouterr().out
+    assert store.undone(jobs) == jobs
+    assert store.failure(jobs[0], 0) is None
+
+    settings = [{"alpha": 1.0}, {"alpha": 5.0}]
+    asked = tuning("td3_bc", ["maze2d-umaze-v1"], settings, by="simulator", steps=100, seeds=3, rows=600)
+    [program] = programs(plan(asked))
+    choose = {"by": "simulator", "store": store, "executor": Here(store.path), "told": Lines(1)}
+    with alone(store.folder(program)), pytest.raises(BusyError, match="2 of 2 jobs are being done by another command"):
+        tune(asked, settings, **choose)

@@ -107,6 +107,7 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     plain = rendered([shown])
     assert "11.0 [-1.7, 23.7]" in plain
     assert "FAILED: TD3 on maze2d-umaze-v1: out of luck" in plain
+    assert "made with jax 1, mujoco 2" in plain
     assert "3.8" in plain  # the thesis's BC
     assert not shown.cells["TD3"]["maze2d-umaze-v1"].bold
 
@@ -118,8 +119,11 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     assert "FAILED" not in rendered([shown])
     assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered([shown])
 
-    store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1)))
+    newer = made(jobs[1], (50.0, 50.1))
+    newer.rows[1]["versions"] = json.dumps({"deadreckon": "7", "jax": "1.5", "mujoco": "2", "threads": 3})
+    store.keep("small", jobs[1], newer)
     [shown] = tables(suite, jobs, store)
+    assert "made with deadreckon 7, jax 1 and 1.5, mujoco 2\n" in rendered([shown]) + "\n"
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
     assert "**50.0 [49.4, 50.7]**" in rendered([shown], "markdown")
     assert r"\textbf{50.0 [49.4, 50.7]}" in rendered([shown], "latex")

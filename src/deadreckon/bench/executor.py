@@ -3,21 +3,21 @@
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from deadreckon.bench.plan import Job, Program, code, programs
 from deadreckon.bench.store import Found, Store
-from deadreckon.errors import UserError
+from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
 
 TRIES = 3  # of a program whose process dies; what went on until then is on disk and is not done again
 
 
 class Event(NamedTuple):
-    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one a job), `failed` (why) or
-    `died` (and is begun again)."""
+    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one a job), `failed` (why),
+    `elsewhere` (another command is at it) or `died` (and is begun again)."""
 
     what: str
     program: Program
@@ -63,6 +63,8 @@ class Executor(Protocol):
 def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Executor) -> None:
     """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
 
+    What another command is doing in the same folder is told and left to it.
+
     Args:
         suite: name of the suite.
         jobs: all of it.
@@ -87,7 +89,7 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
             elif event.what == "failed":
                 for job in event.program.jobs:
                     store.fail(job, *event.told)
-            else:
+            elif event.what == "done":
                 for job, found in zip(event.program.jobs, event.told, strict=True):
                     store.keep(suite, job, found, event.program.run(job))
             told(event)
@@ -103,7 +105,7 @@ def _judged(event: Event, lost: Counter[str]) -> Event:
 
 
 def attempt(program: Program, planned: str, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
-    """In a worker: does a program, and says how it ended: `done` or `failed`, and what goes with it.
+    """In a worker: does a program, and says how it ended: `done`, `failed` or `elsewhere`, and what goes with it.
 
     Args:
         program: the program.
@@ -116,7 +118,11 @@ def attempt(program: Program, planned: str, path: Path, work: Work, watch: Calla
         return "failed", ("the package's source is another where it would run; install the same there, or run it again", "")
     folder = Store(path).folder(program)
     try:
-        with alone(folder):  # of all that write to it
+        with ExitStack() as held:
+            try:
+                held.enter_context(alone(folder))  # of all that write to it
+            except BusyError:
+                return "elsewhere", None
             return "done", work(program, folder, watch)
     except BrokenPipeError:
         raise

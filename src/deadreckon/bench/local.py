@@ -3,6 +3,7 @@
 import contextlib
 import multiprocessing
 import os
+import warnings
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -119,6 +120,7 @@ def _serve(pipe: Connection, planned: str, cores: list[int], path: Path, work: W
     """The process: on its cores, one program after the other until the pipe is closed."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)  # before anything starts threads
+    warnings.formatwarning = lambda message, *_, **__: f"deadreckon: warning: {message}\n"  # as the command shows its own
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):  # nobody listens any more; what is on disk is gone on with
         while True:
             program: Program = pipe.recv()

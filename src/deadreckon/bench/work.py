@@ -40,7 +40,7 @@ def source(job: Job) -> Path | str:
     if job.on not in recipe_names():
         return job.on
     path = default_path(recipe(job.on), job.rows, 0)
-    with alone(path.with_name(f"{path.name}.wanted"), wait=True):
+    with alone(path.with_name(f"{path.name}.wanted"), f"collects {job.on} already"):
         return collect(job.on, steps=job.rows)
 
 

@@ -143,6 +143,8 @@ class Lines:
             print(f"{self.done} of {self.total}: {event.program}, {seconds:,.0f} s", flush=True)
         elif event.what == "failed":
             print(f"FAILED: {event.program}: {event.told[0]}", flush=True)
+        elif event.what == "elsewhere":
+            print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
         elif event.what == "died":
             print(f"{event.program}: its process ended ({event.told}); it is begun again where it was", flush=True)
 
