@@ -13,12 +13,14 @@ from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import rendered, tables
 from deadreckon.bench.times import forecast
+from deadreckon.bench.tune import _estimated, tune
 from deadreckon.bench.tune import suite as tuning
-from deadreckon.bench.tune import tune
 from deadreckon.bench.work import perform
 from deadreckon.cli.bench import Lines, _page
 from deadreckon.errors import BusyError
 from deadreckon.files import alone
+from deadreckon.ope.coverage import MODEL
+from deadreckon.runs.offline import Judged
 from deadreckon.runs.train import load
 
 SUITE = """
@@ -133,7 +135,7 @@ def test_settings_that_are_tuned_share_a_program():
     assert [program.lanes for program in programs(plan(asked))] == [9]
 
 
-def test_lanes_find_what_cells_find_alone(planned, tmp_path):
+def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
     apart, together = Store(tmp_path / "apart"), Store(tmp_path / "together")
     told = lambda event: None  # noqa: E731
     run("some", planned(lanes=2), apart, told, Here(apart.path))
@@ -180,6 +182,19 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path):
     assert page is not None
     runs = (together.path / "reports" / "some-maze2d-umaze-v1.html").read_text()
     assert all(job.name in runs for job in jobs)
+
+    # Estimates are given to the settings whose policies they are of.
+    def judge(folders, *_, **__):
+        runs = [load(folder) for folder in folders for _ in range(2)]
+        told = [{"name": run.path.name, "run": run.path.name} for run in runs]
+        values = [run.config["agent"]["fields"]["alpha"] for run in runs]
+        return Judged([], None, {"policies": told, "results": [{"value": values}]})
+
+    monkeypatch.setattr("deadreckon.bench.tune.judge", judge)
+    found = {row["cell"]: row for row in together.results().to_pylist()}
+    assert _estimated(jobs, together, found, ["fqe"], MODEL, 0.99, print) == {
+        job.method: [job.settings["alpha"]] * 2 for job in jobs
+    }
 
     # A longer one of as many lanes will take as long a step.
     longer = [dataclasses.replace(job, asked=job.asked | {"steps": 600}) for job in jobs]

@@ -6,6 +6,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.collect import generate
 from deadreckon.report.entries import read
+from deadreckon.runs.recorder import Enough
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}
 X = np.random.default_rng(0).uniform(-1, 1, (20, 4)).astype("f4")
@@ -87,6 +88,16 @@ def test_interrupted_and_resumed_is_the_same_as_unbroken(runs, log, tmp_path):
         assert [repr(f) for f in resumed[name].failures] == [repr(f) for f in run.failures]
         for a, b in zip(resumed[name].policies, run.policies, strict=True):
             np.testing.assert_array_equal(a(X), b(X))
+
+
+def test_a_watcher_that_has_seen_enough_ends_all(log, tmp_path):
+    def watch(progress, steps):
+        if progress.step == 20:
+            raise Enough
+
+    for run in dr.train_together(AGENTS, log, out=tmp_path / "r", watch=watch, **SETTINGS).values():
+        assert run.config["steps"] == 20
+        assert set(run.evaluations["step"].to_pylist()) == {20}
 
 
 def test_what_cannot_share_a_program_is_refused_and_nothing_is_written(log, tmp_path):
