@@ -111,7 +111,8 @@ class Folder:
         before = read_json(self.config)
         longer = before.get("steps", 0) < config["steps"]
         asked = config | {"steps": before.get("steps")} if longer else config
-        if different := differences(before, asked, ("agent", "online", "data", "task", "seeds", "steps", "evaluation")):
+        keys = ("agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")
+        if different := differences(before, asked, keys):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
         return [
             f"{text}: the last bits of the numbers may differ from those of an unbroken run"
