@@ -41,9 +41,9 @@ class Made(NamedTuple):
 
 # Cloned for a moment only, the mazes' runs begin low enough for their snapshots to span something.
 RUNS = {
-    "maze2d-umaze-dense": Made(DAPG(pretrain=30), 50, "planner"),
-    "maze2d-medium-dense": Made(DAPG(pretrain=30), 100, "planner"),
-    "maze2d-large-dense": Made(DAPG(pretrain=30), 100, "planner"),
+    "maze2d-umaze-dense": Made(DAPG(clone_steps=30), 50, "planner"),
+    "maze2d-medium-dense": Made(DAPG(clone_steps=30), 100, "planner"),
+    "maze2d-large-dense": Made(DAPG(clone_steps=30), 100, "planner"),
     "door": Made(DAPG(), 100, "human"),
     "pen": Made(DAPG(hidden=(64, 64)), 100, "expert"),
     "hammer": Made(DAPG(), 100, "expert"),

@@ -7,10 +7,11 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import deadreckon as dr
-from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Actor, fisher_product, log_prob, natural_step
+from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Actor, Cloning, fisher_product, log_prob, natural_step
 from deadreckon.collect.demonstrated import Demonstrated
 from deadreckon.collect.maze2d import demonstrations
 from deadreckon.collect.online import Online
+from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
@@ -119,6 +120,28 @@ def test_without_demonstrations_likelier_are_the_better_actions():
     assert float(digest(low, rows)[0].actor.log_std.min()) >= LOG_STD_MIN
 
 
+def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
+    rng = np.random.default_rng(1)
+    shown = {"observation": jnp.asarray(rng.normal(2.0, 3.0, (50, 3)), jnp.float32),
+             "action": jnp.asarray(rng.uniform(-0.5, 0.5, (50, 2)), jnp.float32)}  # fmt: skip
+    center, spread = jnp.array([0.1, -0.2]), jnp.array([0.3, 0.5])
+    cloning = Cloning(1e-3, center, spread, (4,))
+    clone = cloning.init(SPEC, jax.random.key(0))
+    seen = jnp.asarray(rng.standard_normal((7, 3)), jnp.float32)
+    batch = Batch(observation=seen, action=shown["action"][:7])
+    _, metrics = cloning.update(clone, batch, step=0, key=jax.random.key(1))
+    np.testing.assert_allclose(cloning.means(clone)(seen), clone.net(seen) * spread + center, rtol=1e-5, atol=1e-6)
+    error = (clone.net(seen) - (shown["action"][:7] - center) / spread) ** 2
+    assert float(metrics["behavior_error"]) == pytest.approx(float(error.mean()), rel=1e-5)
+    state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), shown["observation"])
+    means = cloning.means(clone)
+    off = means((shown["observation"] - shown["observation"].mean(0)) / shown["observation"].std(0)) - shown["action"]
+    acting = AGENT.begun(state, means, shown).actor
+    np.testing.assert_allclose(jnp.exp(acting.log_std), jnp.sqrt((off**2).mean(0)), rtol=1e-3)
+    as_shown = AGENT.replace(deviation="demonstrated").begun(state, means, shown).actor
+    np.testing.assert_allclose(jnp.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
+
+
 def test_the_policy_is_the_actor_on_raw_observations():
     rows = block()
     state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), 3.0 + rows["observation"].reshape(-1, 3))
@@ -134,7 +157,7 @@ SETTINGS = Online(copies=4, explore=8, updates_per_step=0.25, block=80)
 
 
 def run(out, steps, shown=None, **fields):
-    agent = DAPG(hidden=(8,), critic_hidden=(8,), batch_size=16, pretrain=300, pretrain_lr=1e-2, **fields)
+    agent = DAPG(hidden=(8,), critic_hidden=(8,), batch_size=16, clone_steps=300, clone_lr=1e-2, **fields)
     return dr.train_online(
         agent, MAZE, steps=steps, settings=SETTINGS, demonstrations=shown, evaluate_every=80, episodes=1, chunk=20,
         out=out, resume=True, threads=1,

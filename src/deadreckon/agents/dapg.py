@@ -10,7 +10,7 @@ with advantages as PPO has them and `k` the steps before. Without demonstrations
 gradient. `collect.demonstrated` makes the blocks.
 """
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -73,8 +73,9 @@ class DAPG(Agent):
     discount: float = 0.995  # per step
     trace: float = 0.97  # lambda of the advantages: 0 trusts the critic, 1 the returns
     lr: float = 1e-3  # learning rate of the critic
-    pretrain: int = static(1000)  # updates that clone the demonstrations before
-    pretrain_lr: float = 1e-3  # learning rate of these
+    clone_steps: int = static(20_000)  # updates that clone the demonstrations before
+    clone_lr: float = 1e-3  # learning rate of these
+    deviation: Literal["residual", "demonstrated"] = static("residual")  # of the clone: of its errors, or of what it was shown
     hidden: tuple[int, ...] = static((32, 32))  # width of each hidden layer of the policy, tanh
     critic_hidden: tuple[int, ...] = static((128, 128))  # of the critic, ReLU
     batch_size: int = static(MINIBATCH)  # rows a batch of the critic
@@ -97,14 +98,21 @@ class DAPG(Agent):
         seen = Moments.none(spec.observation_size)
         return State(actor, critic, begin(critic), seen, Moments.none(), jnp.float32(0.0), told)
 
-    @property
-    def cloning(self) -> "Cloning":
-        """What learns the demonstrations first."""
-        return Cloning(self.pretrain_lr, self.hidden)
-
     def observing(self, state: State, observation: Float[Array, "n o"]) -> State:
         """The state that standardises observations by these from now on."""
         return state._replace(observations=Moments.none(observation.shape[-1]).seeing(observation))
+
+    def begun(self, state: State, net: MLP, shown: dict[str, Array]) -> State:
+        """The state in which the policy is a clone of what was demonstrated.
+
+        Args:
+            state: that standardises observations by the demonstrated ones.
+            net: the clone's means.
+            shown: observations (n, o) and actions (n, a).
+        """
+        error = net(standardised(shown["observation"], state.observations)) - shown["action"]
+        spread = jnp.sqrt(jnp.square(error).mean(0)) if self.deviation == "residual" else shown["action"].std(0)
+        return state._replace(actor=Actor(net, jnp.maximum(jnp.log(spread), LOG_STD_MIN)))
 
     def digest(
         self, state: State, rows: dict[str, Float[Array, "t c *s"]], shown: dict[str, Array] | None = None
@@ -122,9 +130,8 @@ class DAPG(Agent):
         """
         advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.trace)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        seen = state.observations
-        standard = lambda x: (x.reshape(-1, x.shape[-1]) - seen.mean) / seen.deviation  # noqa: E731
-        observation, action = standard(rows["observation"]), rows["action"].reshape(-1, rows["action"].shape[-1])
+        observation, action = (rows[name].reshape(-1, rows[name].shape[-1]) for name in ("observation", "action"))
+        observation = standardised(observation, state.observations)
         weight = self.demonstration_weight * self.demonstration_decay**state.steps * advantage.max()
 
         def gain(actor: Actor) -> Array:
@@ -133,7 +140,8 @@ class DAPG(Agent):
         def augmented(actor: Actor) -> Array:
             if shown is None:
                 return gain(actor)
-            likelihood = log_prob(actor.at(standard(shown["observation"])), shown["action"]).sum()
+            demonstrated = standardised(shown["observation"], state.observations)
+            likelihood = log_prob(actor.at(demonstrated), shown["action"]).sum()
             return gain(actor) + weight * likelihood / len(observation)
 
         old = state.actor
@@ -173,9 +181,17 @@ class Clone(NamedTuple):
 
 
 class Cloning(eqx.Module):
-    """Fits the means to demonstrated actions, by squared errors, as DAPG begins."""
+    """Fits the means to demonstrated actions, by squared errors in units of their deviations.
+
+    Attributes:
+        lr: learning rate.
+        center, spread: (a,) mean and deviation of the demonstrated actions.
+        hidden: width of each hidden layer.
+    """
 
     lr: float
+    center: Array
+    spread: Array
     hidden: tuple[int, ...] = static((32, 32))
 
     def needs(self, spec):
@@ -189,9 +205,21 @@ class Cloning(eqx.Module):
 
     def update(self, state, batch, *, step, key):
         """One step on the mean squared error."""
-        error = lambda net: jnp.square(net(batch.observation) - batch.action).mean()  # noqa: E731
+        wanted = (batch.action - self.center) / self.spread
+        error = lambda net: jnp.square(net(batch.observation) - wanted).mean()  # noqa: E731
         value, grads = jax.value_and_grad(error)(state.net)
         return Clone(*descend(state.net, grads, state.opt, self.lr)), {"behavior_error": value}
+
+    def means(self, state: Clone) -> MLP:
+        """The network to actions as they were demonstrated."""
+        *weights, last = state.net.weights
+        *biases, bias = state.net.biases
+        return MLP((*weights, last * self.spread), (*biases, bias * self.spread + self.center), state.net.activation)
+
+
+def standardised(observation: Float[Array, "n o"], seen: Moments) -> Float[Array, "n o"]:
+    """Observations as the networks take them."""
+    return (observation - seen.mean) / seen.deviation
 
 
 def policy_network(spec: Any, hidden: tuple[int, ...], key: Any) -> MLP:

@@ -6,14 +6,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from deadreckon.agents.dapg import DAPG, Actor
+from deadreckon.agents.dapg import DAPG, Cloning
 from deadreckon.collect.on_policy import OnPolicy, observing
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.view import STD_FLOOR
 from deadreckon.errors import DivergedError
 from deadreckon.training.fit import fit
+from deadreckon.training.learner import lift
 
 
 class Demonstrated(OnPolicy):
@@ -41,21 +43,24 @@ class Demonstrated(OnPolicy):
             return states
         if self.shown is None:
             return observing(learner, states, self.last(self.settings.explore)["observation"])
-        states = _seen_alike(learner, states, self.shared[0]["observation"])
-        net = self._cloned(self.shown, learner) if self.agent.pretrain else states.actor.net
-        spread = jnp.log(jnp.maximum(self.shared[0]["action"].std(0), 1e-3))
-        return states._replace(actor=Actor(net, jnp.broadcast_to(spread, states.actor.log_std.shape)))
+        return _begun(learner, states, *self._cloned(self.shown, learner), self.shared[0])
 
-    def _cloned(self, log: Dataset, learner: Any) -> Any:
-        """(lanes, ...) networks that do as demonstrated."""
-        lanes = [jax.tree.map(lambda leaf, i=i: float(leaf[i]), learner.cloning) for i in range(len(self.seeds))]
-        result = fit(lanes, Rows(log, lanes[0].needs(log.spec)), self.seeds, self.agent.pretrain)
+    def _cloned(self, log: Dataset, learner: Any) -> tuple[Any, Any]:
+        """What cloned each lane's demonstrations, and its states."""
+        action = self.shared[0]["action"]
+        center, spread = action.mean(0), jnp.maximum(action.std(0), STD_FLOOR)
+        lanes = [Cloning(float(lr), center, spread, self.agent.hidden) for lr in learner.clone_lr]
+        result = fit(lanes, Rows(log, lanes[0].needs(log.spec)), self.seeds, self.agent.clone_steps)
         if any(result.failures):
-            raise DivergedError(f"behavior_error: cloning {log.name} gave numbers that are not finite; lower pretrain_lr")
-        return result.states.net
+            raise DivergedError(f"behavior_error: cloning {log.name} gave numbers that are not finite; lower clone_lr")
+        return lift(lanes), result.states
 
 
 @eqx.filter_jit
-def _seen_alike(learner: Any, states: Any, observation: Float[Array, "n o"]) -> Any:
-    """The states of all lanes, which have seen the same observations."""
-    return jax.vmap(lambda agent, state: agent.observing(state, observation))(learner, states)
+def _begun(learner: Any, states: Any, cloning: Any, clones: Any, shown: dict[str, Array]) -> Any:
+    """The states of all lanes, whose policies are clones of what was demonstrated."""
+
+    def one(agent: DAPG, state: Any, cloning: Cloning, clone: Any) -> Any:
+        return agent.begun(agent.observing(state, shown["observation"]), cloning.means(clone), shown)
+
+    return jax.vmap(one)(learner, states, cloning, clones)
