@@ -28,26 +28,27 @@ from deadreckon.runs.publish import Publish, publish
 from deadreckon.tasks.maze2d import Maze2D
 
 BUDGETS = {"full": 200, "cpu": 64}  # episodes an iteration, side by side; DAPG's authors take 200 of Adroit
-SHOWN = 25  # demonstrations
+SHOWN = 25  # demonstrations of the mazes' planner
 
 
 class Made(NamedTuple):
-    """A run: its agent, how many natural gradients it takes, and who shows it how."""
+    """A run. The demonstrations are those of the maze's planner where there is no log of them."""
 
     agent: DAPG
-    iterations: int
-    shown_by: Literal["planner", "human", "expert"]
+    iterations: int  # natural gradients
+    log: str | None = None  # recipe of the demonstrations
+    rows: int | None = None  # of it; None: all
 
 
 # Cloned for a moment only, the mazes' runs begin low enough for their snapshots to span something.
 RUNS = {
-    "maze2d-umaze-dense": Made(DAPG(clone_steps=30), 50, "planner"),
-    "maze2d-medium-dense": Made(DAPG(clone_steps=30), 100, "planner"),
-    "maze2d-large-dense": Made(DAPG(clone_steps=30), 100, "planner"),
-    "door": Made(DAPG(), 100, "human"),
-    "pen": Made(DAPG(hidden=(64, 64)), 100, "expert"),
-    "hammer": Made(DAPG(), 100, "expert"),
-    "relocate": Made(DAPG(), 100, "expert"),
+    "maze2d-umaze-dense": Made(DAPG(clone_steps=30), 50),
+    "maze2d-medium-dense": Made(DAPG(clone_steps=30), 100),
+    "maze2d-large-dense": Made(DAPG(clone_steps=30), 100),
+    "door": Made(DAPG(demonstration_weight=0.01), 100, "door-human-v1"),
+    "pen": Made(DAPG(hidden=(64, 64)), 100, "pen-expert-v1", 2500),
+    "hammer": Made(DAPG(), 100, "hammer-expert-v1", 5000),
+    "relocate": Made(DAPG(), 100, "relocate-expert-v1", 5000),
 }
 
 
@@ -68,11 +69,11 @@ class Options:
 
 def shown(name: str) -> Dataset:
     """The demonstrations of a task's run."""
-    task = dr.tasks.task(name)
-    if isinstance(task, Maze2D):
+    made, task = RUNS[name], dr.tasks.task(name)
+    if made.log is None:
+        assert isinstance(task, Maze2D)
         return demonstrations(task, SHOWN)
-    people = RUNS[name].shown_by == "human"
-    return generate(f"{name}-human-v1") if people else generate(f"{name}-expert-v1", steps=SHOWN * task.horizon)
+    return generate(made.log, steps=made.rows)
 
 
 def settings(name: str, budget: str) -> Online:

@@ -84,7 +84,7 @@ def test_dapg_policies_are_trained_published_and_shown(tmp_path, monkeypatch, ca
     from deadreckon.agents import DAPG
     from deadreckon.policies import library
 
-    small = example.Made(DAPG(hidden=(4,), critic_hidden=(4,), clone_steps=2), 10, "planner")
+    small = example.Made(DAPG(hidden=(4,), critic_hidden=(4,), clone_steps=2), 10)
     monkeypatch.setattr(example, "RUNS", {"maze2d-umaze-dense": small})
     monkeypatch.setattr(example, "BUDGETS", {"cpu": 8})
     place = tmp_path / "library"
