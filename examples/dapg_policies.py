@@ -27,7 +27,8 @@ from deadreckon.policies.library import ROOT, SNAPSHOTS, library, library_tasks
 from deadreckon.runs.publish import Publish, publish
 from deadreckon.tasks.maze2d import Maze2D
 
-BUDGETS = {"full": 200, "cpu": 64}  # episodes an iteration, side by side; DAPG's authors take 200 of Adroit
+# Episodes an iteration, side by side, and what the iterations are divided by; DAPG's authors take 200 of Adroit, 100 times.
+BUDGETS = {"full": (200, 1), "cpu": (96, 2)}
 SHOWN = 25  # demonstrations of the mazes' planner
 
 
@@ -42,9 +43,9 @@ class Made(NamedTuple):
 
 # Cloned for a moment only, the mazes' runs begin low enough for their snapshots to span something.
 RUNS = {
-    "maze2d-umaze-dense": Made(DAPG(clone_steps=30), 50),
-    "maze2d-medium-dense": Made(DAPG(clone_steps=30), 100),
-    "maze2d-large-dense": Made(DAPG(clone_steps=30), 100),
+    "maze2d-umaze-dense": Made(DAPG(clone_steps=30), 40),
+    "maze2d-medium-dense": Made(DAPG(clone_steps=30), 60),
+    "maze2d-large-dense": Made(DAPG(clone_steps=30), 80),
     "door": Made(DAPG(demonstration_weight=0.01), 100, "door-human-v1"),
     "pen": Made(DAPG(hidden=(64, 64)), 100, "pen-expert-v1", 2500),
     "hammer": Made(DAPG(), 100, "hammer-expert-v1", 5000),
@@ -57,7 +58,8 @@ class Options:
     """DAPG on the tasks whose policies DOPE made with it."""
 
     only: tuple[str, ...] = tuple(RUNS)  # of these tasks
-    budget: Literal["full", "cpu"] = "full"  # 200 episodes an iteration, or 64
+    budget: Literal["full", "cpu"] = "full"  # 200 episodes an iteration, or 96 and half the iterations
+    iterations: int | None = None  # of the run, a multiple of ten; None: as declared. A run may go on to more
     train: bool = False  # train what is not trained yet
     publish: bool = False  # write the library and measure it
     episodes: int = 1000  # a policy, with drawn and with mean actions
@@ -78,7 +80,7 @@ def shown(name: str) -> Dataset:
 
 def settings(name: str, budget: str) -> Online:
     """Blocks of whole episodes; before the first, a step of each copy that only says what observations are like."""
-    copies = BUDGETS[budget]
+    copies, _ = BUDGETS[budget]
     block = copies * dr.tasks.task(name).horizon
     return dataclasses.replace(Online(**DAPG.acting(name)), copies=copies, explore=copies, block=block)
 
@@ -88,18 +90,20 @@ def main(options: Options) -> None:
     cache_compiled_programs()
     for name in options.only:
         made, turns = RUNS[name], settings(name, options.budget)
+        iterations = options.iterations or made.iterations // BUDGETS[options.budget][1]
         folder = Path(options.out) / ("dapg-cpu" if options.budget == "cpu" else "dapg")
         folder = folder.with_name(f"{folder.name}-{name}")
-        updates = made.iterations * turns.updates_per_block
+        updates = iterations * turns.updates_per_block
         if options.train:
             with Bar(f"dapg in {name}", updates, "updates") as bar:
                 dr.train_online(
                     made.agent, name, steps=turns.steps(updates), settings=turns, demonstrations=shown(name),
-                    evaluate_every=made.iterations // (SNAPSHOTS - 1) * turns.block, out=folder, resume=True,
-                    chunk=turns.updates_per_block, watch=lambda progress, whole, bar=bar: bar(progress.step, whole),
+                    evaluate_every=turns.block, episodes=5, out=folder, resume=True, chunk=turns.updates_per_block,
+                    watch=lambda progress, whole, bar=bar: bar(progress.step, whole),
                 )  # fmt: skip
         if options.publish:
-            asked = Publish(str(folder), episodes=options.episodes, most=options.most or options.episodes, out=options.library)
+            most = options.most or options.episodes
+            asked = Publish(str(folder), updates=updates, episodes=options.episodes, most=most, out=options.library)
             print(publish(asked, watch=print))
     if options.table:
         print(table(options.only))

@@ -86,7 +86,7 @@ def test_dapg_policies_are_trained_published_and_shown(tmp_path, monkeypatch, ca
 
     small = example.Made(DAPG(hidden=(4,), critic_hidden=(4,), clone_steps=2), 10)
     monkeypatch.setattr(example, "RUNS", {"maze2d-umaze-dense": small})
-    monkeypatch.setattr(example, "BUDGETS", {"cpu": 8})
+    monkeypatch.setattr(example, "BUDGETS", {"cpu": (8, 1)})
     place = tmp_path / "library"
     options = example.Options(
         only=("maze2d-umaze-dense",), budget="cpu", train=True, publish=True, episodes=2, out=str(tmp_path), library=str(place)

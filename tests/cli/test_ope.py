@@ -1,5 +1,7 @@
 """`deadreckon ope` from files to a decision card, and its one-line errors."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,16 @@ def test_bench_on_a_short_log(tmp_path, capsys):
     assert out.rstrip().endswith("report.html")
     for said in ("Rank correlation", "hopper-random-v2@dr1-600-steps", "estimate against true value", "WPDIS", "FQE-L2"):
         assert said in page
+
+
+def test_bench_on_logs_of_other_domains(tmp_path, capsys, home, real_data):
+    place = home / "data" / "adroit"
+    place.mkdir(parents=True)
+    shutil.copy(real_data / "adroit" / "door-v0_demos.pickle", place)
+    options = ["--log-steps", "600", "--out", str(tmp_path / "dope"), *SMALL]
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1,door-human-v1", "--estimators", "fqe", *options]) == 0
+    out = capsys.readouterr().out
+    assert "| maze2d-umaze-dense-v1@dr1-600-steps |" in out
+    assert "| door-human-v1@dr1-600-steps |" in out
+    assert main(["ope", "bench", "--logs", "kitchen-mixed-v0", "--estimators", "fqe", *options]) == 2
+    assert "there are no policies of 'kitchen-mixed'" in capsys.readouterr().err
