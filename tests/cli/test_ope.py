@@ -75,14 +75,20 @@ def test_bench_on_a_short_log(tmp_path, capsys):
         assert said in page
 
 
-def test_bench_on_logs_of_other_domains(tmp_path, capsys, home, real_data):
+def test_bench_on_a_log_by_its_name(tmp_path, capsys):
+    options = ["--log-steps", "600", "--estimators", "fqe", "--out", str(tmp_path / "dope"), *SMALL]
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1", *options]) == 0
+    assert "| maze2d-umaze-dense-v1@dr1-600-steps |" in capsys.readouterr().out
+    assert main(["ope", "bench", "--logs", "kitchen-mixed-v0", *options]) == 2
+    assert "there are no policies of 'kitchen-mixed'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_bench_on_what_people_did(tmp_path, capsys, home, real_data):
     place = home / "data" / "adroit"
     place.mkdir(parents=True)
     shutil.copy(real_data / "adroit" / "door-v0_demos.pickle", place)
-    options = ["--log-steps", "600", "--out", str(tmp_path / "dope"), *SMALL]
-    assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1,door-human-v1", "--estimators", "fqe", *options]) == 0
+    options = ["--log-steps", "600", "--estimators", "fqe", "--out", str(tmp_path / "dope"), *SMALL]
+    assert main(["ope", "bench", "--logs", "door-human-v1", *options]) == 0
     out = capsys.readouterr().out
-    assert "| maze2d-umaze-dense-v1@dr1-600-steps |" in out
     assert "| door-human-v1@dr1-600-steps |" in out
-    assert main(["ope", "bench", "--logs", "kitchen-mixed-v0", "--estimators", "fqe", *options]) == 2
-    assert "there are no policies of 'kitchen-mixed'" in capsys.readouterr().err
