@@ -8,10 +8,12 @@ from jax.flatten_util import ravel_pytree
 
 import deadreckon as dr
 from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Actor, Cloning, fisher_product, log_prob, natural_step
+from deadreckon.cli.main import main
 from deadreckon.collect.demonstrated import Demonstrated
 from deadreckon.collect.maze2d import demonstrations
 from deadreckon.collect.online import Online
 from deadreckon.data.batch import Batch
+from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
@@ -201,6 +203,15 @@ def test_refusals():
         dr.train_online("dapg", "hopper", steps=50_000, demonstrations=demonstrations(MAZE, 1), out="nowhere")
     with pytest.raises(UserError, match="learns by acting in a simulator"):
         DAPG().resolve(demonstrations(MAZE, 1).spec, 10)
+
+
+@pytest.mark.slow
+def test_the_command_takes_demonstrations_from_a_file(tmp_path):
+    write_hdf5(demonstrations(MAZE, 2), tmp_path / "shown.hdf5")
+    words = ["train", "--agent", "dapg", "--online", "--task", MAZE.name, "--demonstrations", str(tmp_path / "shown.hdf5")]
+    sizes = ["--copies", "4", "--explore", "8", "--block", "64", "--steps", "72", "--agent.hidden", "8"]
+    assert main([*words, *sizes, "--agent.clone-steps", "20", "--episodes", "1", "--out", str(tmp_path / "run")]) == 0
+    assert dr.load_run(tmp_path / "run").config["demonstrations"]["rows"] == 2 * MAZE.horizon
 
 
 @pytest.mark.slow
