@@ -15,9 +15,14 @@ Gym-MuJoCo (`--robots`, empty for none), beside Gymnasium, both on all cores:
 - "collect": rows a second of `deadreckon.collect.rollouts.perform` with a 256x256 tanh-Gaussian policy, everything included:
   the policy, its log-densities, and the columns on disk.
 
-The two cannot take the same actions: a policy's follow from what it sees. Raw draws `tanh` of standard normals, much as an
-untrained policy does, and the mean length of an episode is shown for both. `--policy medium` lets one that comes with the
-package act; its episodes are longer than those of raw.
+Robots that are led (`--led`, recipes; `door-expert-v1` too, where DAPG's policies are at hand), beside MuJoCo, on one core:
+
+- "mj_step": a loop of nothing but setting the motors and `mj_step`, through the logged actions, an episode at a time;
+- "collect": rows a second of `deadreckon.collect.generate`, everything included, with one thread.
+
+Of Gym-MuJoCo, the two cannot take the same actions: a policy's follow from what it sees. Raw draws `tanh` of standard
+normals, much as an untrained policy does, and the mean length of an episode is shown for both. `--policy medium` lets one
+that comes with the package act; its episodes are longer than those of raw.
 """
 
 import argparse
@@ -41,7 +46,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 from speed import cpu_model, table
 
-from deadreckon.collect import generate
+from deadreckon.collect import generate, recipe
 from deadreckon.tasks import task
 from deadreckon.tasks.gym_mujoco import TASKS as ROBOTS
 from deadreckon.tasks.maze2d import model
@@ -142,6 +147,44 @@ def mazes(options: argparse.Namespace, cores: int) -> None:
         used = {key: np.divide(found[key], busy[key]) for key in (*raw, ours[0])}
         ratios = ", ".join(f"{statistics.median(used[ours[0]] / used[r]):.2f} of {r}" for r in raw)
         print(f"  {ours[0]}, per second of processor time: {ratios}")
+
+
+# ---- robots that are led ----------------------------------------------------------------------------------------------
+
+
+def stepped(name: str, actions: np.ndarray) -> float:
+    """Steps a second of physics alone through actions (n, size), from the beginning of an episode every horizon."""
+    found = task(name)
+    simulator = found.simulate([0], 1)
+    simulator.reset()
+    compiled, data, skip, parts = simulator._models[0], simulator._data[0], simulator._skip, simulator._parts
+    begin = time.perf_counter()
+    for at, action in enumerate(actions):
+        if at % found.horizon == 0:
+            mujoco.mj_setState(compiled, data, simulator._state[0], parts)
+        simulator._control(data, 0, action)
+        mujoco.mj_step(compiled, data, skip)
+    return len(actions) / (time.perf_counter() - begin)
+
+
+def led(options: argparse.Namespace) -> None:
+    """Measures the recipes and prints it."""
+    for name in options.led:
+        generate(name, steps=10, threads=1)  # compiles
+        shares, calibrations = [], []
+        found: dict[str, list[float]] = {"mj_step": [], "collect": []}
+        for repeat in range(options.repeats):
+            calibrations.append(calibration())
+            begin = time.perf_counter()
+            log = generate(name, steps=options.led_steps, seed=repeat, threads=1)
+            found["collect"].append(len(log) / (time.perf_counter() - begin))
+            found["mj_step"].append(stepped(recipe(name).task, log.actions))
+            shares.append(found["collect"][-1] / found["mj_step"][-1])
+        drift = max(calibrations) / min(calibrations) - 1
+        print(f"{name}: {options.repeats} repeats of {options.led_steps:,} rows; calibration drifts {100 * drift:.0f} %")
+        for key, rates in found.items():
+            print(f"  {key:8s} {statistics.median(rates):9,.0f} steps/s ({min(rates):,.0f} .. {max(rates):,.0f})")
+        print(f"  collect keeps {statistics.median(shares):.2f} of mj_step ({min(shares):.2f} .. {max(shares):.2f})")
 
 
 # ---- Gym-MuJoCo -----------------------------------------------------------------------------------------------------
@@ -282,11 +325,14 @@ def main() -> None:
     parser.add_argument("--mazes", nargs="*", default=["maze2d-umaze", "maze2d-medium", "maze2d-large"])
     parser.add_argument("--robots", nargs="*", default=[robot.name for robot in ROBOTS])
     parser.add_argument("--robot-steps", type=int, default=200_000, help="a repeat")
+    parser.add_argument("--led", nargs="*", default=["antmaze-umaze-v2", "antmaze-large-play-v2", "kitchen-mixed-v0"])
+    parser.add_argument("--led-steps", type=int, default=10_000, help="a repeat")
     parser.add_argument("--policy", default="untrained", help="who collects: untrained, or such as medium or snapshot-05")
     parser.add_argument("--out", type=Path, help="markdown page about the robots (default: print it)")
     options = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
     mazes(options, cores)
+    led(options)
     if options.robots:
         page = robots(options, cores)
         if options.out is None:

@@ -28,6 +28,7 @@ CASES: dict[str, tuple[str, str | None, int | None]] = {
     "iql": ("iql", None, None),
     "awac": ("awac", None, None),
     "rebrac": ("rebrac", None, None),
+    "rebrac-1024": ("rebrac", None, None),  # with the batch that its authors and d3rlpy take
     "cql": ("cql", None, None),
     "bcq": ("bcq", "vae", None),
     "fqe-11": ("fqe", None, None),  # fitted Q evaluation of 11 policies: an update is one of each policy's critic
@@ -49,6 +50,8 @@ def options(case: str, *, batch: int, width: int, threads: int, rows: int = 100_
     peer, behaviour, behaviour_width = CASES[case]
     if peer == "nemo":
         batch, width = NEMO["batch"], NEMO["width"]
+    if case == "rebrac-1024":
+        batch = 1024
     return {
         "case": case,
         "peer": peer,

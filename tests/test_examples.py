@@ -221,3 +221,24 @@ def test_model_returns_measures_and_draws(tmp_path, monkeypatch, capsys, home):
     plain = dr.train_online(dr.agents.SAC(**small), "hopper", out=tmp_path / "sac", **plan)
     with pytest.raises(UserError, match="a run of SAC, which has no model"):
         example.main(example.Options(str(plain.path)))
+
+
+@pytest.mark.slow
+def test_online_table_runs_and_resumes(tmp_path, home):
+    command = [sys.executable, str(ROOT / "examples" / "online_table.py"), "--logs", "maze2d-umaze-v1"]
+    options = {"steps": 10_064, "seeds": 2, "episodes": 2, "out": tmp_path / "runs"}
+    command += [str(word) for name, value in options.items() for word in (f"--{name}", value)]
+    first = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280)
+    assert re.search(r"\| maze2d-umaze \| 10,064 \| .* \| 62.7 \|", first.stdout)
+    again = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert again.stdout == first.stdout
+
+
+@pytest.mark.slow
+def test_pictures_of_mazes(tmp_path, home):
+    command = [sys.executable, str(ROOT / "examples" / "maze_coverage.py"), "--steps", "1500", "--shown", "2"]
+    files = {name: tmp_path / f"{name}.svg" for name in ("trajectories", "coverage")}
+    command += [str(word) for name, path in files.items() for word in (f"--{name}", path)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280).stdout
+    assert len(re.findall(r"-v[12]: \d+% of the free ground", told)) == 6
+    assert [path.read_text().count('class="maze"') for path in files.values()] == [6, 6]

@@ -47,7 +47,7 @@ def test_every_suite_of_the_package_can_be_planned(name):
 
 
 def test_the_thesis_has_suites():
-    assert {"bear", "d4rl-gym", "d4rl-maze2d", "dope", "mbpo", "nemo", "quick"} <= set(names())
+    assert {"bear", "d4rl-gym", "d4rl-maze2d", "d4rl-rest", "dope", "mbpo", "nemo", "quick"} <= set(names())
 
 
 def test_a_plan_holds_settings_presets_and_data(written):

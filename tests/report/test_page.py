@@ -170,3 +170,27 @@ def test_space_time_diagram():
     assert len({y for _, y in re.findall(r"[ML]([\d.]+) ([\d.]+)", paths["speed0"])}) == 1
     assert paths["speed0"].count("L") == 29
     assert "nothing" in charts.spacetime(np.full((3, 1, 2), np.nan), 1.0, [], "none")
+
+
+@pytest.mark.parametrize("name", ["maze2d-medium", "antmaze-medium-play"])
+def test_visits_are_counted_where_they_were(name):
+    task = registry.task(name)
+    middles = task.middles(task.cells)
+    found = maze.visits(task, np.concatenate([middles, middles[:3], (task.walls()[:2, :2] + task.walls()[:2, 2:]) / 2]))
+    assert found.shape == (8 * maze.BINS, 8 * maze.BINS)
+    assert found.sum() == len(task.cells) + 3  # none in walls
+    squares = np.argwhere(found) // maze.BINS
+    np.testing.assert_array_equal(squares, task.cells)
+    np.testing.assert_array_equal(found[found > 0], [2, 2, 2, *[1] * (len(task.cells) - 3)])
+    drawn = maze.density(task, found, "t")
+    assert drawn.count("v10h-10Z") == len(task.cells)
+
+
+def test_an_ant_maze_is_drawn_as_its_layout_is_written():
+    task = registry.task("antmaze-umaze")
+    svg = maze.picture(task, [np.array([[0.0, 0.0], [8.0, 0.0]])], [0], "t", True)
+    start = re.search(r'cx="([\d.]+)" cy="([\d.]+)" r="5.5"', svg).groups()
+    finish = re.search(r'cx="([\d.]+)" cy="([\d.]+)" r="3.5"', svg).groups()
+    # From the top left free cell two cells to the right.
+    assert [float(x) for x in start] == [48.0, 48.0]
+    assert [float(x) for x in finish] == [168.0, 48.0]

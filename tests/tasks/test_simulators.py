@@ -9,8 +9,8 @@ from walks import walk
 from deadreckon import tasks
 
 # Horizons so short that some copies' episodes end with every task; hopper and ant fall, and pens drop, before that, too.
-HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7, "pen": 22,
-            "relocate": 11}  # fmt: skip
+HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7, "pen": 22, "antmaze-umaze": 8,
+            "ant-reach": 13, "relocate": 11}  # fmt: skip
 WORLDS = {name: replace(tasks.task(name), horizon=horizon) for name, horizon in HORIZONS.items()}
 every = pytest.mark.parametrize("task", WORLDS.values(), ids=WORLDS)
 COPIES, STEPS = 40, 30  # enough copies for threads to be worth waking

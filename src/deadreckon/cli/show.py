@@ -47,8 +47,8 @@ def tasks(args: Sequence[str]) -> None:
         rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
-    print("and Flow.")
-    _logs([task for task in found if task.domain in ("adroit", "kitchen", "flow")])
+    print("and Flow; AntMaze's 100 is to arrive every time.")
+    _logs([task for task in found if task.domain in ("antmaze", "adroit", "kitchen", "flow")])
     hard = {task.domain: task for task in found if task.properties}
     rows = [[domain, ", ".join(task.properties), task.source] for domain, task in hard.items()]
     if rows:

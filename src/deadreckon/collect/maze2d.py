@@ -4,13 +4,12 @@ The controller remembers which waypoints it has reached, so the behaviour that i
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from deadreckon._version import __version__
-from deadreckon.collect.planner import next_cells
+from deadreckon.collect.planner import routes
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.tasks.maze2d import OFFSET, START_NOISE, Maze2D
@@ -20,11 +19,6 @@ NEAR = 0.1  # a waypoint or target counts as reached within this distance
 MAX_STREAMS = 500  # environments side by side; part of the recipe, so that data does not depend on the machine
 MIN_STREAM = 2_000  # a short log has fewer streams instead of ones too short to get anywhere
 _BLOCK = 50  # steps kept in a small buffer before they go to the log, whose rows lie far apart
-
-
-@lru_cache
-def _routes(layout_bytes: bytes, shape: tuple[int, int]) -> np.ndarray:
-    return next_cells(np.frombuffer(layout_bytes, bool).reshape(shape))
 
 
 class Pursuit:
@@ -53,7 +47,7 @@ class Pursuit:
         self._generator = generator
         self._patience = patience
         self._fixed = fixed
-        self._next = _routes(task.grid.tobytes(), task.grid.shape)
+        self._next = routes(task.grid)
         self.target = np.zeros((copies, 2), np.float32)
         self._aim = np.zeros((copies, 2), np.float32)  # the waypoint being followed
         self._cell = np.zeros(copies, int)  # the cell it belongs to

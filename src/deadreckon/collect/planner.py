@@ -1,6 +1,18 @@
 """Shortest ways through a grid, for all goals at once, by Q-iteration (thesis 7.3: "a planner that generates waypoints")."""
 
+from functools import lru_cache
+
 import numpy as np
+
+
+def routes(grid: np.ndarray) -> np.ndarray:
+    """What `next_cells` says of a grid, planned once."""
+    return _planned(grid.tobytes(), grid.shape)
+
+
+@lru_cache
+def _planned(grid: bytes, shape: tuple[int, int]) -> np.ndarray:
+    return next_cells(np.frombuffer(grid, bool).reshape(shape))
 
 
 def next_cells(grid: np.ndarray, *, iterations: int = 50, discount: float = 0.99) -> np.ndarray:

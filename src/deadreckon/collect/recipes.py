@@ -13,8 +13,9 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import adroit, flow, gym_mujoco, kitchen, maze2d, registry
+from deadreckon.tasks import adroit, antmaze, flow, gym_mujoco, kitchen, maze2d, registry
 from deadreckon.tasks.adroit import Adroit
+from deadreckon.tasks.antmaze import AntMaze
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.tasks.kitchen import Kitchen
@@ -293,3 +294,25 @@ def _kitchen(task: Kitchen, summary: str) -> Recipe:
 
 for _task in kitchen.TASKS:
     register(_kitchen(_task, _KITCHEN[_task.name.removeprefix("kitchen-")]))
+
+
+# ---- AntMaze ----------------------------------------------------------------------------------------------------------
+
+_ANTMAZE = {
+    "play": "a planner's waypoints to hand-picked cells, one after the other, from anywhere; a walker with noise",
+    "diverse": "a planner's waypoints to random cells, one after the other, from anywhere; a walker with noise",
+}
+
+
+def _antmaze(task: AntMaze) -> Recipe:
+    def make(**options: Any) -> Dataset:
+        from deadreckon.collect.antmaze import collect_antmaze
+
+        return collect_antmaze(task, **options)
+
+    summary = _ANTMAZE.get(task.name.rsplit("-", 1)[1], "a planner's waypoints from the start to the goal; a walker with noise")
+    return _of_the_catalogue(f"{task.name}-v2", task, make, summary)
+
+
+for _task in antmaze.TASKS:
+    register(_antmaze(_task))

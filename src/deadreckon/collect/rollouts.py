@@ -32,17 +32,36 @@ FLUSH = 4096  # rows that are kept in memory before they go to the disk
 COLUMNS: tuple[str, ...] = ("observations", "actions", "rewards", "terminals", "timeouts", "behavior_log_probs")
 
 
+class Guide:
+    """Acts by what it remembers of each copy's episode, so that the behaviour that is logged is not Markovian.
+
+    Attributes:
+        columns: what it tells beside its actions: name of the log's column to shape of a row.
+    """
+
+    columns: dict[str, tuple[int, ...]]
+
+    def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
+        """An episode begins in a copy; all that is random in it comes from this generator."""
+        raise NotImplementedError
+
+    def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Actions (copies, size) and rows of `columns`, of which only those of the copies `running` (indices) count."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
 class Act:
     """Who acts for how many rows.
 
     Attributes:
         policy: draws its actions; None draws them uniformly between the bounds. A function of (n, *shape) observations takes
-            one action in each, whose density there is none of: the log then has no column `behavior_log_probs`.
+            one action in each, whose density there is none of: the log then has no column `behavior_log_probs`. So it is with
+            a `Guide`, whose columns the log has, too; it acts alone.
         rows: of the log.
     """
 
-    policy: Deployed | Callable[[np.ndarray], np.ndarray] | None
+    policy: Deployed | Callable[[np.ndarray], np.ndarray] | Guide | None
     rows: int
 
 
@@ -76,7 +95,9 @@ def perform(
     Raises:
         UserError: `scratch` holds the beginning of another log, or cannot be written.
     """
-    stage = _Stage(scratch, task, asked_for(name, seed, [act.rows for act in acts], provenance))
+    guide = acts[0].policy
+    kinds = column_kinds(task, guide if isinstance(guide, Guide) else None)
+    stage = _Stage(scratch, task, kinds, asked_for(name, seed, [act.rows for act in acts], provenance))
     _perform(task, acts, stage, seed, threads, progress)
     return stage.log(name, provenance, densities=all(_drawn(act.policy) for act in acts))
 
@@ -156,7 +177,7 @@ class _Scene:
         self.low, self.high = (np.asarray(side, np.float32) for side in (task.action_space.low, task.action_space.high))
         self.episode, self.age = np.full(COPIES, -1), np.zeros(COPIES, int)
         self.seen = np.zeros((COPIES, *task.observation_shape), np.float32)
-        kinds = column_kinds(task)
+        kinds = column_kinds(task, policy if isinstance(policy, Guide) else None)
         self.columns = {key: np.zeros((COPIES, task.horizon, *shape), dtype) for key, (shape, dtype) in kinds.items()}
 
     def play(self, first: int, rows: int, wanted: int, progress: Callable[[int], None] | None) -> Iterator["list[Episode]"]:
@@ -198,21 +219,31 @@ class _Scene:
         numbers = first + np.arange(len(which))
         seeds = [int(np.random.SeedSequence([*self.seed, int(n)]).generate_state(1, np.uint64)[0]) for n in numbers]
         self.seen[which] = self.simulator.reset(which, seeds)
+        if isinstance(self.policy, Guide):
+            for copy, number in zip(which, numbers):
+                generator = np.random.default_rng([*self.seed, int(number), 1])
+                self.policy.begin(self.simulator, int(copy), self.seen[copy], generator)
         self.episode[which], self.age[which] = numbers, 0
 
     def _step(self) -> Iterator[tuple[int, "Episode"]]:
         """One step of all copies; gives the numbers and rows of the episodes that ended with it."""
         alive = np.flatnonzero(self.episode >= 0)
+        told: dict[str, np.ndarray] = {}
         if _drawn(self.policy):
             # Always the same number of rows, so that one compiled program serves.
             where = jnp.asarray(self.episode), jnp.asarray(self.age)
             drawn = _draw(self.policy, jnp.asarray(self.seen), self.root, *where, self.low, self.high)
             actions, log_probs = np.array(drawn[0]), np.asarray(drawn[1])
         else:
-            actions, log_probs = np.array(self.policy(self.seen), np.float32), np.full(COPIES, np.nan, np.float32)
+            if isinstance(self.policy, Guide):
+                actions, told = self.policy.act(self.seen, alive)
+            else:
+                actions = self.policy(self.seen)
+            actions, log_probs = np.array(actions, np.float32), np.full(COPIES, np.nan, np.float32)
         actions[self.episode < 0] = 0.0
         seen, rewards, terminals, timeouts = self.simulator.step(actions)
-        for key, part in zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs)):
+        parts = dict(zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs))) | told
+        for key, part in parts.items():
             self.columns[key][alive, self.age[alive]] = part[alive]
         self.seen = seen
         self.age[alive] += 1
@@ -235,10 +266,11 @@ class Episode(NamedTuple):
         return len(self.columns["rewards"])
 
 
-def column_kinds(task: Task) -> dict[str, tuple[tuple[int, ...], Any]]:
-    """Shape and dtype of a row of each of `COLUMNS`."""
+def column_kinds(task: Task, guide: Guide | None = None) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Shape and dtype of a row of each of `COLUMNS`, and of what a guide tells."""
     kinds = (task.observation_shape, np.float32), ((task.action_space.size,), np.float32), ((), np.float32), ((), bool)
-    return dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
+    known = dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
+    return known | {key: (shape, np.float32) for key, shape in (guide.columns if guide else {}).items()}
 
 
 def asked_for(name: str, seed: int, rows: list[int], provenance: Provenance) -> dict[str, Any]:
@@ -263,11 +295,11 @@ def same_collection(scratch: Path, asked: dict[str, Any]) -> None:
 class _Stage:
     """Columns that grow on disk: a raw file each, and a JSON file that says how many rows of them count."""
 
-    def __init__(self, folder: Path, task: Task, asked: dict[str, Any]):
+    def __init__(self, folder: Path, task: Task, kinds: dict[str, tuple[tuple[int, ...], Any]], asked: dict[str, Any]):
         self.folder, self.task = folder, task
         self.rows, self.finals = 0, 0
         self.episodes: list[int] = []
-        self.kinds = {**column_kinds(task), "final_observations": (task.observation_shape, np.float32)}
+        self.kinds = {**kinds, "final_observations": (task.observation_shape, np.float32)}
         same_collection(folder, asked)
         if self._state.exists():
             found = read_json(self._state)
@@ -291,7 +323,7 @@ class _Stage:
             parts.append(part)
             finals.append(final)
             room -= length
-        for key in COLUMNS:
+        for key in parts[0]:
             self._write(key, np.concatenate([part[key] for part in parts]), self.rows)
         self._write("final_observations", np.stack(finals), self.finals)
         self.rows += sum(len(part["rewards"]) for part in parts)

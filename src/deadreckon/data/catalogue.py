@@ -115,6 +115,25 @@ def _kitchen(kind: str) -> Entry:
     return Entry(name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", None)
 
 
+# D4RL's own words for the mazes in the names of its files.
+_ANT_FILES = {"umaze": "u-maze", "medium": "big-maze", "large": "hardest-maze"}
+
+
+def _antmaze(maze: str, kind: str) -> Entry:
+    name = "-".join(filter(None, ("antmaze", maze, kind)))
+    several = f"multistart_{kind != ''}_multigoal_{kind == 'diverse'}_sparse"
+    words = _ANT_FILES.get(maze)  # D4RL lists no files of the evaluation mazes
+    file = f"ant_maze_v2/Ant_maze_{words}_noisy_{several}_fixed.hdf5" if words else None
+    return Entry(f"{name}-v2", "antmaze", name, f"{name}-v2", 1_000_000, file, None, controller="planner")
+
+
+_ANTS = tuple(
+    (f"{split}{maze}", kind)
+    for split in ("", "eval-")
+    for maze, kinds in (("umaze", ("", "diverse")), ("medium", ("play", "diverse")), ("large", ("play", "diverse")))
+    for kind in kinds
+)
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
@@ -124,6 +143,7 @@ ENTRIES: dict[str, Entry] = {
         *(_flow(road, kind) for road in ("ring", "merge") for kind in ("random", "controller")),
         *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
         *map(_kitchen, _KITCHEN),
+        *(_antmaze(maze, kind) for maze, kind in _ANTS),
     )
 }
 

@@ -9,7 +9,7 @@ from deadreckon.report.parts import figure, legend, note, unit_of
 from deadreckon.report.rows import behavior, to_score
 from deadreckon.runs.evaluate import Interval
 from deadreckon.tasks.flow import Flow
-from deadreckon.tasks.maze2d import Maze2D
+from deadreckon.tasks.mazes import Maze
 
 EXPLODED = 20.0  # estimates this many times beyond every return are shown on a logarithmic axis
 DISTANCES = (("mmd_to_data", "MMD to the log", 1.0), ("outside_range", "% of actions outside the log's range", 100.0))
@@ -153,7 +153,7 @@ def trajectories(page: Page) -> Markup | None:
     task = page.task
     if isinstance(task, Flow):
         return _roads(page, task)
-    if not isinstance(task, Maze2D):
+    if not isinstance(task, Maze):
         return None
     figures = []
     stretches = next((e.segments for e in page.entries if e.segments is not None), None)
@@ -179,7 +179,7 @@ def trajectories(page: Page) -> Markup | None:
     return join(
         tag("div", figures, class_="mazes"),
         note(
-            "From above; x runs down, y to the right. Star: goal, with the circle inside which a step is rewarded. An agent's "
+            "From above, as the layout is written. Star: goal, with the circle inside which a step is rewarded. An agent's "
             f"panel has the first episodes of the last evaluation (first seed), ring: start, dot: end.{of_log}"
         ),
     )

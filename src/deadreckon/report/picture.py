@@ -101,7 +101,7 @@ def style() -> Markup:
     """The page's colours and the rules for charts, in light: a document's paper is white."""
     css = resources.files("deadreckon.report").joinpath("assets", "page.css").read_text()
     root = css[css.index("--back") : css.index("}")]
-    drawn = re.compile(r"\.(s\d|car|speed\d|own|chart|grid|cursor|reference|line|band|marker|end)\b")
+    drawn = re.compile(r"\.(s\d|car|speed\d|own|chart|grid|cursor|reference|line|band|marker|end|floor|way|reach|visited)\b")
     rules = [line for line in css.splitlines() if drawn.match(line)]
     own = (
         f"svg {{ {root} font-family: system-ui, sans-serif; }} .back {{ fill: var(--card); }} "

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from deadreckon.report.entries import Page
 from deadreckon.report.rows import Difference, Row, log_row, rows, versus
 from deadreckon.report.text import brackets, number, percent, score, words
-from deadreckon.tasks.maze2d import Maze2D
+from deadreckon.tasks.mazes import Maze
 
 
 @dataclass(frozen=True)
@@ -125,12 +125,13 @@ def _beaten(page: Page, judged: list[Row], cloning: Row | None, log: Row | None)
 def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
     assert best.entry is not None
     out = []
-    undirected = isinstance(page.task, Maze2D) and bool(best.entry.config["data"].get("provenance", {}).get("recipe"))
+    directed = not isinstance(page.task, Maze) or "undirected data" not in page.task.properties
+    undirected = not directed and bool(best.entry.config["data"].get("provenance", {}).get("recipe"))
     level = f" (the logged behaviour is worth {score(log.worth.mean)})" if log and log.worth else ""
     if undirected:
         out.append(
-            f"The log drives the ball to goals drawn at random, so most of it leads elsewhere{level}. Cloning repeats the "
-            f"average of all goals and is worth {score(cloning.worth.mean if cloning.worth else None)}."
+            f"The log goes to goals of its own, most of them not the task's, so much of it leads elsewhere{level}. Cloning "
+            f"repeats the average of all goals and is worth {score(cloning.worth.mean if cloning.worth else None)}."
         )
     if best.mmd is not None and cloning.mmd is not None:
         far = "further from" if best.mmd > cloning.mmd else "no further from"

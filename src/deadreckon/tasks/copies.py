@@ -37,7 +37,7 @@ class MujocoCopies:
         """
         self.task, copies = task, len(seeds)
         self._starts = Starts(seeds, self._draw)
-        self._mujoco = mujoco = importlib.import_module("mujoco")
+        self._mujoco = mujoco = bindings()
         # Waking a thread costs more than a copy or two take.
         threads = min(thread_count(threads, task.name), max(1, copies // 4))
         self._model, self._skip = model, frame_skip
@@ -188,9 +188,26 @@ def load_model(package: str, file: str) -> Any:
     Raises:
         UserError: the package is not installed.
     """
+    return bindings().MjModel.from_xml_path(str(asset(package, file)))
+
+
+def asset(package: str, file: str) -> Path:
+    """Where a file of an installed package lies.
+
+    Args:
+        package: such as `gymnasium`.
+        file: below the package's folder.
+
+    Raises:
+        UserError: the package is not installed.
+    """
     # The assets lie beside the package's code; the code itself is not loaded, it would cost every command 150 ms and more.
     found = importlib.util.find_spec(package)
     if found is None or not found.submodule_search_locations:
         raise UserError(f"{package.replace('_', '-')} is not installed; it holds the bodies of these robots")
-    path = Path(found.submodule_search_locations[0]) / file
-    return importlib.import_module("mujoco").MjModel.from_xml_path(str(path))
+    return Path(found.submodule_search_locations[0]) / file
+
+
+def bindings() -> Any:
+    """The module `mujoco`, loaded when first needed; untyped, because type checkers cannot see into its compiled part."""
+    return importlib.import_module("mujoco")

@@ -8,7 +8,6 @@ One difference is known: here and in D4RL's environment the reward of a step loo
 published *logs* rewards were computed again from the observation before the step, so their columns are one step late.
 """
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -17,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.errors import UserError
-from deadreckon.tasks.task import Reference, Starts, Task, checked_actions, thread_count
+from deadreckon.tasks.copies import bindings
+from deadreckon.tasks.mazes import Maze
+from deadreckon.tasks.task import Reference, Starts, checked_actions, thread_count
 
 RADIUS = 0.1  # of the ball
 OFFSET = 0.2  # a cell's middle lies this much below (row, column), in both coordinates
-REACH = 0.5  # sparse reward within this distance of the goal
 MAX_SPEED = 5.0  # velocities are clipped to this before each step; one seen after it may be larger
 START_NOISE = 0.1  # half-width of the start's uniform position noise, and standard deviation of its velocity
 
@@ -39,61 +38,37 @@ LAYOUTS = {
 
 
 @dataclass(frozen=True)
-class Maze2D(Task):
+class Maze2D(Maze):
     """A Maze2D task. Observations are [x, y, x velocity, y velocity]; actions are two forces; no state is terminal.
 
     Attributes:
-        layout: rows of the maze from the top, joined by "/": "#" wall, "O" free, "G" the goal (free too).
         dense: reward exp(-distance to the goal) instead of 1 within 0.5 of it and 0 elsewhere.
     """
 
-    layout: str = ""
     dense: bool = False
-
-    def __post_init__(self):
-        rows = self.layout.split("/")
-        # A border that leaks would let the ball roll away for ever.
-        closed = set(rows[0] + rows[-1] + "".join(row[:1] + row[-1:] for row in rows)) == {"#"}
-        if len({len(row) for row in rows}) != 1 or set(self.layout) - set("#OG/") or self.layout.count("G") != 1 or not closed:
-            raise UserError(f"{self.name}: layout needs equal rows of '#', 'O' and one 'G', closed by '#', got {self.layout!r}")
-
-    @cached_property
-    def grid(self) -> np.ndarray:
-        """(rows, columns) bool, True where a cell is free."""
-        return np.array([[cell != "#" for cell in row] for row in self.layout.split("/")])
-
-    @cached_property
-    def cells(self) -> np.ndarray:
-        """(cells, 2) int row and column of each free cell, which are also its x and y; the goal's is among them."""
-        return np.argwhere(self.grid)
 
     @cached_property
     def goal(self) -> np.ndarray:
         """(2,) float32 position of the goal."""
-        flat = self.layout.replace("/", "").index("G")
-        return np.array(divmod(flat, self.grid.shape[1]), np.float32)
+        return self.marked("G").astype(np.float32)
 
-    def walls(self) -> np.ndarray:
-        """(walls, 4) x low, y low, x high, y high of each wall box, in the observations' coordinates, for pictures."""
-        middle = np.argwhere(~self.grid) - OFFSET
-        return np.hstack([middle - 0.5, middle + 0.5])
+    def goal_place(self) -> np.ndarray:
+        """See `Maze`."""
+        return self.goal
 
-    def cell_of(self, positions: np.ndarray) -> np.ndarray:
-        """(n,) index into `cells` of the cell that each of (n, 2) positions is in, -1 inside a wall."""
-        row, column = np.rint(positions + OFFSET).astype(int).T
-        return self._index[row, column]
+    def middles(self, cells: np.ndarray) -> np.ndarray:
+        """See `Maze`."""
+        return cells - OFFSET
 
-    @cached_property
-    def _index(self) -> np.ndarray:
-        index = np.full(self.grid.shape, -1)
-        index[self.grid] = np.arange(len(self.cells))
-        return index
+    def grid_places(self, positions: np.ndarray) -> np.ndarray:
+        """See `Maze`."""
+        return positions + OFFSET
 
     def rewards(self, observations: np.ndarray) -> np.ndarray:
         """(n,) float32 rewards of the steps that led to (n, 4) float32 observations."""
         away = observations[..., :2] - self.goal
         distance = np.sqrt(np.square(away[..., 0]) + np.square(away[..., 1]))
-        return np.exp(-distance) if self.dense else (distance <= REACH).astype(np.float32)
+        return np.exp(-distance) if self.dense else (distance <= self.reach).astype(np.float32)
 
     def start(self, generator: np.random.Generator) -> np.ndarray:
         """(4,) float64 position and velocity of a new episode: any free cell, the goal's too."""
@@ -182,11 +157,6 @@ class MazeSimulator:
             state=self._after, sensordata=self._sensors, chunk_size=self._chunk,
         )  # fmt: skip
         return self._moving.astype(np.float32)
-
-
-def bindings() -> Any:
-    """The module `mujoco`, loaded when first needed; untyped, because type checkers cannot see into its compiled part."""
-    return importlib.import_module("mujoco")
 
 
 @lru_cache

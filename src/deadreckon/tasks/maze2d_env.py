@@ -7,7 +7,8 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.tasks import registry
-from deadreckon.tasks.maze2d import MAX_SPEED, Maze2D, bindings, model
+from deadreckon.tasks.copies import bindings
+from deadreckon.tasks.maze2d import MAX_SPEED, Maze2D, model
 
 
 class Maze2DEnv(gymnasium.Env[np.ndarray, np.ndarray]):

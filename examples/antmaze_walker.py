@@ -1,0 +1,78 @@
+"""The walker of the AntMaze logs: how it was trained, shipped and judged.
+
+    python examples/antmaze_walker.py --train                 (45 minutes on a core; goes on where it was stopped)
+    python examples/antmaze_walker.py --publish 260416        (ships the policy that was kept after so many updates)
+    python examples/antmaze_walker.py --judge                 (how many of its errands in mazes it does)
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+import deadreckon as dr
+from deadreckon.agents.sac import SAC
+from deadreckon.cli.main import cache_compiled_programs
+from deadreckon.cli.progress import Bar
+from deadreckon.collect.antmaze import WALKER, errands
+from deadreckon.collect.online import Online
+from deadreckon.files import read_json, write_json
+from deadreckon.policies import store
+from deadreckon.runs.folder import Folder
+from deadreckon.tasks.antmaze import REACH_TASK, TASKS
+
+STEPS = 540_000  # environment steps
+SETTINGS = Online(updates_per_step=0.5)
+AGENT = SAC(batch_size=128, target_entropy=-4.0)
+
+
+@dataclass
+class Options:
+    """Online SAC on open ground, for AntMaze."""
+
+    train: bool = False  # train what is not trained yet
+    publish: int | None = None  # ship the policy after so many updates
+    judge: bool = False  # send it through the mazes
+    episodes: int = 100  # of open ground and of each maze
+    out: str = "runs/sac-ant-reach"  # the run
+
+
+def main(options: Options) -> None:
+    """Does what is asked for, in this order: train, publish, judge."""
+    cache_compiled_programs()
+    if options.train:
+        with Bar("sac in ant-reach", SETTINGS.updates(STEPS), "updates") as bar:
+            dr.train_online(
+                AGENT, REACH_TASK.name, steps=STEPS, settings=SETTINGS, evaluate_every=20_000, episodes=20, out=options.out,
+                resume=True, watch=lambda progress, updates: bar(progress.step, updates),
+            )  # fmt: skip
+    if options.publish is not None:
+        publish(options)
+    if options.judge:
+        for task in TASKS:
+            sent, arrived, ended, flipped = errands(task, episodes=options.episodes)
+            said = f"{task.name}: {sent} errands, {arrived / sent:.0%} done; of {options.episodes} episodes {ended:.0%} end"
+            print(f"{said} at the task's goal, {flipped:.0%} on the back", flush=True)
+
+
+def publish(options: Options) -> None:
+    """Writes the policy and, beside it, how it was made and what it earns on open ground."""
+    folder = Folder(Path(options.out))
+    config, updates = read_json(folder.config), options.publish
+    assert updates is not None
+    meta = {"task": REACH_TASK.name, "updates": updates, "agent": "sac"}
+    store.save(WALKER, store.load(folder.policy(0, updates)), meta, half=True)
+    earned = dr.evaluate(store.load(WALKER), REACH_TASK.name, episodes=options.episodes, seed=1_000_000).returns[0]
+    about = {
+        "task": REACH_TASK.name, "agent": config["agent"]["fields"], "online": config["online"], "seeds": config["seeds"],
+        "updates": updates, "environment_steps": SETTINGS.steps(updates), "versions": config["versions"],
+        "return": {"episodes": len(earned), "mean": float(earned.mean()),
+                   "error": float(earned.std(ddof=1) / np.sqrt(len(earned)))},
+    }  # fmt: skip
+    write_json(WALKER.with_suffix(".json"), about)
+    print(WALKER, about["return"])
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

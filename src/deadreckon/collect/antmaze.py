@@ -1,0 +1,186 @@
+"""How the AntMaze logs are made: a planner's waypoints, followed by an ant that walks where it is told (thesis 7.3, D.7).
+
+The guide remembers which waypoints it has reached, so the behaviour that is logged is not Markovian.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon._version import __version__
+from deadreckon.collect.planner import routes
+from deadreckon.collect.rollouts import COPIES, Act, Guide, perform
+from deadreckon.data.catalogue import VERSION
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.policies import library, store
+from deadreckon.policies.policy import Deployed, first_actions
+from deadreckon.tasks.antmaze import GOAL_NOISE, AntMaze, ahead
+
+NOISE = 0.2  # standard deviation of the noise on the walker's actions
+NEAR = 1.0  # m, within which a waypoint counts as reached
+
+
+WALKER = library.ROOT / "ant-reach" / "walker.npz"
+
+
+@lru_cache
+def walker() -> Deployed:
+    """The policy that walks where it is told: of what `ahead` shows (27) to the motors (8).
+
+    Trained by SAC in the task `ant-reach` and shipped by `examples/antmaze_walker.py`; beside it lies how it was made.
+    """
+    return store.load(WALKER)
+
+
+class Errands(Guide):
+    """Sends the ants of many copies of one maze from target to target, by way of the cells that the planner names.
+
+    Attributes:
+        columns: `goal`, the target that each row's action heads for.
+        sent, arrived: how many targets there were in all copies, and how many were reached.
+    """
+
+    def __init__(self, task: AntMaze, policy: Deployed, *, copies: int = COPIES, noise: float = NOISE):
+        """Sets up the guide.
+
+        Args:
+            task: the maze; its name says where the ants are sent: to the episode's goal (neither play nor diverse), to picked
+                cells (play), or anywhere (diverse).
+            policy: see `walker`.
+            copies: of the maze.
+            noise: standard deviation of what is added to the walker's mean actions, which are then cut to ±1.
+        """
+        self.columns = {"goal": (2,)}
+        self._task, self._policy, self._noise = task, policy, noise
+        self._next = routes(task.grid)
+        kind = task.name.rsplit("-", 1)[1]
+        cells = {"play": task.cell_of(task.middles(np.array(task.picked))), "diverse": np.arange(len(task.cells))}
+        self._targets = cells.get(kind)
+        self._generators = [np.random.default_rng(0)] * copies
+        self.target = np.zeros((copies, 2))
+        self._aim = np.zeros((copies, 2))  # the waypoint that is headed for
+        self._cell = np.zeros(copies, int)  # the cell that it lies in
+        self._left = np.zeros(copies, int)  # the cell before that
+        self._goal = np.zeros(copies, int)  # the target's cell
+        self.sent = self.arrived = 0
+
+    @property
+    def wanders(self) -> bool:
+        """Whether ants are sent to targets other than their episodes' goals."""
+        return self._targets is not None
+
+    def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
+        """See `Guide`."""
+        self._generators[copy] = generator
+        here = int(self._task.cell_of(observation[None, :2])[0])
+        if self._targets is None:
+            self.target[copy] = simulator.goals[copy]
+            self._goal[copy] = self._task.cell_of(self.target[copy : copy + 1])[0]
+            self.sent += 1
+        else:
+            self._send(copy, here)
+        self._head_on(copy, here)
+
+    def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """See `Guide`."""
+        place = observations[:, :2].astype(np.float64)
+        cells = self._task.cell_of(place)
+        there = np.linalg.norm(place - self.target, axis=1) <= self._task.reach
+        near = (np.linalg.norm(place - self._aim, axis=1) <= NEAR) & (self._cell != self._goal)
+        # Pushed off its way, an ant would be led through walls.
+        lost = (cells >= 0) & (cells != self._cell) & (cells != self._left)
+        for copy in running[(there | near | lost)[running]].tolist():
+            if there[copy]:
+                self.arrived += 1
+                if self._targets is not None:
+                    self._send(copy, int(cells[copy]))
+            self._head_on(copy, int(cells[copy] if there[copy] or lost[copy] else self._cell[copy]))
+        angles = np.arctan2(*(self._aim - place).T[::-1])
+        seen = ahead(observations.astype(np.float64), angles).astype(np.float32)
+        actions = np.array(first_actions(self._policy, jnp.asarray(seen), jax.random.key(0), True))
+        for copy in running.tolist():
+            actions[copy] += self._noise * self._generators[copy].standard_normal(actions.shape[1])
+        return np.clip(actions, -1.0, 1.0), {"goal": self.target.copy()}
+
+    def _send(self, copy: int, here: int) -> None:
+        """Draws a new target in another cell than `here`."""
+        assert self._targets is not None
+        others = self._targets[self._targets != here]
+        self._goal[copy] = others[self._generators[copy].integers(len(others))]
+        self.target[copy] = self._task.goal_in(self._task.cells[self._goal[copy]], self._generators[copy])
+        self.sent += 1
+
+    def _head_on(self, copy: int, here: int) -> None:
+        """Sets the waypoint after the cell `here`: a point of the next cell or, in the last one, the target itself."""
+        self._left[copy], self._cell[copy] = here, self._next[self._goal[copy], here]
+        if self._cell[copy] == self._goal[copy]:
+            self._aim[copy] = self.target[copy]
+        else:
+            noise = self._generators[copy].uniform(0.0, GOAL_NOISE[0], 2)
+            self._aim[copy] = self._task.middles(self._task.cells[self._cell[copy]]) + noise
+
+
+def errands(task: AntMaze, *, episodes: int = 100, seed: int = 0, threads: int | None = None) -> tuple[int, int, float, float]:
+    """What becomes of the ants that `Errands` sends through a maze as in its log.
+
+    Returns:
+        How many targets they were sent to, and how many they reached; the share of episodes that ended at the task's own
+        goal, and the share that ended on the back.
+    """
+    guide = Errands(task, walker(), copies=episodes)
+    simulator = replace(task, anywhere=guide.wanders).simulate(range(seed, seed + episodes), threads)
+    seen = simulator.reset()
+    for copy in range(episodes):
+        guide.begin(simulator, copy, seen[copy], np.random.default_rng([seed, copy]))
+    running = np.arange(episodes)
+    while len(running):
+        actions, _ = guide.act(seen, running)
+        seen, _, terminals, timeouts = simulator.step(actions)
+        running = running[~(terminals | timeouts)[running]]
+    ended = int(simulator.achieved.sum())
+    arrived = guide.arrived if guide.wanders else ended  # an episode that ends at its errand's goal does not come back here
+    x, y = seen[:, 4:6].T
+    return guide.sent, arrived, ended / episodes, float((x**2 + y**2 > 0.5).mean())
+
+
+def collect_antmaze(
+    task: AntMaze,
+    *,
+    name: str,
+    steps: int,
+    scratch: Path,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Dataset:
+    """Collects a log of one of the mazes; see `collect.rollouts.perform`.
+
+    Ants of umaze logs begin at the start and go to the episode's goal. Those of the others begin anywhere and are sent to one
+    target after the other, until they come upon the episode's goal (a terminal) or time is up (a timeout). The target is the
+    column `goal`; rewards are those of the task's own goal.
+
+    Args:
+        task: where, and where to.
+        name: of the recipe, such as `antmaze-umaze-v2`.
+        steps: rows.
+        scratch: folder of a collection under way.
+        seed: of everything random.
+        threads: to simulate with; all cores if None. The log does not depend on it.
+        progress: called now and then with the rows done and `steps`.
+    """
+    import mujoco
+
+    guide = Errands(task, walker())
+    extra = {"task": task.name, "policies": ["ant-reach walker"], "noise": NOISE}
+    versions = {"mujoco": mujoco.__version__, "numpy": np.__version__, "deadreckon": __version__}
+    place = replace(task, anywhere=guide.wanders)
+    return perform(
+        place, [Act(guide, steps)], name=f"{name}@{VERSION}", seed=seed, scratch=scratch, threads=threads, progress=progress,
+        provenance=Provenance("collected", name, seed, versions, extra=extra),
+    )  # fmt: skip
