@@ -75,12 +75,18 @@ def test_bench_on_a_short_log(tmp_path, capsys):
         assert said in page
 
 
+def test_bench_takes_logs_of_tasks_with_policies_alone(tmp_path, capsys):
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1,kitchen-mixed-v0", "--out", str(tmp_path)]) == 2
+    assert "there are no policies of 'kitchen-mixed'" in capsys.readouterr().err
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dens-v1", "--out", str(tmp_path)]) == 2
+    assert "did you mean maze2d-umaze-dense-v1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_bench_on_a_log_by_its_name(tmp_path, capsys):
     options = ["--log-steps", "600", "--estimators", "fqe", "--out", str(tmp_path / "dope"), *SMALL]
     assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1", *options]) == 0
     assert "| maze2d-umaze-dense-v1@dr1-600-steps |" in capsys.readouterr().out
-    assert main(["ope", "bench", "--logs", "kitchen-mixed-v0", *options]) == 2
-    assert "there are no policies of 'kitchen-mixed'" in capsys.readouterr().err
 
 
 @pytest.mark.slow
