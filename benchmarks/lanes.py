@@ -3,6 +3,10 @@
 Each way trains the same agent (TD3+BC, batch 256, networks 256x256) on the same synthetic log, and says how many updates of a
 seed it makes a second, all seeds together, and how long a process needs before its first update is done (start, imports,
 compiling). Processes are started together and wait for each other before they are timed; on a CPU each has a core of its own.
+
+With --settings N it says instead how long whole runs of N learning rates take, as lanes of one program and one after another
+in one process: start, compiling and checkpoints included, each way in processes of its own, by turns, on a CPU on one core.
+The first repeat compiles for those that follow and is not counted.
 """
 
 import argparse
@@ -11,6 +15,7 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -30,7 +35,10 @@ def parse() -> argparse.Namespace:
     add("--width", type=int, default=256, help="of both hidden layers")
     add("--chunk", type=int, default=500, help="updates between two looks from outside")
     add("--platform", default="cpu", help="of JAX: cpu, or cuda")
+    add("--settings", type=int, help="whole runs of so many settings instead, with one seed each")
+    add("--steps", type=int, default=5000, help="updates of each of those runs")
     add("--worker", type=int, help=argparse.SUPPRESS)  # seeds of this worker
+    add("--together", choices=["yes", "no"], help=argparse.SUPPRESS)  # how this worker runs settings
     return parser.parse_args()
 
 
@@ -96,7 +104,56 @@ def measure(arguments: argparse.Namespace, processes: int, lanes: int) -> dict[s
     return {"rate": statistics.median(rates), "least": min(rates), "most": max(rates), "ready": ready}
 
 
+def run_settings(arguments: argparse.Namespace) -> None:
+    """A worker: trains all settings, with a folder of their own on disk each."""
+    from deadreckon.agents import agent_class
+    from deadreckon.cli.main import cache_compiled_programs
+    from deadreckon.data.dataset import Dataset
+    from deadreckon.runs.train import train, train_together
+
+    cache_compiled_programs()
+    shape = protocol.options("td3_bc", batch=256, width=arguments.width, threads=1)
+    log, kind = Dataset.from_arrays(**protocol.synthetic_log(shape)), agent_class(arguments.agent)
+    rates = [1e-4 * (1 + i) for i in range(arguments.settings)]
+    agents = {f"{i}": kind(hidden=(arguments.width,) * 2, actor_lr=rate, critic_lr=rate) for i, rate in enumerate(rates)}
+    options: dict[str, Any] = {"steps": arguments.steps, "evaluate_every": arguments.steps, "chunk": arguments.chunk}
+    with tempfile.TemporaryDirectory() as folder:
+        if arguments.together == "yes":
+            train_together(agents, log, out=Path(folder) / "all", **options)
+            return
+        for name, agent in agents.items():
+            train(agent, log, out=Path(folder) / name, **options)
+
+
+def compare_settings(arguments: argparse.Namespace) -> None:
+    cores = sorted(os.sched_getaffinity(0))
+    own = cores[:1] if arguments.platform == "cpu" else cores  # a worker of `deadreckon bench` has as many
+    names = {"no": "one after another", "yes": "lanes of one program"}
+    took: dict[str, list[float]] = {way: [] for way in names}
+    for repeat in range(arguments.repeats + 1):
+        for way, seconds in took.items():
+            command = ["taskset", "-c", ",".join(map(str, own)), sys.executable, str(HERE / "lanes.py"), "--together", way]
+            for name in ("settings", "steps", "agent", "width", "chunk"):
+                command += [f"--{name}", str(getattr(arguments, name))]
+            began = time.perf_counter()
+            subprocess.run(command, check=True, env={**os.environ, "JAX_PLATFORMS": arguments.platform})
+            if repeat:
+                seconds.append(time.perf_counter() - began)
+    print(f"| {arguments.settings} settings, {arguments.steps:,} updates each | seconds | beside one after another |")
+    print("|---|---:|---:|")
+    alone = statistics.median(took["no"])
+    for way, seconds in took.items():
+        middle = statistics.median(seconds)
+        print(f"| {names[way]} | {middle:.0f} [{min(seconds):.0f}, {max(seconds):.0f}] | {middle / alone:.2f} |")
+
+
 def compare(arguments: argparse.Namespace) -> int:
+    if arguments.together is not None:
+        run_settings(arguments)
+        return 0
+    if arguments.settings is not None:
+        compare_settings(arguments)
+        return 0
     if arguments.worker is not None:
         work(arguments)
         return 0

@@ -17,7 +17,7 @@ import numpy as np
 from deadreckon.bench.cluster import Cluster
 from deadreckon.bench.executor import run
 from deadreckon.bench.local import Local
-from deadreckon.bench.plan import Job, plan
+from deadreckon.bench.plan import Job, Program, plan, programs
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import rendered, tables
@@ -39,12 +39,13 @@ def rows(job: Job, seconds: float) -> Found:
     return Found([{"seed": seed} | told for seed in job.seeds], [])
 
 
-def sleep(job: Job, folder: Path, watch: Callable[[int, int], None]) -> Found:
+def sleep(program: Program, folder: Path, watch: Callable[[int, int], None]) -> list[Found]:
     """Sleeps in ten parts, and tells of each."""
+    [job] = program.jobs
     for part in range(10):
         time.sleep(job.asked["seconds"] / 10)
         watch(part + 1, 10)
-    return rows(job, job.asked["seconds"])
+    return [rows(job, job.asked["seconds"])]
 
 
 def overhead(name: str, seconds: float, each: int) -> None:
@@ -83,7 +84,7 @@ def planning(cells: int) -> None:
         timed("ask what is missing of an empty folder", lambda: store.undone(jobs))
         timed("keep all results", lambda: [store.keep("many", job, rows(job, 1.0)) for job in jobs])
         assert timed("ask what is missing of a full one", lambda: store.undone(jobs)) == []
-        timed("forecast of what is missing (all results are read)", lambda: forecast(jobs[:1], store))
+        timed("forecast of what is missing (all results are read)", lambda: forecast(programs(jobs[:1]), store))
         timed("make the table", lambda: rendered(tables(suite, jobs, store), "csv"))
     print(f"{sum(len(job.seeds) for job in jobs):,} cells in {len(jobs):,} jobs")
     for what, took in times.items():

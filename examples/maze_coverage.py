@@ -29,7 +29,7 @@ class Options:
     """What is drawn."""
 
     steps: int | None = None  # rows of each log; None: all
-    shown: int = 40  # episodes of each log among the trajectories
+    shown: int = 20  # episodes of each log among the trajectories
     trajectories: str | None = None  # SVG file
     coverage: str | None = None  # SVG file
 

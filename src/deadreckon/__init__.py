@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.online import train_online
     from deadreckon.runs.recommend import recommend
-    from deadreckon.runs.train import Run, train
+    from deadreckon.runs.train import Run, train, train_together
     from deadreckon.runs.train import load as load_run
 
 _HOMES = {
@@ -44,12 +44,13 @@ _HOMES = {
     "recommend": ("runs.recommend", "recommend"),
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
+    "train_together": ("runs.train", "train_together"),
 }
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "data", "dope",
     "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend", "report", "runs", "tasks",
-    "theory", "train", "train_online",
+    "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
 
 

@@ -11,6 +11,10 @@ class UserError(ValueError):
     """
 
 
+class BusyError(UserError):
+    """Another process is at work on the same, and will bring it to its end."""
+
+
 class DivergedError(UserError):
     """Numbers of a fit went bad, which other settings may mend and other fits need not share."""
 

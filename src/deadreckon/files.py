@@ -9,13 +9,14 @@ import shutil
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import platformdirs
 
-from deadreckon.errors import UserError
+from deadreckon.errors import BusyError, UserError
 
 
 def home() -> Path:
@@ -120,15 +121,16 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
 
 
 @contextlib.contextmanager
-def alone(path: Path, wait: bool = False) -> Iterator[None]:
+def alone(path: Path, wait: str = "") -> Iterator[None]:
     """Lets one process at a time work on what will be `path`. The system frees the lock of a killed one.
 
     Args:
         path: need not be there yet.
-        wait: for another process that is at it, instead of refusing.
+        wait: what another process that is at it does: then it is waited for, which a warning tells, instead of refused.
 
     Raises:
-        UserError: another process is at it, or the folder cannot be made. A folder made for nothing is removed.
+        BusyError: another process is at it.
+        UserError: the folder cannot be made. A folder made for nothing is removed.
     """
     path = path.absolute()
     made = [folder for folder in path.parents if not folder.exists()]
@@ -147,7 +149,8 @@ def alone(path: Path, wait: bool = False) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _locked(lock: Path, wait: bool) -> Iterator[None]:
+def _locked(lock: Path, wait: str) -> Iterator[None]:
+    told = False
     while True:
         lock.parent.mkdir(parents=True, exist_ok=True)  # whoever was waited for may have removed it
         with open(lock, "ab") as file:
@@ -162,9 +165,12 @@ def _locked(lock: Path, wait: bool) -> Iterator[None]:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except (BlockingIOError, PermissionError) as error:
                 if wait:
+                    if not told:
+                        warnings.warn(f"another process {wait}: waiting for it", stacklevel=4)
+                    told = True
                     time.sleep(0.2)
                     continue
-                raise UserError(f"another process is at work on this already: {lock} is locked") from error
+                raise BusyError(f"another process is at work on this already: {lock} is locked") from error
             # Whoever had it may have removed it between our opening and our locking it; then it is locked in vain.
             try:
                 if not os.path.samestat(os.fstat(file.fileno()), lock.stat()):

@@ -47,19 +47,21 @@ def test_what_no_cluster_can_do_is_refused(tmp_path, capsys, monkeypatch):
 
 @pytest.fixture
 def nodes():
-    """The address of a cluster of two nodes with a core each, on this machine."""
+    """A cluster of two nodes with a core each, on this machine."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster as Nodes
 
     made = Nodes(initialize_head=True, head_node_args={"num_cpus": 1})
     made.add_node(num_cpus=1)
-    yield made.address
+    yield made
     made.shutdown()
 
 
-def at_work() -> list[int]:
-    """Processes of Ray's that run one of our tasks."""
-    found = subprocess.run(["pgrep", "-f", "^ray::_task"], capture_output=True, text=True, check=False)
+def at_work(nodes) -> list[int]:
+    """Processes of the cluster's nodes, whose children they are, that run one of our tasks."""
+    owners = [str(each.process.pid) for node in nodes.list_all_nodes() for each in node.all_processes["raylet"]]
+    find = ["pgrep", "-P", ",".join(owners), "-f", "^ray::_task"]
+    found = subprocess.run(find, capture_output=True, text=True, check=False)
     return [int(number) for number in found.stdout.split()]
 
 
@@ -75,20 +77,21 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     def told(event):
         events.append(event)
         # A job may lose three processes before it is given up, so each loses one at most.
-        wanted = event.what == "progress" and event.job.name not in killed and len(killed) < 3 and rng.random() < 0.3
-        if wanted and (victims := at_work()):
+        wanted = event.what == "progress" and event.program.name not in killed and len(killed) < 3 and rng.random() < 0.3
+        if wanted and (victims := at_work(nodes)):
             os.kill(rng.choice(victims), signal.SIGKILL)
-            killed.append(event.job.name)
+            killed.append(event.program.name)
 
     store = Store(tmp_path / "ray")
-    cluster = Cluster(store.path, nodes)
+    cluster = Cluster(store.path, nodes.address)
     assert cluster.workers == 2
     run("small", jobs, store, told, cluster)
     whats = [event.what for event in events]
     assert killed
     assert whats.count("died") == len(killed)
     assert whats.count("failed") == 0
-    assert sorted(event.job.name for event in events if event.what == "done") == sorted(job.name for job in jobs)  # each once
+    done = [event.program.name for event in events if event.what == "done"]
+    assert sorted(done) == sorted(job.name for job in jobs)  # each once
 
     here = Store(tmp_path / "local")
     run("small", jobs, here, lambda event: None, Local(here.path, workers=2))
@@ -97,4 +100,4 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
         by = [("cell", "ascending"), ("seed" if kind == "results" else "step", "ascending")]
         assert tables[0].sort_by(by).equals(tables[1].sort_by(by)), kind  # bit by bit
     time.sleep(1)
-    assert at_work() == []
+    assert at_work(nodes) == []

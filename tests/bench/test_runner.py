@@ -13,7 +13,7 @@ import pytest
 
 from deadreckon.bench.executor import run
 from deadreckon.bench.local import Local, shares
-from deadreckon.bench.plan import plan
+from deadreckon.bench.plan import Program, plan, programs
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import rendered, tables
@@ -55,11 +55,11 @@ def made(job, scores, failure=""):
 
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
     jobs = plan(suite)[:1]
-    lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log")
+    lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log", program=None)
     store, events = Store(tmp_path / "out"), []
 
     def told(event):
-        events.append((event.what, event.job.method))
+        events.append((event.what, event.program.jobs[0].method))
         if event.what == "begun" and len(events) == 1:  # the first process, when it has just begun
             [child] = multiprocessing.active_children()
             os.kill(child.pid, signal.SIGKILL)
@@ -78,7 +78,7 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
     assert events == []  # nothing is done twice
 
     # The numbers are those of the same job in this process, which has other threads.
-    again = perform(jobs[0], tmp_path / "again")
+    [again] = perform(Program((jobs[0],)), tmp_path / "again")
     mine = found.filter(np.asarray(found["method"]) == "BC")
     assert [row["score"] for row in again.rows] == pytest.approx(mine["score"].to_pylist(), rel=1e-4)
 
@@ -88,7 +88,7 @@ def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
     deaths = []
 
     def told(event):
-        if event.what == "begun" and event.job.method == "BC":
+        if event.what == "begun" and event.program.jobs[0].method == "BC":
             for child in multiprocessing.active_children():
                 os.kill(child.pid, signal.SIGKILL)
             deaths.append(event)
@@ -107,6 +107,7 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     plain = rendered([shown])
     assert "11.0 [-1.7, 23.7]" in plain
     assert "FAILED: TD3 on maze2d-umaze-v1: out of luck" in plain
+    assert "made with jax 1, mujoco 2" in plain
     assert "3.8" in plain  # the thesis's BC
     assert not shown.cells["TD3"]["maze2d-umaze-v1"].bold
 
@@ -118,8 +119,11 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     assert "FAILED" not in rendered([shown])
     assert "seed 0 of TD3 on maze2d-umaze-v1 failed: critic_loss was not finite at update 7" in rendered([shown])
 
-    store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1)))
+    newer = made(jobs[1], (50.0, 50.1))
+    newer.rows[1]["versions"] = json.dumps({"deadreckon": "7", "jax": "1.5", "mujoco": "2", "threads": 3})
+    store.keep("small", jobs[1], newer)
     [shown] = tables(suite, jobs, store)
+    assert "made with deadreckon 7, jax 1 and 1.5, mujoco 2\n" in rendered([shown]) + "\n"
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
     assert "**50.0 [49.4, 50.7]**" in rendered([shown], "markdown")
     assert r"\textbf{50.0 [49.4, 50.7]}" in rendered([shown], "latex")
@@ -169,8 +173,8 @@ def test_a_design_suite_runs_through(tmp_path):
                     '[methods]\nbest = { agent = "best" }\nrandom = { agent = "random" }\n')  # fmt: skip
     store = Store(tmp_path / "out")
     jobs = plan(read(path))
-    for job in jobs:
-        store.keep("d", job, perform(job, store.run(job)))
+    for program in programs(jobs):
+        store.keep("d", program.jobs[0], *perform(program, store.folder(program)))
     found = store.of(jobs).to_pylist()
     assert len(found) == 4
     more = [json.loads(row["more"]) for row in found]
@@ -203,10 +207,10 @@ def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
 
 def test_times_come_from_jobs_that_are_done(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
-    assert forecast(jobs, store) == {job.name: None for job in jobs}
+    assert forecast(programs(jobs), store) == {job.name: None for job in jobs}
     store.keep("small", jobs[0], made(jobs[0], (1.0, 2.0)))
     longer = dataclasses.replace(jobs[0], asked=jobs[0].asked | {"steps": 600})
-    assert forecast([longer, jobs[1]], store) == {longer.name: 300.0, jobs[1].name: None}
+    assert forecast(programs([longer, jobs[1]]), store) == {longer.name: 300.0, jobs[1].name: None}
 
 
 def test_workers_share_the_cores():

@@ -72,11 +72,14 @@ def test_simulators_of_evaluation_tasks_choose_nothing():
 SCORES = {1.0: 10.0, 2.5: 30.0, 5.0: 50.0}
 
 
-def given(job, folder, watch):
+def given(program, folder, watch):
     """A score that the setting decides, without training."""
-    score = SCORES[job.settings["alpha"]]
-    told = {"raw": score, "steps": 1, "seconds": 1.0, "failure": "", "versions": "{}"}
-    return Found([{"seed": seed, "score": score + seed} | told for seed in job.seeds], [])
+    out = []
+    for job in program.jobs:
+        score = SCORES[job.settings["alpha"]]
+        told = {"raw": score, "steps": 1, "seconds": 1.0, "failure": "", "versions": "{}"}
+        out.append(Found([{"seed": seed, "score": score + seed} | told for seed in job.seeds], []))
+    return out
 
 
 def test_what_is_tried_is_tried_once_and_the_defaults_first():
@@ -98,11 +101,12 @@ def test_searches_that_make_no_sense_are_refused(changes, message):
         suite("td3_bc", [UMAZE], candidates("td3_bc"), by="ope", **{"steps": 10} | changes)
 
 
-def diverged(job, folder, watch):
-    found = given(job, folder, watch)
-    for row in found.rows:
-        row["failure"] = "loss was not finite at update 3" if job.settings["alpha"] == 5.0 else ""
-    return found
+def diverged(program, folder, watch):
+    out = given(program, folder, watch)
+    for job, found in zip(program.jobs, out, strict=True):
+        for row in found.rows:
+            row["failure"] = "loss was not finite at update 3" if job.settings["alpha"] == 5.0 else ""
+    return out
 
 
 def test_what_diverged_is_not_chosen(tmp_path):

@@ -311,7 +311,7 @@ def test_by_default_a_run_has_its_name_from_agent_and_task(tmp_path, monkeypatch
     class Told(Exception):
         pass
 
-    def begin(self, config, resume):
+    def begin(self, config):
         raise Told(self.path, config["evaluation"]["every"])
 
     monkeypatch.setattr(module.Folder, "begin", begin)

@@ -1,4 +1,4 @@
-"""Jobs on a Ray cluster: tasks that hold cores of their own, and are given to another process where theirs is lost."""
+"""Programs on a Ray cluster: tasks that hold cores of their own, and are given to another process where theirs is lost."""
 
 import os
 import tempfile
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from deadreckon.bench.executor import Event, Work, attempt
-from deadreckon.bench.plan import Job, code
+from deadreckon.bench.plan import Program, code
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
@@ -17,15 +17,15 @@ POLL = 0.2  # seconds between two looks at what tasks tell
 class Cluster:
     """A Ray cluster, or a local one made for the purpose.
 
-    Results come back to this process, so `path` need not be shared. Where all nodes see it under the same name, a job whose
+    Results come back to this process, so `path` need not be shared. Where all nodes see it under the same name, one whose
     node is lost goes on elsewhere from its last checkpoint, and pages can be made; otherwise it is begun anew there.
 
     Args:
         path: the store's folder; run folders lie in it on every node.
         address: of the cluster; None: `RAY_ADDRESS`, or the one that runs on this machine, else a new one.
-        cpus: cores of a job, which it has for itself.
-        gpus: of a job; a fraction where several jobs share one.
-        work: does a job.
+        cpus: cores of a program, which it has for itself.
+        gpus: of a program; a fraction where several share one.
+        work: does a program.
 
     Raises:
         UserError: Ray is missing, there is no such cluster, or none of its nodes has as much.
@@ -42,8 +42,8 @@ class Cluster:
         self._path, self._work = path.absolute(), work
         self.lanes = None if gpus else 1  # see `Local`
         self._news: deque[Event] = deque()
-        self._running: dict[Any, Job] = {}
-        self._names: dict[str, Job] = {}
+        self._running: dict[Any, Program] = {}
+        self._names: dict[str, Program] = {}
         self._own = not ray.is_initialized()
         if self._own:
             try:
@@ -57,12 +57,12 @@ class Cluster:
             self.close()
             raise
         self._inbox = self._ray.remote(_Inbox).options(num_cpus=0, max_restarts=-1).remote()
-        # Ray's own retries are off: `run` counts, so that a lost process is told of, and a job that kills it is given up.
+        # Ray's own retries are off: `run` counts, so that a lost process is told of, and a program that kills it is given up.
         self._task = self._ray.remote(_task).options(num_cpus=cpus, num_gpus=gpus, max_retries=0)
         self._holds = cpus, gpus
 
     def _places(self, cpus: int, gpus: float) -> int:
-        """How many jobs fit side by side."""
+        """How many programs fit side by side."""
         nodes = [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
         asked = {what: count for what, count in (("CPU", cpus), ("GPU", gpus)) if count}
         fits = [int(min(node.get(what, 0.0) / count for what, count in asked.items())) for node in nodes]
@@ -76,11 +76,11 @@ class Cluster:
         """Ray keeps what waits."""
         return True
 
-    def begin(self, job: Job) -> None:
-        """Hands the job to the cluster."""
-        given = job, code(), self._path, self._work, self._inbox, Path.cwd(), *self._holds
-        self._running[self._task.remote(*given)] = job
-        self._names[job.name] = job
+    def begin(self, program: Program) -> None:
+        """Hands the program to the cluster."""
+        given = program, code(), self._path, self._work, self._inbox, Path.cwd(), *self._holds
+        self._running[self._task.remote(*given)] = program
+        self._names[program.name] = program
 
     def wait(self) -> Event:
         """What tasks tell as they go, or the end of one."""
@@ -90,9 +90,9 @@ class Cluster:
             ended, _ = self._ray.wait(list(self._running), timeout=POLL)
             self._news.extend(self._told())
             for task in ended:
-                job = self._running.pop(task)
-                del self._names[job.name]
-                self._news.append(Event(*self._end(task, job)))
+                program = self._running.pop(task)
+                del self._names[program.name]
+                self._news.append(Event(*self._end(task, program)))
 
     def _told(self) -> list[Event]:
         try:
@@ -101,15 +101,15 @@ class Cluster:
             return []
         return [Event(what, self._names[name], told) for name, what, told in said if name in self._names]
 
-    def _end(self, task: Any, job: Job) -> tuple[str, Job, Any]:
+    def _end(self, task: Any, program: Program) -> tuple[str, Program, Any]:
         errors = self._ray.exceptions
         try:
             what, told = self._ray.get(task)
         except errors.RayTaskError as error:  # before or after the job itself, such as a node without the package
-            return "failed", job, (str(error).strip().splitlines()[-1], str(error))
+            return "failed", program, (str(error).strip().splitlines()[-1], str(error))
         except errors.RayError as error:  # its process, its node, memory: all that is not the job's own doing
-            return "died", job, str(error).splitlines()[0]
-        return what, job, told
+            return "died", program, str(error).splitlines()[0]
+        return what, program, told
 
     def close(self) -> None:
         """Stops what runs, and leaves the cluster; one that was made here ends."""
@@ -134,7 +134,7 @@ class _Inbox:
 
 
 def _task(
-    job: Job, planned: str, path: Path, work: Work, inbox: Any, where: Path, cpus: int, gpus: float
+    program: Program, planned: str, path: Path, work: Work, inbox: Any, where: Path, cpus: int, gpus: float
 ) -> tuple[str, Any]:
     """In a process of Ray's, which does one task after the other; `where` is what relative names of logs are relative to."""
     _pin(cpus)
@@ -144,8 +144,8 @@ def _task(
         os.environ.setdefault("XLA_PYTHON_CLIENT_MEM_FRACTION", f"{0.9 * gpus:.2f}")  # JAX takes three quarters otherwise
     if where.is_dir():
         os.chdir(where)
-    inbox.tell.remote(job.name, "begun", None)
-    return attempt(job, planned, path, work, lambda done, total: inbox.tell.remote(job.name, "progress", (done, total)))
+    inbox.tell.remote(program.name, "begun", None)
+    return attempt(program, planned, path, work, lambda done, total: inbox.tell.remote(program.name, "progress", (done, total)))
 
 
 _held: list[BinaryIO] | None = None  # locks of this process's cores

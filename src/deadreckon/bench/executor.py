@@ -1,56 +1,58 @@
-"""Jobs until all are done, wherever they run: what an executor is, and what becomes of a job that fails or is lost."""
+"""Jobs until all are done, wherever they run: what an executor is, and what becomes of a program that fails or is lost."""
 
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from deadreckon.bench.plan import Job, code
+from deadreckon.bench.plan import Job, Program, code, programs
 from deadreckon.bench.store import Found, Store
-from deadreckon.errors import UserError
+from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
 
-TRIES = 3  # of a job whose process dies; what went on until then is on disk and is not done again
+TRIES = 3  # of a program whose process dies; what went on until then is on disk and is not done again
 
 
 class Event(NamedTuple):
-    """What happens to a job: `begun`, `progress` (done, total), `done`, `failed` (why) or `died` (and is begun again)."""
+    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one a job), `failed` (why),
+    `elsewhere` (another command is at it) or `died` (and is begun again)."""
 
     what: str
-    job: Job
+    program: Program
     told: Any = None
 
 
 Told = Callable[[Event], None]
-Work = Callable[[Job, Path, Callable[[int, int], None]], Found]  # `bench.work.perform`; a module's function, so that it travels
+# `bench.work.perform`, which finds something of each job; a module's function, so that it travels.
+Work = Callable[[Program, Path, Callable[[int, int], None]], list[Found]]
 
 
 class Executor(Protocol):
-    """Where jobs run, each in a process that may die."""
+    """Where programs run, each in a process that may die."""
 
     @property
     def workers(self) -> int:
-        """How many jobs run side by side."""
+        """How many programs run side by side."""
         ...
 
     @property
     def lanes(self) -> int | None:
-        """Seeds of one program, where a suite does not say; None: all of them."""
+        """Cells of one program at most, where a suite does not say; None: see `plan`."""
         ...
 
     @property
     def room(self) -> bool:
-        """Whether it takes another job now."""
+        """Whether it takes another program now."""
         ...
 
-    def begin(self, job: Job) -> None:
-        """Takes a job; returns at once."""
+    def begin(self, program: Program) -> None:
+        """Takes a program; returns at once."""
         ...
 
     def wait(self) -> Event:
-        """The next thing that happens to a job that it has taken: `done` tells what was found."""
+        """The next thing that happens to a program that it has taken: `done` tells what was found."""
         ...
 
     def close(self) -> None:
@@ -59,7 +61,9 @@ class Executor(Protocol):
 
 
 def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Executor) -> None:
-    """Does what is not done yet, and keeps results as they come. A job that fails is noted, and the others go on.
+    """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
+
+    What another command is doing in the same folder is told and left to it.
 
     Args:
         suite: name of the suite.
@@ -69,7 +73,7 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
         executor: who does it; closed at the end.
     """
     with closing(executor):
-        waiting, lost, running = deque(store.undone(jobs)), Counter[str](), 0
+        waiting, lost, running = deque(programs(store.undone(jobs))), Counter[str](), 0
         while waiting or running:
             while waiting and executor.room:
                 executor.begin(waiting.popleft())
@@ -81,28 +85,30 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
             running -= 1
             event = _judged(event, lost)
             if event.what == "died":
-                waiting.appendleft(event.job)
+                waiting.appendleft(event.program)
             elif event.what == "failed":
-                store.fail(event.job, *event.told)
-            else:
-                store.keep(suite, event.job, event.told)
+                for job in event.program.jobs:
+                    store.fail(job, *event.told)
+            elif event.what == "done":
+                for job, found in zip(event.program.jobs, event.told, strict=True):
+                    store.keep(suite, job, found, event.program.run(job))
             told(event)
 
 
 def _judged(event: Event, lost: Counter[str]) -> Event:
     """An end as it counts: too many deaths are a failure."""
     if event.what == "died":
-        lost[event.job.name] += 1
-        if lost[event.job.name] >= TRIES:
-            return Event("failed", event.job, (f"its process died {TRIES} times, the last with {event.told}", ""))
+        lost[event.program.name] += 1
+        if lost[event.program.name] >= TRIES:
+            return Event("failed", event.program, (f"its process died {TRIES} times, the last with {event.told}", ""))
     return event
 
 
-def attempt(job: Job, planned: str, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
-    """In a worker: does a job, and says how it ended: `done` or `failed`, and what goes with it.
+def attempt(program: Program, planned: str, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
+    """In a worker: does a program, and says how it ended: `done`, `failed` or `elsewhere`, and what goes with it.
 
     Args:
-        job: the job.
+        program: the program.
         planned: the code that it was planned with; under its name may lie results of that code alone.
         path: the store's folder.
         work: does it.
@@ -110,10 +116,14 @@ def attempt(job: Job, planned: str, path: Path, work: Work, watch: Callable[[int
     """
     if planned != code():
         return "failed", ("the package's source is another where it would run; install the same there, or run it again", "")
-    folder = Store(path).run(job)
+    folder = Store(path).folder(program)
     try:
-        with alone(folder):  # of all that write to it
-            return "done", work(job, folder, watch)
+        with ExitStack() as held:
+            try:
+                held.enter_context(alone(folder))  # of all that write to it
+            except BusyError:
+                return "elsewhere", None
+            return "done", work(program, folder, watch)
     except BrokenPipeError:
         raise
     except UserError as error:

@@ -1,14 +1,15 @@
-"""Jobs on this machine: processes that stay, each on cores of its own, and another one where one dies."""
+"""Programs on this machine: processes that stay, each on cores of its own, and another one where one dies."""
 
 import contextlib
 import multiprocessing
 import os
+import warnings
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from deadreckon.bench.executor import Event, Work, attempt
-from deadreckon.bench.plan import Job, code
+from deadreckon.bench.plan import Program, code
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
@@ -25,15 +26,15 @@ def shares(workers: int | None, accelerator: bool) -> list[list[int]]:
 
 
 class Local:
-    """Processes on this machine, made when the first job needs them.
+    """Processes on this machine, made when the first program needs them.
 
-    On a CPU seeds as lanes of one program are no faster than one after another, and a program on several cores is slower than
-    one on each: so seeds are jobs of their own there. On a GPU they are lanes of one program (`benchmarks/lanes.py` measures).
+    On a CPU lanes of one program are no faster than one after another, and a program on several cores is slower than one on
+    each: so each seed of each setting is a program there. On a GPU they are lanes of one (`benchmarks/lanes.py` measures).
 
     Args:
         path: the store's folder.
         workers: processes; None: one a core, or one for a GPU.
-        work: does a job.
+        work: does a program.
 
     Raises:
         UserError: fewer than one worker.
@@ -56,15 +57,15 @@ class Local:
     @property
     def room(self) -> bool:
         """Whether a worker is idle."""
-        return any(worker.job is None for worker in self._team)
+        return any(worker.program is None for worker in self._team)
 
-    def begin(self, job: Job) -> None:
-        """Gives the job to an idle worker."""
-        next(worker for worker in self._team if worker.job is None).begin(job)
+    def begin(self, program: Program) -> None:
+        """Gives the program to an idle worker."""
+        next(worker for worker in self._team if worker.program is None).begin(program)
 
     def wait(self) -> Event:
         """Hears what a worker says, or that it has died."""
-        busy = {worker.pipe: worker for worker in self._team if worker.job is not None}
+        busy = {worker.pipe: worker for worker in self._team if worker.program is not None}
         return busy[wait(list(busy))[0]].hear()  # type: ignore[index]
 
     def close(self) -> None:
@@ -74,27 +75,27 @@ class Local:
 
 
 class _Worker:
-    """A process that does one job after the other."""
+    """A process that does one program after the other."""
 
     def __init__(self, cores: list[int], path: Path, work: Work):
         self.given = code(), cores, path, work
-        self.job: Job | None = None
+        self.program: Program | None = None
         self.process: SpawnProcess | None = None
 
-    def begin(self, job: Job) -> None:
-        self.job = job
+    def begin(self, program: Program) -> None:
+        self.program = program
         if self.process is None:
             self.pipe, theirs = multiprocessing.Pipe()
             self.process = SpawnProcess(target=_serve, args=(theirs, *self.given), daemon=True)
             self.process.start()
             theirs.close()
         with contextlib.suppress(OSError):  # it died while it was idle: `hear` finds out
-            self.pipe.send(job)
+            self.pipe.send(program)
 
     def hear(self) -> Event:
-        assert self.job is not None
+        assert self.program is not None
         assert self.process is not None
-        job = self.job
+        program = self.program
         try:
             what, told = self.pipe.recv()
         except (EOFError, OSError):
@@ -102,25 +103,26 @@ class _Worker:
             what, told = "died", f"code {self.process.exitcode}"
             self.process = None
         if what not in ("begun", "progress"):
-            self.job = None
-        return Event(what, job, told)
+            self.program = None
+        return Event(what, program, told)
 
     def end(self) -> None:
         if self.process is None:
             return
         self.pipe.close()
-        self.process.join(timeout=0 if self.job is not None else 5)
+        self.process.join(timeout=0 if self.program is not None else 5)
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
 
 
 def _serve(pipe: Connection, planned: str, cores: list[int], path: Path, work: Work) -> None:
-    """The process: on its cores, job after job until the pipe is closed."""
+    """The process: on its cores, one program after the other until the pipe is closed."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)  # before anything starts threads
+    warnings.formatwarning = lambda message, *_, **__: f"deadreckon: warning: {message}\n"  # as the command shows its own
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):  # nobody listens any more; what is on disk is gone on with
         while True:
-            job: Job = pipe.recv()
+            program: Program = pipe.recv()
             pipe.send(("begun", None))
-            pipe.send(attempt(job, planned, path, work, lambda done, total: pipe.send(("progress", (done, total)))))
+            pipe.send(attempt(program, planned, path, work, lambda done, total: pipe.send(("progress", (done, total)))))

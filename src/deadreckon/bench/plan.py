@@ -1,13 +1,13 @@
-"""A suite as cells, each with a name made of its content, and as jobs, which are cells of one program.
+"""A suite as cells, each with a name made of its content, as jobs, which are cells of one run, and as programs of such jobs.
 
 A cell is one method on one log, task or problem with one seed. Its name depends on all that its numbers depend on: the code
-of the methods, every setting, the data, the seed. Which cells are one job, and so share a program, depends on where they run.
+of the methods, every setting, the data, the seed. Which cells share a job or a program depends on where they run.
 """
 
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -22,12 +22,13 @@ UNUSED = (
     "cli", "report", "bench/published", "bench/statistics.py", "bench/suites", "bench/tables.py", "bench/times.py",
     "bench/tune.py", "runs/recommend.py", "runs/durations.py", "agents/spaces.json",
 )  # fmt: skip
+MOST = 64  # lanes of a program where nobody says how many: no more were measured (benchmarks/lanes.py)
 SOURCES = (".py", ".json", ".xml", ".npz", ".csv")  # policies that make logs among them
 
 
 @dataclass(frozen=True)
 class Job:
-    """Cells that differ in their seed alone, and are run as one program.
+    """Cells that differ in their seed alone: one run.
 
     Attributes:
         kind: of the suite.
@@ -40,6 +41,7 @@ class Job:
         asked: what else decides the numbers: steps, episodes, ...
         seeds: one cell each.
         rows: of a log that is collected; None: all. `data` tells it too.
+        program: number of the program in its plan that it is a part of; None: of its own.
     """
 
     kind: str
@@ -52,6 +54,7 @@ class Job:
     asked: dict[str, Any]
     seeds: tuple[int, ...]
     rows: int | None = None
+    program: int | None = None
 
     def cell(self, seed: int, with_code: bool = True) -> str:
         """The name of the cell with that seed; without the code it is the same for all versions of the methods."""
@@ -67,6 +70,44 @@ class Job:
     def name(self) -> str:
         """Of the job's files: the method, where, and what tells its cells from others."""
         return f"{file_name(f'{self.method}-{self.on}')}-{digest(self.cells, 10)}"
+
+
+@dataclass(frozen=True)
+class Program:
+    """Jobs of the same seeds that differ in float settings alone, which share a compiled program; often it is one job."""
+
+    jobs: tuple[Job, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its folder; of a single job its own."""
+        first, *others = self.jobs
+        if not others:
+            return first.name
+        return f"{file_name(f'{first.agent}-{first.on}')}-{digest([job.name for job in self.jobs], 10)}"
+
+    @property
+    def lanes(self) -> int:
+        """Cells."""
+        return sum(len(job.seeds) for job in self.jobs)
+
+    def run(self, job: Job) -> str:
+        """Where in the folder of all runs that of a job lies."""
+        return job.name if job.name == self.name else f"{self.name}/{job.name}"
+
+    def __str__(self) -> str:
+        job, others = self.jobs[0], len(self.jobs) - 1
+        first, last = job.seeds[0], job.seeds[-1]
+        more = f" and {others} other setting{'s' * (others > 1)} of {job.agent}" if others else ""
+        return f"{job.method}{more} on {job.on}, seed{f's {first} to {last}' if last > first else f' {first}'}"
+
+
+def programs(jobs: Sequence[Job]) -> list[Program]:
+    """The programs of jobs of one plan; those of which some seeds are done already are programs of their own."""
+    found: dict[Any, list[Job]] = {}
+    for job in jobs:
+        found.setdefault(job.name if job.program is None else (job.program, job.seeds), []).append(job)
+    return [Program(tuple(members)) for members in found.values()]
 
 
 def file_name(text: str) -> str:
@@ -99,20 +140,53 @@ def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
 
     Args:
         suite: the suite.
-        lanes: seeds of one program, where the suite does not say; None: all of them.
+        lanes: cells of one program at most, where the suite does not say; None: as many as there are, up to `MOST`.
 
     Raises:
         UserError: an unknown method, log, task or problem, or a setting that a method does not have.
     """
     describe = {"learn": _learn, "online": _online, "design": _design, "ope": _ope}[suite.kind]
-    jobs = []
+    together, jobs = suite.lanes or lanes or MOST, []
     for on in suite.on:
         for method in suite.methods:
             one = describe(suite, method, on)
-            together = suite.lanes or lanes or suite.seeds
             for first in range(0, suite.seeds, together):
                 jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + together, suite.seeds)))))
-    return jobs
+    return _packed(jobs, together)
+
+
+def _packed(jobs: Sequence[Job], lanes: int) -> list[Job]:
+    """The jobs, each with the number of the program that it shares with those before it, as long as there is room."""
+    out, room = [], {}
+    for i, job in enumerate(jobs):
+        key = _shape(job) if len(job.seeds) < lanes else None
+        program, left = room.get(key, (i, 0))
+        if left < len(job.seeds):
+            program, left = i, lanes
+        if key is not None:
+            room[key] = program, left - len(job.seeds)
+        out.append(dataclasses.replace(job, program=program))
+    return out
+
+
+def _shape(job: Job) -> str | None:
+    """What jobs of one program have in common; None of a job that shares none.
+
+    Online only seeds are lanes: experience is made with the settings of one agent. One whose settings are wrong fails alone.
+    """
+    if job.kind != "learn":
+        return None
+    from deadreckon.training.learner import check_fields
+
+    agent = agent_of(job)
+    try:
+        check_fields(agent)
+    except UserError:
+        return None
+    # A number left to the agent (None) may leave a term out, so it is not the same program as one that is given.
+    given = [(f, job.settings[f.name]) for f in dataclasses.fields(agent)]
+    fixed = {f.name: value for f, value in given if f.metadata.get("static") or value is None}
+    return json.dumps([job.agent, fixed, job.on, job.data, job.asked, job.seeds])
 
 
 def agent_of(job: Job) -> Any:

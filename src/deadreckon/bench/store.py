@@ -3,7 +3,7 @@
     results/JOB.parquet    a row a cell
     curves/JOB.parquet     a row an evaluation of a cell
     failed/CELL.json       why a cell's job ended without results; gone when it has some
-    runs/JOB               the job's run folder
+    runs/JOB               the job's run folder; of jobs that shared a program runs/PROGRAM/JOB
 
 Every part has a name of its own and appears whole, so any number of writers may share a folder.
 """
@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from deadreckon.bench.plan import Job, code, file_name
+from deadreckon.bench.plan import Job, Program, code, file_name
 from deadreckon.files import read_json, replacing, write_json
 
 RESULT = pa.schema(
@@ -41,11 +41,11 @@ RESULT = pa.schema(
         ("raw", pa.float64()),  # undiscounted return, or the best design's score by the judge
         ("more", pa.string()),  # JSON: further numbers by name
         ("failure", pa.string()),  # of this seed: which metric went bad, and when
-        ("seconds", pa.float64()),  # of the whole job, since it was last begun
+        ("seconds", pa.float64()),  # of the whole program, since it was last begun
         ("steps", pa.int64()),
         ("code", pa.string()),
         ("versions", pa.string()),  # JSON
-        ("job", pa.string()),
+        ("job", pa.string()),  # its run folder in `runs`
     ]
 )
 CURVE = pa.schema(
@@ -67,9 +67,9 @@ class Store:
 
     path: Path
 
-    def run(self, job: Job) -> Path:
-        """The job's run folder."""
-        return self.path / "runs" / job.name
+    def folder(self, program: Program) -> Path:
+        """What its runs are in, or its only run's folder."""
+        return self.path / "runs" / program.name
 
     def _part(self, kind: str, job: Job) -> Path:
         return self.path / kind / f"{job.name}.parquet"
@@ -87,12 +87,19 @@ class Store:
                 waiting.append(dataclasses.replace(job, seeds=tuple(missing[start:end])))
         return waiting
 
-    def keep(self, suite: str, job: Job, found: Found) -> None:
-        """Writes a job's results; the rows come last, as they say that it is done."""
+    def keep(self, suite: str, job: Job, found: Found, run: str | None = None) -> None:
+        """Writes a job's results; the rows come last, as they say that it is done.
+
+        Args:
+            suite: its name.
+            job: the job.
+            found: its results.
+            run: its run folder in `runs`, where that is not of its name.
+        """
         common = {
             "suite": suite, "kind": job.kind, "method": job.method, "agent": job.agent, "settings": json.dumps(job.settings),
             "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.asked), "code": code(),
-            "job": job.name,
+            "job": run or job.name,
         }  # fmt: skip
         rows = [
             common | {"cell": job.cell(row["seed"]), "content": job.cell(row["seed"], with_code=False)} | row

@@ -66,7 +66,7 @@ class Suite:
         rows: of each log; None: all.
         designs: that a designer proposes.
         budget: sizes of what designers or estimators fit: `full`, or `cpu`.
-        lanes: seeds of one program; None: all of them.
+        lanes: cells of one program at most, which differ in their seeds or in float settings; None: the executor says.
         about: one line.
     """
 

@@ -29,6 +29,7 @@ SOURCES = {
     "design": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges",
     "ope": "appendix E.2, on D4RL's logs and DOPE's policies: not the same data, not the same policies",
 }
+SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
 FORMATS = ("text", "markdown", "csv", "latex")
 # Agents in the thesis's Table 7.1; BRAC has a name for each form.
 THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
@@ -188,9 +189,10 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     codes = {row["code"] for row in found}
     if len(codes) > 1:
         notes.append(f"results of {len(codes)} versions of the methods' code stand side by side")
-    named = ("jax", "mujoco", "device", "python")
-    versions = {json.dumps({k: v for k, v in json.loads(row["versions"]).items() if k in named}) for row in found}
-    notes += [f"made with {', '.join(f'{k} {v}' for k, v in json.loads(text).items())}" for text in sorted(versions)]
+    versions = [json.loads(row["versions"]) for row in found]
+    known = {name: sorted({str(each[name]) for each in versions if name in each}) for name in SHOWN}
+    if told := [f"{name} {' and '.join(values)}" for name, values in known.items() if values]:
+        notes.append(f"made with {', '.join(told)}")
     failures = [(job, store.failure(job, seed)) for job, seed in missing]
     notes += dict.fromkeys(f"FAILED: {job.method} on {job.on}: {failure['error']}" for job, failure in failures if failure)
     if waiting := sum(failure is None for _, failure in failures):

@@ -19,7 +19,7 @@ from deadreckon.bench.plan import Job, plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.data import catalogue
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import BusyError, UserError, unknown
 from deadreckon.files import write_json
 from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.estimate import BehaviorModel, Watcher
@@ -200,6 +200,7 @@ def tune(
         watch: called while estimators fit.
 
     Raises:
+        BusyError: another command does some of it.
         UserError: a setting that failed, in the first one's words.
     """
     if not 0.0 <= discount < 1.0:
@@ -210,6 +211,8 @@ def tune(
     if failures:
         job, failure = failures[0]
         raise UserError(f"{len(failures)} of {len(jobs)} jobs failed, the first ({job.method}): {failure['error']}")
+    if elsewhere := store.undone(jobs):
+        raise BusyError(f"{len(elsewhere)} of {len(jobs)} jobs are being done by another command; choose when it has ended")
     rows = {row["cell"]: row for row in store.of(jobs).to_pylist()}
     values = _estimated(jobs, store, rows, estimators, model, discount, watch) if by == "ope" else {}
     trials = []

@@ -1,4 +1,4 @@
-"""What a job is: a run that goes on where it was stopped, and its numbers as rows."""
+"""What a program does: runs that go on where they were stopped, and their numbers as rows."""
 
 import json
 import time
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.bench.plan import Job, agent_of, code, designer_of, estimator_of, turns
+from deadreckon.bench.plan import Job, Program, agent_of, code, designer_of, estimator_of, turns
 from deadreckon.bench.store import Found
 from deadreckon.errors import UserError
 from deadreckon.files import alone
@@ -16,15 +16,21 @@ from deadreckon.files import alone
 Watch = Callable[[int, int], None]  # updates done, and in all
 
 
-def perform(job: Job, folder: Path, watch: Watch = lambda done, total: None) -> Found:
-    """Does a job, or the rest of it.
+def perform(program: Program, folder: Path, watch: Watch = lambda done, total: None) -> list[Found]:
+    """Does a program, or the rest of it.
 
     Args:
-        job: the job.
-        folder: where its run lies.
+        program: the program.
+        folder: where its run lies, or its runs.
         watch: called as it goes.
+
+    Returns:
+        What was found of each of its jobs.
     """
-    return {"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job, folder, watch)
+    job, *others = program.jobs
+    if others:
+        return _learn_together(program, folder, watch)
+    return [{"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job, folder, watch)]
 
 
 def source(job: Job) -> Path | str:
@@ -34,7 +40,7 @@ def source(job: Job) -> Path | str:
     if job.on not in recipe_names():
         return job.on
     path = default_path(recipe(job.on), job.rows, 0)
-    with alone(path.with_name(f"{path.name}.wanted"), wait=True):
+    with alone(path.with_name(f"{path.name}.wanted"), f"collects {job.on} already"):
         return collect(job.on, steps=job.rows)
 
 
@@ -52,13 +58,29 @@ def _log(job: Job) -> Any:
 def _learn(job: Job, folder: Path, watch: Watch) -> Found:
     from deadreckon.runs.train import train
 
-    asked, began, log = job.asked, time.perf_counter(), _log(job)
-    run = train(
-        agent_of(job), log, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
-        evaluate_every=asked["every"], episodes=asked["episodes"], chunk=min(1000, asked["every"]), resume=True,
-        watch=lambda progress, steps: watch(progress.step, steps),
-    )  # fmt: skip
+    began = time.perf_counter()
+    run = train(agent_of(job), _log(job), out=folder, **_asked(job, watch))
     return _found(job, run, time.perf_counter() - began)
+
+
+def _learn_together(program: Program, folder: Path, watch: Watch) -> list[Found]:
+    from deadreckon.runs.train import train_together
+
+    began, first = time.perf_counter(), program.jobs[0]
+    agents = {job.name: agent_of(job) for job in program.jobs}
+    runs = train_together(agents, _log(first), out=folder, **_asked(first, watch))
+    took = time.perf_counter() - began
+    return [_found(job, runs[job.name], took) for job in program.jobs]
+
+
+def _asked(job: Job, watch: Watch) -> dict[str, Any]:
+    """Options of a run on a log."""
+    every = job.asked["every"]
+    return {
+        "steps": job.asked["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
+        "episodes": job.asked["episodes"], "chunk": min(1000, every), "resume": True,
+        "watch": lambda progress, steps: watch(progress.step, steps),
+    }  # fmt: skip
 
 
 def _online(job: Job, folder: Path, watch: Watch) -> Found:

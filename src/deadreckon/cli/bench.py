@@ -95,16 +95,17 @@ def _run(options: Bench) -> None:
 
 def announce(suite, jobs, store, executor, each: bool):
     """Says what is to be done and how long it may take, job by job if `each`, and gives it."""
+    from deadreckon.bench.plan import programs
     from deadreckon.bench.times import forecast
     from deadreckon.runs.durations import in_words
 
-    waiting = store.undone(jobs)
-    cells, missing = (sum(len(job.seeds) for job in these) for these in (jobs, waiting))
+    waiting = programs(store.undone(jobs))
+    cells, missing = sum(len(job.seeds) for job in jobs), sum(program.lanes for program in waiting)
     print(f"{suite.name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.path}")
     seconds = forecast(waiting, store)
-    for job in waiting if each else ():
-        took = seconds[job.name]
-        print(f"  {_what(job)}: {'no job like it yet' if took is None else f'about {in_words(took)}'}")
+    for program in waiting if each else ():
+        took = seconds[program.name]
+        print(f"  {program}: {'no job like it yet' if took is None else f'about {in_words(took)}'}")
     known = [took for took in seconds.values() if took is not None]
     if known:
         more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
@@ -128,11 +129,6 @@ def _executor(options: Bench):
     return Local(Path(options.out), options.workers)
 
 
-def _what(job) -> str:
-    first, last = job.seeds[0], job.seeds[-1]
-    return f"{job.method} on {job.on}, seed{f's {first} to {last}' if last > first else f' {first}'}"
-
-
 class Lines:
     """Tells what happens: a line a job that begins, ends or fails."""
 
@@ -141,15 +137,16 @@ class Lines:
 
     def __call__(self, event) -> None:
         """Tells an event."""
-        job = _what(event.job)
         if event.what == "done":
             self.done += 1
-            seconds = event.told.rows[0]["seconds"]
-            print(f"{self.done} of {self.total}: {job}, {seconds:,.0f} s", flush=True)
+            seconds = event.told[0].rows[0]["seconds"]
+            print(f"{self.done} of {self.total}: {event.program}, {seconds:,.0f} s", flush=True)
         elif event.what == "failed":
-            print(f"FAILED: {job}: {event.told[0]}", flush=True)
+            print(f"FAILED: {event.program}: {event.told[0]}", flush=True)
+        elif event.what == "elsewhere":
+            print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
         elif event.what == "died":
-            print(f"{job}: its process ended ({event.told}); it is begun again where it was", flush=True)
+            print(f"{event.program}: its process ended ({event.told}); it is begun again where it was", flush=True)
 
 
 def _page(suite, jobs, store):

@@ -59,7 +59,7 @@ class Errands(Guide):
         self.columns = {"goal": (2,)}
         self._task, self._policy, self._noise = task, policy, noise
         self._next = routes(task.grid)
-        kind = task.name.rsplit("-", 1)[1]
+        kind = task.name.rpartition("-")[2]
         cells = {"play": task.cell_of(task.middles(np.array(task.picked))), "diverse": np.arange(len(task.cells))}
         self._targets = cells.get(kind)
         self._generators = [np.random.default_rng(0)] * copies

@@ -248,7 +248,7 @@ class Case:
             UserError: its numbers went bad.
         """
         folder = None if self.out is None else self._folder(learner, rows, steps, what)
-        with contextlib.nullcontext() if folder is None else alone(folder, wait=True):  # another process may want the same
+        with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):
             return self._train(learner, rows, steps, what, folder)
 
     def _train(self, learner: Any, rows: Rows, steps: int, what: str, folder: Path | None) -> Any:

@@ -222,7 +222,8 @@ def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
 
 def _but_for_seeds(config: dict[str, Any]) -> str:
     versions = {name: value for name, value in config.get("versions", {}).items() if name != "lanes"}
-    return json.dumps(config | {"seeds": None, "versions": versions}, sort_keys=True)
+    # Which runs shared a program says no more of what was asked for than the number of lanes.
+    return json.dumps(config | {"seeds": None, "versions": versions, "together": None}, sort_keys=True)
 
 
 def _of_different_seeds(group: list[tuple[Path, dict[str, Any]]]) -> list[list[tuple[Path, dict[str, Any]]]]:

@@ -8,6 +8,9 @@
     log.npz             stretches of the log, for pictures
     evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
     replay/seedS.bin    online: every environment step, see `collect.online`; the newest checkpoint says how many count
+
+Runs that share a program because they differ in float settings alone are folders like this one side by side, and have their
+checkpoints together: beside them, not in them.
 """
 
 import contextlib
@@ -91,8 +94,8 @@ class Folder:
         before = read_json(self.config) if resume and self.config.exists() else {}
         return before.get("evaluation", {}).get("every")
 
-    def begin(self, config: dict[str, Any], *, resume: bool) -> list[str]:
-        """Writes run.json, or checks it against what is asked for now, which may be more updates of the same.
+    def check(self, config: dict[str, Any], *, resume: bool) -> list[str]:
+        """Whether a run may begin here, or go on with what is asked for now, which may be more updates of the same.
 
         Returns:
             What differs without forbidding a resume: versions and threads, one line each.
@@ -104,20 +107,24 @@ class Folder:
             # A run killed while it wrote its first file leaves that file's temporary twin and nothing else.
             if self.path.exists() and not (self.path.is_dir() and all(p.suffix == ".tmp" for p in self.path.iterdir())):
                 raise UserError(f"{self.path} exists and is not a run; choose another --out")
-            write_json(self.config, config)
             return []
         if not resume:
             raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
         before = read_json(self.config)
         longer = before.get("steps", 0) < config["steps"]
         asked = config | {"steps": before.get("steps")} if longer else config
-        keys = ("agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")
-        if different := differences(before, asked, keys):
+        kept = ("together", "agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")
+        if different := differences(before, asked, kept):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
         return [
             f"{text}: the last bits of the numbers may differ from those of an unbroken run"
             for text in differences(before, config, ("versions",))
         ]
+
+    def begin(self, config: dict[str, Any]) -> None:
+        """Writes run.json, where there is none yet."""
+        if not self.config.exists():
+            write_json(self.config, config)
 
     def shorten(self, steps: int) -> None:
         """Takes note that the run has ended with fewer updates than were asked for."""

@@ -91,13 +91,14 @@ def train_online(
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
     config = json.loads(json.dumps(config, default=str))
-    for text in folder.begin(config, resume=resume):
+    for text in folder.check(config, resume=resume):
         warnings.warn(text, stacklevel=2)
+    folder.begin(config)
     job.resume()
     folder.lengthen(config)
     folder.drop_after(job.step)
 
-    recorder = Recorder(folder, job, task, None, job.stops, episodes)
+    recorder = Recorder([folder], job, task, None, job.stops, episodes)
     try:
         if job.step == 0:
             recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with

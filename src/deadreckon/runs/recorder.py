@@ -1,7 +1,8 @@
 """What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -36,10 +37,21 @@ class Recorder:
 
     Simulation runs in a thread of its own, so that it does not hold up training where a core is free. The policies it
     judges are on disk first: an evaluation that a kill interrupts is done again from them.
+
+    Args:
+        folders: of the runs that share the fit, in the order of its lanes, which are as many for each.
+        job: the fit.
+        judge: where policies are judged, if anywhere.
+        log: that is learned from; None online.
+        every: updates between evaluations.
+        episodes: an evaluation, a lane.
     """
 
-    def __init__(self, folder: Folder, job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int):
-        self.folder, self.job, self.judge = folder, job, judge
+    def __init__(
+        self, folders: Sequence[Folder], job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int
+    ):
+        self.folders, self.job, self.judge = list(folders), job, judge
+        self.seeds = len(job.seeds) // len(folders)  # of a run
         self.every, self.episodes = every, episodes
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.probe = LogProbe(log) if log is not None else _nothing  # an online run has no log to stay near to
@@ -57,18 +69,34 @@ class Recorder:
 
     def picture(self, log: Dataset) -> None:
         """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
-        if self.judge is not None and log.spec.observation_size <= PICTURED and not self.folder.log.exists():
-            with replacing(self.folder.log) as temporary, open(temporary, "wb") as file:
-                np.savez_compressed(file, segments=log_segments(log))
+        missing = [folder.log for folder in self.folders if not folder.log.exists()]
+        if self.judge is None or log.spec.observation_size > PICTURED or not missing:
+            return
+        segments = log_segments(log)
+        for path in missing:
+            with replacing(path) as temporary, open(temporary, "wb") as file:
+                np.savez_compressed(file, segments=segments)
 
     def catch_up(self) -> None:
         """Judges kept policies whose evaluation was interrupted."""
-        for step in self.folder.policy_steps():
+        for step in self._kept():
             if step > self.job.step:
-                for seed in self.job.seeds:
-                    self.folder.policy(seed, step).unlink(missing_ok=True)
-            elif not self.folder.part("evaluations", step).exists():
+                for path in self._paths(step):
+                    path.unlink(missing_ok=True)
+            elif not all(folder.part("evaluations", step).exists() for folder in self.folders):
                 self._submit(step)
+
+    def _kept(self) -> list[int]:
+        """Updates after which policies were kept, ascending."""
+        return sorted({step for folder in self.folders for step in folder.policy_steps()})
+
+    def _paths(self, step: int | None = None) -> list[Path]:
+        """Where the policies are kept, one a lane."""
+        return [self.folders[lane // self.seeds].policy(seed, step) for lane, seed in enumerate(self.job.seeds)]
+
+    def _share(self, run: int, each: int = 1) -> slice:
+        """A run's part of columns that have `each` rows a lane."""
+        return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
     def follow(self, watch: Watcher) -> None:
         """Walks the fit to its end: every chunk is recorded, then told. A watcher may have it end before; see `Enough`."""
@@ -78,8 +106,9 @@ class Recorder:
                 watch(progress, self.job.steps)
             except Enough:
                 self.job.steps = progress.step
-                self.folder.shorten(progress.step)
-                if progress.step not in self.folder.policy_steps():
+                for folder in self.folders:
+                    folder.shorten(progress.step)
+                if progress.step not in self._kept():
                     self.judge_now(progress.step)
                 self.job.save()
                 break
@@ -95,10 +124,16 @@ class Recorder:
         columns: dict[str, Any] = {"step": np.full(len(seeds), progress.step), "seed": np.asarray(seeds)}
         if self.job.experience is not None:
             columns["environment_steps"] = np.full(len(seeds), self.job.experience.environment_steps)
-        self.folder.write_part("metrics", progress.step, columns | progress.metrics)
+        self._write("metrics", progress.step, columns | progress.metrics)
         if progress.step % self.every == 0 or progress.step == self.job.steps or all(progress.failures):
             self.judge_now(progress.step)
         self._status(progress.step, finished=False)
+
+    def _write(self, kind: str, step: int, columns: dict[str, Any], each: int = 1) -> None:
+        """Gives every run its rows, of which each lane has `each`."""
+        for run, folder in enumerate(self.folders):
+            own = self._share(run, each)
+            folder.write_part(kind, step, {name: values[own] for name, values in columns.items()})
 
     def judge_now(self, step: int) -> None:
         """Keeps the present policies and sets their evaluation going."""
@@ -110,17 +145,17 @@ class Recorder:
         values = None
         if self.starts is not None:
             values = estimated_values(self.job.learner, self.job.states, self.job.rows.view, policies, self.starts)
-        for i, (seed, policy) in enumerate(zip(self.job.seeds, policies)):
+        for i, (path, seed, policy) in enumerate(zip(self._paths(step), self.job.seeds, policies)):
             meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step}
             if values is not None:
                 meta["estimated_values"] = [float(v) for v in values[i]]
-            store.save(self.folder.policy(seed, step), policy, meta)
+            store.save(path, policy, meta)
 
     def _submit(self, step: int) -> None:
         self.pending.append(self.pool.submit(self._judge, step))
 
     def _judge(self, step: int) -> None:
-        paths = [self.folder.policy(seed, step) for seed in self.job.seeds]
+        paths = self._paths(step)
         policies = [store.load(path) for path in paths]
         metas = [store.meta(path) for path in paths]
         probes = [self.probe(policy) for policy in policies]
@@ -144,22 +179,24 @@ class Recorder:
             if all("estimated_values" in meta for meta in metas):
                 columns["estimated_value"] = np.concatenate([meta["estimated_values"] for meta in metas])
             if result.trajectories is not None:
-                with replacing(self.folder.trajectories) as temporary, open(temporary, "wb") as file:
-                    np.savez_compressed(file, trajectories=result.trajectories)
-        self.folder.write_part("evaluations", step, columns)
+                for run, folder in enumerate(self.folders):
+                    with replacing(folder.trajectories) as temporary, open(temporary, "wb") as file:
+                        np.savez_compressed(file, trajectories=result.trajectories[self._share(run)])
+        self._write("evaluations", step, columns, count)
 
     def _status(self, step: int, *, finished: bool) -> None:
         failures = [None if f is None else list(f) for f in self.job.failures]
-        status = {"step": step, "steps": self.job.steps, "finished": finished, "failures": failures}
-        write_json(self.folder.path / "status.json", status)
+        for run, folder in enumerate(self.folders):
+            own = {"step": step, "steps": self.job.steps, "finished": finished, "failures": failures[self._share(run)]}
+            write_json(folder.path / "status.json", own)
 
     def finish(self) -> None:
         """Waits for the evaluations, then publishes the last policies; with them the run is finished."""
         for future in self.pending:
             future.result()
-        for seed, policy in zip(self.job.seeds, self.policies()):
-            if not self.folder.policy(seed).exists():
-                store.save(self.folder.policy(seed), policy, {"agent": agent_name(self.job.learners[0]), "seed": seed})
+        for path, seed, policy in zip(self._paths(), self.job.seeds, self.policies()):
+            if not path.exists():
+                store.save(path, policy, {"agent": agent_name(self.job.learners[0]), "seed": seed})
         self._status(self.job.step, finished=True)
 
     def close(self) -> None:

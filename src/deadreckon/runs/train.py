@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -105,42 +105,122 @@ def train(
     """
     check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
+    lanes = lanes_of(agent, seeds)
+    path = Path(out) if out is not None else Path("runs") / f"{agent_name(lanes[0])}-{log.name}"
+    [run] = _train(
+        {path: lanes}, path, log, steps=steps, seed=seed, task=task, evaluate_every=evaluate_every, episodes=episodes,
+        chunk=chunk, resume=resume, stream=stream, strict=strict, watch=watch,
+    )  # fmt: skip
+    return run
+
+
+def train_together(
+    agents: Mapping[str, Agent],
+    data: Dataset | str | Path,
+    *,
+    out: Path | str,
+    steps: int = 100_000,
+    seeds: int = 1,
+    seed: int = 0,
+    task: Task | str | None = None,
+    evaluate_every: int | None = None,
+    episodes: int = 20,
+    chunk: int = 1000,
+    resume: bool = False,
+    stream: bool | None = None,
+    strict: bool = False,
+    watch: Watcher = lambda progress, steps: None,
+) -> dict[str, Run]:
+    """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
+
+    Every agent has a run of its own, as `train` would make it, in a folder of its name; checkpoints are common to all.
+
+    Args:
+        agents: name -> agent.
+        data: a log, the name of a known one, or a file.
+        out: folder of the run folders.
+        steps: updates; this and what follows is for each run as in `train`.
+        seeds: of each agent: `seed` .. `seed + seeds - 1`.
+        seed: the first.
+        task: see `train`.
+        evaluate_every: see `train`.
+        episodes: see `train`.
+        chunk: see `train`.
+        resume: go on with the runs in `out`, which must be of the same agents.
+        stream: see `train`.
+        strict: see `train`.
+        watch: see `train`; by raising `runs.recorder.Enough` it ends all runs.
+
+    Raises:
+        UserError: input that does not fit, such as other fields that differ, in one line; nothing is written then.
+    """
+    check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
+    out = Path(out)
+    for name in agents:
+        if (out / name).parent != out or name in ("..", Folder(out).checkpoints.name):
+            raise UserError(f"agents are named as folders are, got {name!r}")
+    if not agents:
+        raise UserError("no agent to train")
+    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
+    runs = _train(
+        {out / name: [agent] * seeds for name, agent in agents.items()}, out, log, steps=steps, seed=seed, task=task,
+        evaluate_every=evaluate_every, episodes=episodes, chunk=chunk, resume=resume, stream=stream, strict=strict, watch=watch,
+    )  # fmt: skip
+    return dict(zip(agents, runs))
+
+
+def _train(
+    asked: Mapping[Path, Sequence[Agent]], out: Path, log: Dataset, *, steps: int, seed: int, task: Task | str | None,
+    evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool | None, strict: bool, watch: Watcher,
+) -> list[Run]:  # fmt: skip
+    """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
     judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
-    lanes = [lane.resolve(log.spec, steps) for lane in lanes_of(agent, seeds)]
-    folder = Folder(Path(out) if out is not None else Path("runs") / f"{agent_name(lanes[0])}-{log.name}")
-    every = min(evaluate_every or folder.period(resume) or max(steps // 10, 1), steps)
+    folders = [Folder(path) for path in asked]
+    lanes = [lane.resolve(log.spec, steps) for each in asked.values() for lane in each]
+    seeds = len(lanes) // len(folders)
+    numbers = list(range(seed, seed + seeds))
+    every = min(evaluate_every or folders[0].period(resume) or max(steps // 10, 1), steps)
     rows = Rows(log, lanes[0].needs(log.spec))
 
-    config = {
-        "agent": {"name": agent_name(lanes[0]), "fields": fields_of(lanes)},
+    common = {
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
                  "usable": rows.count, "warnings": log.warnings,
                  "behavior": None if judge is None else logged_value(log, judge),
                  "provenance": dataclasses.asdict(log.provenance)},
         "task": None if judge is None else judge.name,
-        "seeds": list(range(seed, seed + seeds)),
+        "seeds": numbers,
         "steps": steps,
         "evaluation": {"every": every, "episodes": episodes},
-        "versions": versions() | {"lanes": seeds},
+        "versions": versions() | {"lanes": len(lanes)},
     }  # fmt: skip
-    config = json.loads(json.dumps(config, default=str))
+    if out != folders[0].path:
+        common["together"] = [folder.path.name for folder in folders]
+    configs = []
+    for run in range(len(folders)):
+        own = lanes[run * seeds : (run + 1) * seeds]
+        config = {"agent": {"name": agent_name(own[0]), "fields": fields_of(own)}, **common}
+        configs.append(json.loads(json.dumps(config, default=str)))
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
-    job = Fit(lanes, rows, config["seeds"], steps, chunk, folder.checkpoints, stream=stream, stops=every)
-    for text in folder.begin(config, resume=resume):
-        warnings.warn(text, stacklevel=2)
+    job = Fit(lanes, rows, numbers * len(folders), steps, chunk, Folder(out).checkpoints, stream=stream, stops=every)
+    told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
+    for text in dict.fromkeys(told):
+        warnings.warn(text, stacklevel=3)
+    for folder, config in zip(folders, configs):
+        folder.begin(config)
     job.resume()
-    folder.lengthen(config)
-    folder.drop_after(job.step)
+    for folder, config in zip(folders, configs):
+        folder.lengthen(config)
+        folder.drop_after(job.step)
 
-    recorder = Recorder(folder, job, judge, log, every, episodes)
+    recorder = Recorder(folders, job, judge, log, every, episodes)
     try:
         recorder.picture(log)
         recorder.catch_up()
         recorder.follow(watch)
     finally:
         recorder.close()
-    return load(folder.path)
+    return [load(folder.path) for folder in folders]
 
 
 def load(path: Path | str) -> Run:
@@ -157,7 +237,8 @@ def load(path: Path | str) -> Run:
         raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
     missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
     if missing:
-        raise UserError(f"{path} is not finished; `deadreckon train ... --out {path} --resume` goes on with it")
+        again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
+        raise UserError(f"{path} is not finished; `{again}` goes on with it")
     status = read_json(folder.path / "status.json")
     if not isinstance(status, dict) or "failures" not in status:
         raise UserError(f"{folder.path / 'status.json'} is not a run's: it misses failures")
