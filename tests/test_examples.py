@@ -1,5 +1,6 @@
 """The declared runs of docs/results, on a short setting."""
 
+import json
 import re
 import subprocess
 import sys
@@ -73,6 +74,36 @@ def test_behavior_policies_are_trained_published_and_drawn(tmp_path, monkeypatch
     )  # fmt: skip
     assert len(list((library / "hopper").glob("*.npz"))) == 13
     assert "D4RL expert" in (tmp_path / "curves.svg").read_text()
+
+
+@pytest.mark.slow
+def test_dapg_policies_are_trained_published_and_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import dapg_policies as example
+
+    from deadreckon.agents import DAPG
+    from deadreckon.policies import library
+
+    small = example.Made(DAPG(hidden=(4,), critic_hidden=(4,), clone_steps=2), 10)
+    monkeypatch.setattr(example, "RUNS", {"maze2d-umaze-dense": small})
+    monkeypatch.setattr(example, "BUDGETS", {"cpu": (8, 1)})
+    place = tmp_path / "library"
+    options = example.Options(
+        only=("maze2d-umaze-dense",), budget="cpu", train=True, publish=True, episodes=2, out=str(tmp_path), library=str(place)
+    )
+    example.main(options)
+    about = json.loads((place / "maze2d-umaze-dense.json").read_text())
+    assert about["agent"] == "dapg"
+    assert about["run"]["demonstrations"]["episodes"] == 25
+    assert [each["environment_steps"] for each in about["policies"].values()][:3] == [0, 8 + 2400, 8 + 4800]
+    monkeypatch.setattr(library, "ROOT", place)
+    library.about.cache_clear()
+    try:
+        assert len(library.load_policies("maze2d-umaze-dense")) == 11
+        example.main(example.Options(only=("maze2d-umaze-dense",), table=True))
+    finally:
+        library.about.cache_clear()
+    assert "| `maze2d-umaze-dense` | " in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def job(name, seeds, bad=None, **fields):
 
 
 def test_all_are_looked_at():
-    assert set(ONLINE) == {"sac", "ppo", "mbpo", "pets", "slbo", "mve", "steve"}
+    assert set(ONLINE) == {"sac", "ppo", "dapg", "mbpo", "pets", "slbo", "mve", "steve"}
 
 
 @pytest.mark.slow

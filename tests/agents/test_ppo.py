@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import PPO
-from deadreckon.agents.ppo import Moments, folded
+from deadreckon.agents.on_policy import Moments, folded
 from deadreckon.collect.on_policy import OnPolicy
 from deadreckon.collect.online import Online
 from deadreckon.data.batch import Batch

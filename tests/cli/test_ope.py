@@ -1,5 +1,7 @@
 """`deadreckon ope` from files to a decision card, and its one-line errors."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,28 @@ def test_bench_on_a_short_log(tmp_path, capsys):
     assert out.rstrip().endswith("report.html")
     for said in ("Rank correlation", "hopper-random-v2@dr1-600-steps", "estimate against true value", "WPDIS", "FQE-L2"):
         assert said in page
+
+
+def test_bench_takes_logs_of_tasks_with_policies_alone(tmp_path, capsys):
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1,kitchen-mixed-v0", "--out", str(tmp_path)]) == 2
+    assert "there are no policies of 'kitchen-mixed'" in capsys.readouterr().err
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dens-v1", "--out", str(tmp_path)]) == 2
+    assert "did you mean maze2d-umaze-dense-v1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_bench_on_a_log_by_its_name(tmp_path, capsys):
+    options = ["--log-steps", "600", "--estimators", "fqe", "--out", str(tmp_path / "dope"), *SMALL]
+    assert main(["ope", "bench", "--logs", "maze2d-umaze-dense-v1", *options]) == 0
+    assert "| maze2d-umaze-dense-v1@dr1-600-steps |" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_bench_on_what_people_did(tmp_path, capsys, home, real_data):
+    place = home / "data" / "adroit"
+    place.mkdir(parents=True)
+    shutil.copy(real_data / "adroit" / "door-v0_demos.pickle", place)
+    options = ["--log-steps", "600", "--estimators", "fqe", "--out", str(tmp_path / "dope"), *SMALL]
+    assert main(["ope", "bench", "--logs", "door-human-v1", *options]) == 0
+    out = capsys.readouterr().out
+    assert "| door-human-v1@dr1-600-steps |" in out

@@ -123,6 +123,15 @@ def test_a_library_stays_whole_while_another_is_measured(run, shipped, tmp_path)
     assert [path.name for path in tmp_path.glob("*.json")] == ["hopper.json"]
 
 
+def test_snapshots_alone_are_shipped_where_no_logs_are_made_with_them(run, tmp_path):
+    path = publish(Publish(str(run), episodes=2, most=2, out=str(tmp_path)))
+    about = json.loads(path.read_text())
+    assert list(about["policies"]) == [f"snapshot-{i:02d}" for i in range(11)]
+    assert len(list((tmp_path / "hopper").glob("*.npz"))) == 11
+    assert "medium_replay" not in about
+    assert about["agent"] == "sac"
+
+
 def test_refusals(run, tmp_path):
     with pytest.raises(UserError, match="no policy was kept after 25 updates; those kept are"):
         publish(Publish(str(run), medium=25, expert=80, out=str(tmp_path)))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
+    from deadreckon.agents.dapg import DAPG
     from deadreckon.agents.decision_transformer import DecisionTransformer
     from deadreckon.agents.dqfd import DQfD
     from deadreckon.agents.edac import EDAC
@@ -52,6 +53,7 @@ AGENTS = {
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
     "ppo": ("ppo", "PPO", "clipped policy gradients on the last block of steps, --online only (Schulman et al. 2017)"),
+    "dapg": ("dapg", "DAPG", "natural policy gradients from demonstrations, --online only (Rajeswaran et al. 2018)"),
     "mbpo": ("mbpo", "MBPO", "SAC on short rollouts in a learned model, --online only (thesis 5.3, Algorithm 3)"),
     "pets": ("pets", "PETS", "actions planned in an ensemble at every step, --online only (Chua et al. 2018)"),
     "slbo": ("slbo", "SLBO", "PPO on whole episodes made up by a model, --online only (Luo et al. 2019)"),
@@ -94,6 +96,7 @@ __all__ = [
     "COMBO",
     "CQL",
     "CRR",
+    "DAPG",
     "EDAC",
     "FQL",
     "IQL",

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import Agent, traced_advantage
+from deadreckon.agents.agent import Agent
+from deadreckon.agents.on_policy import Moments, advantages, folded, scaled_value
 from deadreckon.data.batch import Needs
-from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, clipped, descend
@@ -23,32 +23,6 @@ from deadreckon.policies.policy import TanhGaussian
 from deadreckon.training.learner import static
 
 PASSES, MINIBATCH = 10, 64  # of a block, and rows
-
-
-class Moments(NamedTuple):
-    """Mean, variance and number of all that was seen so far."""
-
-    mean: Array
-    variance: Array
-    number: Array
-
-    @classmethod
-    def none(cls, *shape: int) -> "Moments":
-        """Before anything was seen: mean 0 and variance 1."""
-        return cls(jnp.zeros(shape), jnp.ones(shape), jnp.float32(0.0))
-
-    def seeing(self, rows: Float[Array, "n *s"]) -> "Moments":
-        """With some more rows (Chan et al. 1979)."""
-        n = self.number + len(rows)
-        gap = rows.mean(0) - self.mean
-        spread = self.variance * self.number + rows.var(0) * len(rows) + jnp.square(gap) * self.number * len(rows) / n
-        return Moments(self.mean + gap * len(rows) / n, spread / n, n)
-
-    @property
-    def deviation(self) -> Array:
-        """One for what hardly moves."""
-        std = jnp.sqrt(self.variance)
-        return jnp.where(std < STD_FLOOR, 1.0, std)
 
 
 class State(NamedTuple):
@@ -67,6 +41,7 @@ class PPO(Agent):
 
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
+    digests: ClassVar[tuple[str, ...]] = ("observation", "action", "behavior_log_prob", "return_to_go", "advantage")
 
     lr: float = 3e-4  # learning rate
     discount: float = 0.99  # per step
@@ -111,11 +86,7 @@ class PPO(Agent):
         """
         policy = self.policy(state)
         log_prob = policy.log_prob(rows["observation"], rows["action"])
-        now, following = (self.value(state, rows[name]) for name in ("observation", "next_observation"))
-        error = rows["reward"] + self.discount * (1.0 - rows["terminal"]) * following - now
-        goes_on = 1.0 - jnp.maximum(rows["terminal"], rows["timeout"])
-        advantage = traced_advantage(error, goes_on, self.discount * self.trace)
-        returns = advantage + now
+        advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.trace)
         new = state._replace(returns=state.returns.seeing(returns.reshape(-1)))
         columns = {"observation": rows["observation"], "action": rows["action"], "behavior_log_prob": log_prob,
                    "return_to_go": returns, "advantage": advantage}  # fmt: skip
@@ -149,14 +120,8 @@ class PPO(Agent):
 
     def value(self, state: State, observation: Float[Array, "*b o"]) -> Float[Array, "*b"]:
         """The critic, on the scale of returns."""
-        return state.returns.mean + state.returns.deviation * folded(state.critic, state.observations)(observation)[..., 0]
+        return scaled_value(state.critic, state.observations, state.returns, observation)
 
     def policy(self, state):
         """The actor, which standardises observations in its first layer."""
         return TanhGaussian(folded(state.actor, state.observations))
-
-
-def folded(net: MLP, seen: Moments) -> MLP:
-    """The network on raw observations that does what `net` does on standardised ones."""
-    first = net.weights[0] / seen.deviation[:, None]
-    return MLP((first, *net.weights[1:]), (net.biases[0] - seen.mean @ first, *net.biases[1:]), net.activation)

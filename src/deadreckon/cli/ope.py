@@ -53,6 +53,7 @@ class Bench:
 
     tasks: Annotated[str, _NAMES] = "hopper"  # whose policies and logs
     kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # of logs
+    logs: Annotated[str | None, _NAMES] = None  # these instead, such as door-human-v1, of any tasks with policies
     estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # which
     public: bool = False  # importance weights as in the public code: learned behaviour, log-ratios within (-6, 2)
     budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: what one core does
@@ -114,10 +115,12 @@ def bench(args: Sequence[str]) -> None:
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
     tasks, kinds = ([name.strip() for name in names.split(",")] for names in (options.tasks, options.kinds))
+    logs = [name.strip() for name in options.logs.split(",")] if options.logs else ()
     told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
     with Watch() as watch:
         results = protocol.dope(
-            found, tasks, kinds, log_steps=options.log_steps, seeds=options.seeds, seed=options.seed, out=options.out,
+            found, tasks, kinds, logs=logs, log_steps=options.log_steps, seeds=options.seeds, seed=options.seed,
+            out=options.out,
             collecting=lambda name, done, steps: watch(f"collecting {name}", done, steps, "steps"), watch=watch, told=told,
         )  # fmt: skip
     clip = PUBLIC_CLIP if options.clip else None

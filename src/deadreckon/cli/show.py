@@ -53,11 +53,12 @@ def tasks(args: Sequence[str]) -> None:
     rows = [[domain, ", ".join(task.properties), task.source] for domain, task in hard.items()]
     if rows:
         print("\n" + table([["domain", "what makes it hard (thesis 7.3, Table 8.1)", "from"], *rows]))
-    _library([task for task in found if task.domain == "gym"])
+    _own_logs([task for task in found if task.domain == "gym"])
+    _policies(found)
 
 
 def _logs(tasks: Sequence) -> None:
-    """Logs of tasks whose policies do not come with the package; those have a table of their own."""
+    """Logs of tasks that the package's policies do not make; those that they make have a table of their own."""
     from deadreckon.collect.recipes import recipe, recipe_names
 
     if not tasks:
@@ -69,28 +70,35 @@ def _logs(tasks: Sequence) -> None:
     print("\n" + table(rows, right=(1,)))
 
 
-def _library(tasks: Sequence) -> None:
-    """Logs and policies of the tasks that have policies in the package."""
+def _own_logs(tasks: Sequence) -> None:
+    """Logs of tasks that the package's policies make."""
     from deadreckon.collect.gym import behavior_return
     from deadreckon.collect.recipes import recipe, recipe_names
-    from deadreckon.policies.library import library, library_tasks
+    from deadreckon.policies.library import library_tasks
 
-    tasks = [task for task in tasks if task.name in library_tasks()]
     logs = [["data set", "steps", "return", "score", "who acts"]]
-    policies = [["policy", "environment steps", "return", "error", "score", "discounted", "with mean actions", "score"]]
-    for task in tasks:
+    for task in (task for task in tasks if task.name in library_tasks()):
         for name in (n for n in recipe_names() if recipe(n).task == task.name):
             mean = behavior_return(task.name, name.removeprefix(f"{task.name}-").removesuffix("-v2"))
             score = f"{task.reference.normalise(mean):.1f}"
             logs.append([name, f"{recipe(name).steps:,}", f"{mean:.1f}", score, recipe(name).summary])
-        for s in library(task.name):
-            scores = [f"{task.reference.normalise(r.mean):.1f}" for r in (s.sampled, s.greedy)]
-            drawn = f"{s.sampled.mean:.1f}", f"{s.sampled.error:.1f}", scores[0], f"{s.sampled.discounted:.1f}"
-            policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, f"{s.greedy.mean:.1f}", scores[1]])
     if len(logs) > 1:
         print("\n" + table(logs, right=(1, 2, 3)))
         print("\nreturn: mean of an episode; of two parts, from the measured returns and lengths of both. `deadreckon data")
         print("collect NAME` makes a log, offline.")
+
+
+def _policies(tasks: Sequence) -> None:
+    """Policies of the tasks that have some in the package."""
+    from deadreckon.policies.library import library, library_tasks
+
+    policies = [["policy", "environment steps", "return", "error", "score", "discounted", "with mean actions", "score"]]
+    for task in (task for task in tasks if task.name in library_tasks()):
+        for s in library(task.name):
+            scores = [f"{task.reference.normalise(r.mean):.1f}" for r in (s.sampled, s.greedy)]
+            drawn = f"{s.sampled.mean:.1f}", f"{s.sampled.error:.1f}", scores[0], f"{s.sampled.discounted:.1f}"
+            policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, f"{s.greedy.mean:.1f}", scores[1]])
+    if len(policies) > 1:
         print("\n" + table(policies, right=(1, 2, 3, 4, 5, 6, 7)))
         print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives the 11.")
 

@@ -31,6 +31,7 @@ class TrainOnline:
     chunk: int = 2000  # updates between checkpoints: what a kill can lose
     resume: bool = False  # go on with the run in OUT, also with more STEPS than before
     threads: int | None = None  # to simulate with; None: all cores
+    demonstrations: str | None = None  # log to be shown first, a known name or a file; for agents that learn from such
 
 
 @dataclasses.dataclass
@@ -95,7 +96,7 @@ def _train_online(name, parsed):
         return train_online(
             parsed.agent, options.task, steps=options.steps, seeds=options.seeds, seed=options.seed, settings=settings,
             out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
-            resume=options.resume, threads=options.threads,
+            resume=options.resume, threads=options.threads, demonstrations=options.demonstrations,
             watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
         )  # fmt: skip
 

@@ -3,7 +3,8 @@
 The controller remembers which waypoints it has reached, so the behaviour that is logged is not Markovian.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -184,6 +185,57 @@ def collect_maze2d(
         provenance=_provenance(task, name, seed, streams),
         goal=goals[keep].reshape(flat[1]),
     )
+
+
+class Way(NamedTuple):
+    """One step of several copies: observations (copies, 4), actions (copies, 2), what followed, and (copies,) rewards."""
+
+    seen: np.ndarray
+    actions: np.ndarray
+    following: np.ndarray
+    rewards: np.ndarray
+
+
+def to_the_goal(task: Maze2D, seeds: Sequence[int], generator: np.random.Generator) -> Iterator[Way]:
+    """One episode of the controller going to the task's goal and staying there, from each seed's start.
+
+    Args:
+        task: the maze and its reward.
+        seeds: of the starts.
+        generator: of the waypoints' jitter.
+    """
+    simulator = task.simulate(seeds)
+    controller = Pursuit(task, len(seeds), generator, patience=task.horizon, fixed=True)
+    seen = simulator.reset()
+    controller.start(seen)
+    for _ in range(task.horizon):
+        actions = controller.act(seen)
+        following, rewards, _, _ = simulator.step(actions)
+        controller.observe(following)
+        yield Way(seen, actions, following, rewards)
+        seen = following
+
+
+def demonstrations(task: Maze2D, episodes: int = 25, seed: int = 0) -> Dataset:
+    """A log of the controller going to the task's goal, for agents that learn from demonstrations.
+
+    Args:
+        task: the maze and its reward.
+        episodes: whole ones.
+        seed: of the starts and of the waypoints' jitter.
+    """
+    starts, jitter = np.random.SeedSequence(seed).spawn(2)
+    seeds = [int(s) for s in starts.generate_state(episodes, np.uint64)]
+    steps = list(to_the_goal(task, seeds, np.random.default_rng(jitter)))
+    seen, actions, _, rewards = (np.stack(column, 1) for column in zip(*steps))
+    timeouts = np.zeros((episodes, task.horizon), bool)
+    timeouts[:, -1] = True
+    name = f"{task.name}-planner"
+    return Dataset.from_arrays(
+        observations=seen.reshape(-1, 4), actions=actions.reshape(-1, 2), rewards=rewards.ravel(), timeouts=timeouts.ravel(),
+        final_observations=steps[-1].following, action_space=task.action_space, name=name,
+        provenance=_provenance(task, name, seed, episodes),
+    )  # fmt: skip
 
 
 def _provenance(task: Maze2D, name: str, seed: int, streams: int) -> Provenance:

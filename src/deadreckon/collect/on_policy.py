@@ -8,15 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.agents.ppo import PPO
 from deadreckon.collect.online import Exploration
 
 
 class OnPolicy(Exploration):
-    """What the policies did in the last block, as `PPO.digest` sees it."""
+    """What the policies did in the last block, as `PPO.digest` sees it.
 
-    def _begin(self, agent: PPO) -> None:
-        self.fields = learned_fields(self.columns)
+    Attributes:
+        shared: what `digest` gets beside a lane's rows, the same for all lanes.
+    """
+
+    def _begin(self, agent: Any) -> None:
+        self.fields = learned_fields(agent, self.columns)
+        self.shared: tuple[Any, ...] = ()
 
     @property
     def count(self) -> int:
@@ -24,20 +28,23 @@ class OnPolicy(Exploration):
         return self.settings.block
 
     def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
-        """See `Experience`; observations of the block before, at first the random ones, are standardised with from here on."""
+        """See `Experience`."""
         self._collect(learner, states, roots, self.settings.explore)
-        known = self.settings.explore if self.environment_steps == self.settings.explore else self.settings.block
-        states = observing(learner, states, self.last(known)["observation"])
+        states = self._before(learner, states, step)
         self._collect(learner, states, roots, self.settings.steps(step + self.block))
         rows = self.last(self.settings.block)
         by_copy = {name: column.reshape(len(roots), -1, self.copies, *column.shape[2:]) for name, column in rows.items()}
-        return digested(tuple(self.fields), learner, states, by_copy)
+        return digested(tuple(self.fields), learner, states, by_copy, *self.shared)
+
+    def _before(self, learner: Any, states: Any, step: int) -> Any:
+        """The states before they act again, which standardise by the block before too, at first by the random steps."""
+        known = self.settings.explore if step == 0 else self.settings.block
+        return observing(learner, states, self.last(known)["observation"])
 
 
-def learned_fields(columns: dict[str, tuple[int, ...]]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """What `PPO.digest` makes of rows with these columns."""
-    own = "observation", "action", "behavior_log_prob", "return_to_go", "advantage"
-    return {name: (columns.get(name, ()), np.dtype(np.float32)) for name in own}
+def learned_fields(agent: Any, columns: dict[str, tuple[int, ...]]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """What the agent's `digest` makes of rows with these columns."""
+    return {name: (columns.get(name, ()), np.dtype(np.float32)) for name in agent.digests}
 
 
 @eqx.filter_jit
@@ -47,9 +54,11 @@ def observing(learner: Any, states: Any, observation: Float[Array, "l n o"]) -> 
 
 
 @eqx.filter_jit
-def digested(names: tuple[str, ...], learner: Any, states: Any, rows: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
+def digested(
+    names: tuple[str, ...], learner: Any, states: Any, rows: dict[str, Array], *shared: Any
+) -> tuple[Any, dict[str, Array]]:
     """The states, and the columns of all rows, in the order of `names`, in one matrix a lane."""
-    states, columns = jax.vmap(lambda agent, state, own: agent.digest(state, own))(learner, states, rows)
+    states, columns = jax.vmap(lambda agent, state, own: agent.digest(state, own, *shared))(learner, states, rows)
     lanes = len(rows["reward"])
     count = rows["reward"][0].size
     return states, {"packed": jnp.concatenate([columns[name].reshape(lanes, count, -1) for name in names], -1)}

@@ -127,6 +127,7 @@ class Exploration:
         if isinstance(task.action_space, Discrete) or len(task.observation_shape) != 1:
             raise UserError(f"{task.name}: online learning needs flat observations and continuous actions")
         self.task, self.settings, self.seeds, self.paths = task, settings, list(seeds), list(paths)
+        self.learns = type(agent).__name__
         self.spec = Spec.empty(task.observation_shape, task.action_space, task.name)
         self.needs = needs = agent.needs(self.spec)
         shape, size = task.observation_shape, task.action_space.size
@@ -155,6 +156,14 @@ class Exploration:
 
     def _begin(self, agent: Any) -> None:
         """What a kind of experience of its own needs beside this; `agent` is one of the lanes."""
+
+    def show(self, log: Dataset) -> None:
+        """Takes demonstrations, which some agents learn from first.
+
+        Raises:
+            UserError: this one does not.
+        """
+        raise UserError(f"{self.learns} takes no demonstrations")
 
     def _learnable(self, rows: np.ndarray) -> np.ndarray:
         out = rows.copy()

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deadreckon.collect.flow import Controller, FollowerStopper, PISaturation
-from deadreckon.collect.maze2d import Pursuit
+from deadreckon.collect.maze2d import to_the_goal
 from deadreckon.data.spec import Box
 from deadreckon.tasks import flow, gym_mujoco
 from deadreckon.tasks.flow import Flow
@@ -33,15 +33,8 @@ def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, s
     seeds = [int(s) for s in starts.generate_state(max(episodes, expert_episodes), np.uint64)]
 
     random = uniform_return(task, seeds[:episodes], np.random.default_rng(actions))
-    simulator = task.simulate(seeds[:expert_episodes])
-    controller = Pursuit(task, expert_episodes, np.random.default_rng(jitter), patience=task.horizon, fixed=True)
-    seen = simulator.reset()
-    controller.start(seen)
-    expert = 0.0
-    for _ in range(task.horizon):
-        seen, rewards, _, _ = simulator.step(controller.act(seen))
-        controller.observe(seen)
-        expert += rewards.mean(dtype=np.float64)
+    ways = to_the_goal(task, seeds[:expert_episodes], np.random.default_rng(jitter))
+    expert = sum(float(way.rewards.mean(dtype=np.float64)) for way in ways)
     source = f"measured on this simulator: {episodes} episodes of uniform actions, {expert_episodes} of the waypoint planner"
     return Reference(random, expert, source)
 

@@ -25,7 +25,7 @@ class Virtual(Modelling):
     def _begin(self, agent: Any) -> None:
         super()._begin(agent)
         self.agent: SLBO = agent
-        self.fields = learned_fields(self.columns)
+        self.fields = learned_fields(agent, self.columns)
         self._starts, self._turn = jnp.zeros((0, 0, 0)), -1
 
     @property

@@ -48,7 +48,13 @@ class View:
         """Logged actions scaled to [-1, 1] and clipped to +-(1 - 1e-6)."""
         if self.low is None:
             return actions
-        return (2.0 * (actions - self.low) / (self.high - self.low) - 1.0).clip(-EDGE, EDGE)
+        return self.scaled(actions).clip(-EDGE, EDGE)
+
+    def scaled(self, actions: Any) -> Any:
+        """Continuous actions scaled so that the bounds are ±1, and beyond where they are."""
+        assert self.low is not None
+        assert self.high is not None
+        return 2.0 * (actions - self.low) / (self.high - self.low) - 1.0
 
     def from_unit(self, actions: Any) -> Any:
         """Actions in [-1, 1] as the environment takes them."""

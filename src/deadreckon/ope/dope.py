@@ -7,6 +7,7 @@ stored beside them (`policies/library.py`). The logs are the package's own (`hop
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -209,7 +210,7 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
 def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
     """Mean and spread of a metric in thesis E.2, where it prints one for that log and method (its label)."""
     table = published()[{"regret": "regret_at_1"}.get(metric, metric)]["d4rl"]
-    values = table.get(log.removesuffix(f"@{VERSION}").removesuffix("-v2"), {}).get(PRINTED.get(method, method))
+    values = table.get(re.sub(r"-v\d+$", "", log.removesuffix(f"@{VERSION}")), {}).get(PRINTED.get(method, method))
     return None if values is None else (float(values[0]), float(values[1]))
 
 

@@ -35,11 +35,10 @@ def load_dapg(path: Path | str) -> Deployed:
             raise UserError(f"{path}: layer {number} has weights {w.shape}, which do not fit its bias and the layer before it")
     shift, scale = _array(path, model, "out_shift"), _array(path, model, "out_scale")
     log_std = _array(path, found, "log_std")
-    weights[-1] = np.concatenate([scale[:, None] * weights[-1], np.zeros_like(weights[-1])])
-    biases[-1] = np.concatenate([scale * biases[-1] + shift, log_std])
+    weights[-1], biases[-1] = scale[:, None] * weights[-1], scale * biases[-1] + shift
     net = MLP(tuple(_single(w.T) for w in weights), tuple(map(_single, biases)), "tanh")
     mean, std = _array(path, model, "in_shift"), _array(path, model, "in_scale") + 1e-8  # as mjrl divides
-    return Deployed(Gaussian(net), _single(mean), _single(std), None, None)
+    return Deployed(Gaussian.of(net, _single(log_std)), _single(mean), _single(std), None, None)
 
 
 def _single(value: np.ndarray) -> Any:

@@ -45,7 +45,7 @@ class Snapshot:
 
     Attributes:
         task: its task's name.
-        name: `snapshot-00` .. `snapshot-10`, `medium` or `expert`.
+        name: `snapshot-00` .. `snapshot-10`, and where logs are made with them `medium` and `expert`.
         updates: of the run when it was taken.
         environment_steps: likewise.
         sampled: its worth when it draws its actions, which is how logs are made.
@@ -98,7 +98,7 @@ def snapshot(task: str, name: str) -> Snapshot:
 
 
 def library(task: str) -> list[Snapshot]:
-    """All policies of a task: the 11 snapshots in order of training, then `medium` and `expert`."""
+    """All policies of a task: the 11 snapshots in order of training, then `medium` and `expert` where there are such."""
     return [
         Snapshot(task, name, each["updates"], each["environment_steps"], Returns(**each["sampled"]), Returns(**each["greedy"]))
         for name, each in about(task)["policies"].items()
@@ -106,10 +106,12 @@ def library(task: str) -> list[Snapshot]:
 
 
 def load_policies(task: str) -> list[Deployed]:
-    """The 11 policies of a task, evenly spaced over one run of SAC from its random beginning to its end (DOPE, 8.4).
+    """The 11 policies of a task, evenly spaced over one run from its random beginning to its end (DOPE, thesis 8.4).
+
+    The runs are of SAC in Gym-MuJoCo, and of DAPG in Maze2D and Adroit; `about(task)` says how they were made.
 
     Args:
-        task: such as `hopper`.
+        task: such as `hopper`, `maze2d-umaze-dense` or `door`.
 
     Raises:
         UserError: the task has no policies.

@@ -108,6 +108,13 @@ class Gaussian(Inner):
     net: MLP
     has_log_prob = True
 
+    @classmethod
+    def of(cls, means: MLP, log_std: Float[Array, "a"]) -> "Gaussian":
+        """With a network to the means, and log-deviations that no observation changes."""
+        weight, bias = means.weights[-1], means.biases[-1]
+        weights = *means.weights[:-1], jnp.concatenate([weight, jnp.zeros_like(weight)], -1)
+        return cls(MLP(weights, (*means.biases[:-1], jnp.concatenate([bias, log_std])), means.activation))
+
     def act(self, step, carry, key, *, greedy):
         """See `Inner`; the action is not squashed."""
         return self.pre_actions(step.observation, key, greedy=greedy), carry

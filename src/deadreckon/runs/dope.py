@@ -22,6 +22,7 @@ def dope(
     tasks: Sequence[str] = ("hopper",),
     kinds: Sequence[str] = KINDS,
     *,
+    logs: Sequence[str] = (),
     log_steps: int | None = None,
     seeds: int = 1,
     seed: int = 0,
@@ -38,6 +39,7 @@ def dope(
         estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
         tasks: whose policies and logs.
         kinds: of logs.
+        logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, in the place of tasks and kinds.
         log_steps: rows of the logs; None: all.
         seeds: how many fits of each.
         seed: of everything random; of several fits the first.
@@ -47,17 +49,16 @@ def dope(
         told: called with every result.
 
     Raises:
-        UserError: unknown estimators, tasks or kinds, or seeds out of range, before anything is begun.
+        UserError: unknown estimators, tasks, kinds or logs, or seeds out of range, before anything is begun.
     """
     found = [as_estimator(each) for each in estimators]
     if seeds < 1 or seed < 0 or seed + seeds > 2**32:
         raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {seed}")
-    asked = [(task, f"{task}-{kind}-v2") for task in tasks for kind in kinds]
-    paths = [default_path(recipe(name), log_steps, 0) for _, name in asked]
-    for task in tasks:
-        library.library(task)
+    recipes = [recipe(name) for name in logs or [f"{task}-{kind}-v2" for task in tasks for kind in kinds]]
+    for each in recipes:
+        library.library(each.task)
     results = []
-    for (task, name), path in zip(asked, paths):
+    for name, task, path in [(each.name, each.task, default_path(each, log_steps, 0)) for each in recipes]:
         if not path.exists():
             collect(name, steps=log_steps, out=path, progress=partial(collecting, name))
         data = read(path)

@@ -113,7 +113,7 @@ class Folder:
         before = read_json(self.config)
         longer = before.get("steps", 0) < config["steps"]
         asked = config | {"steps": before.get("steps")} if longer else config
-        kept = ("together", "agent", "online", "data", "task", "seeds", "steps", "evaluation")
+        kept = ("together", "agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")
         if different := differences(before, asked, kept):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
         return [

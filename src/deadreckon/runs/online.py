@@ -10,6 +10,8 @@ from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
 from deadreckon.collect.experience import experience_of
 from deadreckon.collect.online import Online
+from deadreckon.data import catalogue
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
@@ -36,6 +38,7 @@ def train_online(
     chunk: int = 2000,
     resume: bool = False,
     threads: int | None = None,
+    demonstrations: Dataset | str | Path | None = None,
     watch: Watcher = lambda progress, steps: None,
 ) -> Run:
     """Trains an agent in a simulator, several seeds as one compiled program, and judges it as it goes.
@@ -54,6 +57,7 @@ def train_online(
         chunk: updates between checkpoints, which is also what a kill can lose.
         resume: go on with the run in `out`.
         threads: to simulate with; all cores if None. Results do not depend on it.
+        demonstrations: a log to be shown first, the name of a known one, or a file; for agents that learn from such (DAPG).
         watch: called after every chunk.
 
     Raises:
@@ -70,7 +74,8 @@ def train_online(
     every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
     if evaluate_every is None:
         every = folder.period(resume) or every
-    job = _job(lanes, task, numbers, updates, settings, folder, chunk, every, threads)
+    shown = None if demonstrations is None else _demonstrated(demonstrations, task)
+    job = _job(lanes, task, numbers, updates, settings, folder, chunk, every, threads, shown)
     lanes = job.learners
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},
@@ -82,6 +87,9 @@ def train_online(
         "evaluation": {"every": job.stops, "episodes": episodes},
         "versions": versions() | {"lanes": seeds},
     }
+    if shown is not None:
+        known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
+        config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
     config = json.loads(json.dumps(config, default=str))
     for text in folder.check(config, resume=resume):
         warnings.warn(text, stacklevel=2)
@@ -102,6 +110,21 @@ def train_online(
     return load(folder.path)
 
 
+def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
+    """A log of demonstrations, within the bounds of the task that they are of.
+
+    Raises:
+        UserError: no log, or one of another task's sizes.
+    """
+    log = given if isinstance(given, Dataset) else catalogue.load(given)
+    asked = task.observation_shape, task.action_space.size
+    found = log.spec.observation_shape, log.spec.action_size
+    if log.spec.discrete or asked != found:
+        sizes = f"{found[0]} and {found[1]} actions, {task.name} has {asked[0]} and {asked[1]}"
+        raise UserError(f"{log.name} has observations {sizes}")
+    return log.with_action_space(task.action_space)
+
+
 def reopened(path: Path | str) -> Fit:
     """An online run as it is at its newest checkpoint, to look into: its `learners`, their whole `states`, a learned model
     among them, its real steps in `experience`, and its task there.
@@ -116,7 +139,8 @@ def reopened(path: Path | str) -> Fit:
     lanes = agents_of(config)
     settings = Online(**config["online"])
     every = config["evaluation"]["every"]
-    job = _job(lanes, find_task(config["task"]), config["seeds"], config["steps"], settings, folder, every, every, None)
+    task = find_task(config["task"])
+    job = _job(lanes, task, config["seeds"], config["steps"], settings, folder, every, every, None, None)
     job.resume()
     if job.step == 0:
         raise UserError(f"{path} has no checkpoint yet in which something was learned")
@@ -125,11 +149,13 @@ def reopened(path: Path | str) -> Fit:
 
 def _job(
     lanes: Sequence[Agent], task: Task, seeds: list[int], updates: int, settings: Online, folder: Folder, chunk: int,
-    stops: int, threads: int | None,
+    stops: int, threads: int | None, shown: Dataset | None,
 ) -> Fit:  # fmt: skip
     """The fit of agents that are resolved for the task here."""
     spec = Spec.empty(task.observation_shape, task.action_space, task.name)
     lanes = [lane.resolve(spec, updates) for lane in lanes]
     replays = [folder.replay(s) for s in seeds]
     experience = experience_of(lanes[0])(task, lanes[0], seeds, updates, settings, replays, threads)
+    if shown is not None:
+        experience.show(shown)
     return Fit(lanes, experience, seeds, updates, chunk, folder.checkpoints, stops=stops)

@@ -1,7 +1,8 @@
 """Makes the behaviour policies that come with the package from online runs, and measures what they are worth.
 
-`python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`. What
-has been measured is kept as it goes: after a kill, the same command goes on.
+`python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
+Without these two it ships the eleven snapshots alone, for tasks whose logs others make. What has been measured is kept as it
+goes: after a kill, the same command goes on.
 """
 
 import dataclasses
@@ -33,8 +34,8 @@ class Publish:
     """Ship the policies of an online run, with their true returns."""
 
     run: str  # folder of an online run with one seed
-    medium: int  # updates after which the policy was medium
-    expert: int  # updates after which it was best
+    medium: int | None = None  # updates after which the policy was medium; None: ship none, and make no medium-replay
+    expert: int | None = None  # updates after which it was best; None: ship none
     updates: int | None = None  # of the run, over which the snapshots are spread; None: all
     episodes: int = 1000  # a policy, each with drawn and with mean actions
     error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
@@ -60,7 +61,8 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     total, task = options.updates or config["steps"], config["task"]
     spaced = [round(i * total / (library.SNAPSHOTS - 1)) for i in range(library.SNAPSHOTS)]
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
-    wanted |= {"medium": options.medium, "expert": options.expert}
+    chosen = {"medium": options.medium, "expert": options.expert}
+    wanted |= {name: step for name, step in chosen.items() if step is not None}
     kept = folder.policy_steps()
     if missing := [step for step in wanted.values() if step not in kept]:
         raise UserError(f"{options.run}: no policy was kept after {missing[0]} updates; those kept are {kept}")
@@ -74,10 +76,13 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     about = read_json(state if state.exists() else published) if state.exists() or published.exists() else {}
     run = {"agent": config["agent"]["fields"], "online": config["online"], "seed": 0, "updates": total,
            "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
+    run |= {key: config[key] for key in ("demonstrations",) if key in config}
     measured: dict[str, dict[str, Any]] = about.get("measured") or _by_updates(about)
     if about.get("run", run) != run:
         measured = {}
-    replay = _replay(folder, task, config["online"]["copies"], steps(options.medium))
+    made: dict[str, Any] = {"task": task, "agent": config["agent"]["name"], "run": run}
+    if options.medium is not None:
+        made["medium_replay"] = _replay(folder, task, config["online"]["copies"], steps(options.medium))
 
     def measure(key: str, mode: str, policy: Any) -> dict[str, Any]:
         found = measured.setdefault(key, {})
@@ -100,7 +105,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     (out / task).mkdir(parents=True, exist_ok=True)
     for name in policies:
         (work / f"{name}.npz").replace(out / task / f"{name}.npz")
-    write_json(published, {"task": task, "run": run, "medium_replay": replay, "uniform": uniform, "policies": policies})
+    write_json(published, made | {"uniform": uniform, "policies": policies})
     shutil.rmtree(work)
     return published
 

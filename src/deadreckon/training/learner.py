@@ -57,7 +57,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "lr": (0.0, math.inf), "discount": (0.0, 1.0), "target_rate": (0.0, 1.0), "min_weight": (0.0, 1.0),
     "noise": (0.0, math.inf), "noise_clip": (0.0, math.inf), "alpha": (0.0, math.inf), "multiplier": (0.0, math.inf),
     "temperature": (1e-30, math.inf), "bandwidth": (1e-30, math.inf), "density_clip": (1.0, math.inf),
-    "delta": (1e-6, 1.0), "ratio_min": (0.0, math.inf), "ratio_max": (0.0, math.inf),
+    "delta": (1e-6, 1.0), "damping": (0.0, math.inf), "ratio_min": (0.0, math.inf), "ratio_max": (0.0, math.inf),
     "warm_start": (0, math.inf), "refresh": (0, math.inf), "range": (-math.inf, math.inf), "confidence": (0.0, 1.0),
     "max_weight": (1e-30, math.inf), "decay": (0.0, math.inf), "penalty": (0.0, math.inf), "atoms": (2, math.inf),
     "logged_rows": (0, math.inf), "familiar": (0.0, 1.0), "conservatism": (0.0, math.inf),

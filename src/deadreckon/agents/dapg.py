@@ -1,0 +1,262 @@
+"""DAPG (Rajeswaran et al. 2018): natural policy gradients that demonstrations begin and guide (thesis 8.4: DOPE's policies).
+
+The policy first clones the demonstrations. Then each block of its own steps gives one step along the natural gradient (Kakade
+2001) of Rajeswaran et al.'s augmented gradient,
+
+    g = sum_{(s, a) of the block} A(s, a) grad log pi(a|s) + lambda0 lambda1^k max A sum_{(s, a) demonstrated} grad log pi(a|s)
+    theta <- theta + sqrt(delta / g^T F^-1 g) F^-1 g,      F the Fisher matrix on the block's observations,
+
+with advantages as PPO has them and `k` the steps before. Without demonstrations both sums are one, and it is the natural policy
+gradient. `collect.demonstrated` makes the blocks.
+"""
+
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent
+from deadreckon.agents.on_policy import Moments, advantages, folded, scaled_value
+from deadreckon.data.batch import Needs
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import begin, descend
+from deadreckon.policies.policy import Gaussian
+from deadreckon.training.learner import static
+
+LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall
+PASSES, MINIBATCH = 2, 64  # of the critic over a block, and rows
+CLONED = 32  # rows a batch of the cloning
+TOLD = "kl", "improvement", "demonstrations", "deviation", "reward"  # of a block's step
+
+
+class Actor(NamedTuple):
+    """A network to the means of the actions, and a log-deviation for each of them that no observation changes."""
+
+    net: MLP
+    log_std: Float[Array, "a"]
+
+    def at(self, observation: Float[Array, "n o"]) -> dist.Gaussian:
+        """The distributions at standardised observations."""
+        mean = self.net(observation)
+        return dist.Gaussian(mean, jnp.broadcast_to(self.log_std, mean.shape))
+
+
+class State(NamedTuple):
+    """Networks, the critic's optimiser, what observations and returns have been like, and what the last step was like."""
+
+    actor: Actor
+    critic: MLP
+    opt: optax.OptState
+    observations: Moments
+    returns: Moments
+    steps: Array  # along natural gradients so far
+    told: dict[str, Array]
+
+
+class DAPG(Agent):
+    """Natural policy gradients from cloned demonstrations, whose likelihood counts for a while."""
+
+    online: ClassVar[bool] = True
+    offline: ClassVar[bool] = False
+    digests: ClassVar[tuple[str, ...]] = ("observation", "return_to_go")
+
+    delta: float = 0.05  # twice the divergence that a step is to make (the normalised step size)
+    damping: float = 1e-4  # added to the diagonal of the Fisher matrix
+    iterations: int = static(10)  # of conjugate gradients
+    demonstration_weight: float = 0.1  # lambda0: of demonstrated actions, in units of the block's largest advantage
+    demonstration_decay: float = 0.95  # lambda1: of that weight, from step to step
+    discount: float = 0.995  # per step
+    trace: float = 0.97  # lambda of the advantages: 0 trusts the critic, 1 the returns
+    lr: float = 1e-3  # learning rate of the critic
+    clone_steps: int = static(20_000)  # updates that clone the demonstrations before
+    clone_lr: float = 1e-3  # learning rate of these
+    deviation: Literal["residual", "demonstrated"] = static("residual")  # of the clone: of its errors, or of what it was shown
+    hidden: tuple[int, ...] = static((32, 32))  # width of each hidden layer of the policy, tanh
+    critic_hidden: tuple[int, ...] = static((128, 128))  # of the critic, ReLU
+    batch_size: int = static(MINIBATCH)  # rows a batch of the critic
+
+    @classmethod
+    def acting(cls, task: str) -> dict[str, Any]:
+        """How acting and learning take turns: 40,000 steps (200 episodes of Adroit), one step, two passes of the critic."""
+        return {"copies": 200, "explore": 2000, "updates_per_step": PASSES / MINIBATCH, "block": 40_000}
+
+    def needs(self, spec):
+        """Transitions."""
+        return Needs(batch_size=self.batch_size)
+
+    def init(self, spec, key) -> Any:
+        """Fresh networks; deviations are one until demonstrations tell better."""
+        ka, kc = jax.random.split(key)
+        actor = Actor(policy_network(spec, self.hidden, ka), jnp.zeros(spec.action_size))
+        critic = MLP.create(spec.observation_size, self.critic_hidden, 1, kc)
+        told: dict[str, Array] = {name: jnp.zeros(()) for name in TOLD}
+        seen = Moments.none(spec.observation_size)
+        return State(actor, critic, begin(critic), seen, Moments.none(), jnp.float32(0.0), told)
+
+    def observing(self, state: State, observation: Float[Array, "n o"]) -> State:
+        """The state that standardises observations by these from now on."""
+        return state._replace(observations=Moments.none(observation.shape[-1]).seeing(observation))
+
+    def begun(self, state: State, net: MLP, shown: dict[str, Array]) -> State:
+        """The state in which the policy is a clone of what was demonstrated.
+
+        Args:
+            state: that standardises observations by the demonstrated ones.
+            net: the clone's means.
+            shown: observations (n, o) and actions (n, a).
+        """
+        error = net(standardised(shown["observation"], state.observations)) - shown["action"]
+        spread = jnp.sqrt(jnp.square(error).mean(0)) if self.deviation == "residual" else shown["action"].std(0)
+        return state._replace(actor=Actor(net, jnp.maximum(jnp.log(spread), LOG_STD_MIN)))
+
+    def digest(
+        self, state: State, rows: dict[str, Float[Array, "t c *s"]], shown: dict[str, Array] | None = None
+    ) -> tuple[State, dict[str, Array]]:
+        """Takes a step along the natural gradient of a block.
+
+        Args:
+            state: of the policy that acted.
+            rows: steps of several copies: observation, action (as drawn), reward, next_observation, terminal and timeout.
+            shown: observations (n, o) and actions (n, a) that were demonstrated, if any.
+
+        Returns:
+            The state with the new policy, and columns (t, c, *s) for the critic, whose advantages were those before it sees
+            this block.
+        """
+        advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.trace)
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        observation, action = (rows[name].reshape(-1, rows[name].shape[-1]) for name in ("observation", "action"))
+        observation = standardised(observation, state.observations)
+        weight = self.demonstration_weight * self.demonstration_decay**state.steps * advantage.max()
+
+        def gain(actor: Actor) -> Array:
+            return (advantage.reshape(-1) * log_prob(actor.at(observation), action)).mean()
+
+        def augmented(actor: Actor) -> Array:
+            if shown is None:
+                return gain(actor)
+            demonstrated = standardised(shown["observation"], state.observations)
+            likelihood = log_prob(actor.at(demonstrated), shown["action"]).sum()
+            return gain(actor) + weight * likelihood / len(observation)
+
+        old = state.actor
+        actor = natural_step(old, jax.grad(augmented)(old), observation, self.delta, self.damping, self.iterations)
+        actor = actor._replace(log_std=jnp.maximum(actor.log_std, LOG_STD_MIN))
+        apart, counted = dist.kl(old.at(observation), actor.at(observation)).mean(), 0.0 if shown is None else 1.0
+        numbers = apart, gain(actor) - gain(old), counted * weight, jnp.exp(actor.log_std).mean(), rows["reward"].mean()
+        seen_returns = state.returns.seeing(returns.reshape(-1))
+        new = state._replace(actor=actor, returns=seen_returns, steps=state.steps + 1.0, told=dict(zip(TOLD, numbers)))
+        return new, {"observation": rows["observation"], "return_to_go": returns}
+
+    def update(self, state, batch, *, step, key):
+        """The critic alone; what the block's step was like is told with it."""
+
+        def loss(critic: MLP) -> Array:
+            error = self.value(state._replace(critic=critic), batch.observation) - batch.return_to_go
+            return jnp.square(error / state.returns.deviation).mean()
+
+        value, grads = jax.value_and_grad(loss)(state.critic)
+        critic, opt = descend(state.critic, grads, state.opt, self.lr)
+        return state._replace(critic=critic, opt=opt), {"critic_loss": value, **state.told}
+
+    def value(self, state: State, observation: Float[Array, "*b o"]) -> Float[Array, "*b"]:
+        """The critic, on the scale of returns."""
+        return scaled_value(state.critic, state.observations, state.returns, observation)
+
+    def policy(self, state):
+        """The actor, which standardises observations in its first layer."""
+        return Gaussian.of(folded(state.actor.net, state.observations), state.actor.log_std)
+
+
+class Clone(NamedTuple):
+    """The network and its optimiser."""
+
+    net: MLP
+    opt: optax.OptState
+
+
+class Cloning(eqx.Module):
+    """Fits the means to demonstrated actions, by squared errors in units of their deviations.
+
+    Attributes:
+        lr: learning rate.
+        center, spread: (a,) mean and deviation of the demonstrated actions.
+        hidden: width of each hidden layer.
+    """
+
+    lr: float
+    center: Array
+    spread: Array
+    hidden: tuple[int, ...] = static((32, 32))
+
+    def needs(self, spec):
+        """Standardised observations, and actions."""
+        return Needs(("observation", "action"), CLONED, standardise=True)
+
+    def init(self, spec, key):
+        """A fresh network."""
+        net = policy_network(spec, self.hidden, key)
+        return Clone(net, begin(net))
+
+    def update(self, state, batch, *, step, key):
+        """One step on the mean squared error."""
+        wanted = (batch.action - self.center) / self.spread
+        error = lambda net: jnp.square(net(batch.observation) - wanted).mean()  # noqa: E731
+        value, grads = jax.value_and_grad(error)(state.net)
+        return Clone(*descend(state.net, grads, state.opt, self.lr)), {"behavior_error": value}
+
+    def means(self, state: Clone) -> MLP:
+        """The network to actions as they were demonstrated."""
+        *weights, last = state.net.weights
+        *biases, bias = state.net.biases
+        return MLP((*weights, last * self.spread), (*biases, bias * self.spread + self.center), state.net.activation)
+
+
+def standardised(observation: Float[Array, "n o"], seen: Moments) -> Float[Array, "n o"]:
+    """Observations as the networks take them."""
+    return (observation - seen.mean) / seen.deviation
+
+
+def policy_network(spec: Any, hidden: tuple[int, ...], key: Any) -> MLP:
+    """A fresh network to means, tanh; its last layer is small, so that it begins without preferences."""
+    net = MLP.create(spec.observation_size, hidden, spec.action_size, key, activation="tanh")
+    return MLP((*net.weights[:-1], 0.01 * net.weights[-1]), (*net.biases[:-1], 0.01 * net.biases[-1]), "tanh")
+
+
+def log_prob(d: dist.Gaussian, action: Float[Array, "n a"]) -> Float[Array, "n"]:
+    """Log-densities of actions that nothing bounds, up to a constant."""
+    return (-0.5 * jnp.square((action - d.mean) * jnp.exp(-d.log_std)) - d.log_std).sum(-1)
+
+
+def fisher_product(actor: Actor, observation: Float[Array, "n o"], vector: Actor) -> Actor:
+    """The Fisher matrix on some observations times a vector of parameters.
+
+    The divergence KL(old || new) has at old the Hessian J^T D J with J the Jacobian of (means, log-deviations) and D diagonal,
+    1/std^2 for means and 2 for log-deviations: exact, and without a second derivative of the network.
+    """
+
+    def outputs(actor: Actor) -> tuple[Array, Array]:
+        return actor.net(observation), actor.log_std
+
+    (_, log_std), (mean_change, log_std_change) = jax.jvp(outputs, (actor,), (vector,))
+    pull = jax.vjp(outputs, actor)[1]
+    return pull((mean_change * jnp.exp(-2.0 * log_std) / len(observation), 2.0 * log_std_change))[0]
+
+
+def natural_step(
+    actor: Actor, gradient: Actor, observation: Float[Array, "n o"], delta: Any, damping: Any, iterations: int
+) -> Actor:
+    """The actor moved along F^-1 g, as far that the divergence, to second order, is delta / 2."""
+    flat, rebuilt = ravel_pytree(gradient)
+
+    def product(v: Array) -> Array:
+        return ravel_pytree(fisher_product(actor, observation, rebuilt(v)))[0] + damping * v
+
+    direction = jax.scipy.sparse.linalg.cg(product, flat, tol=1e-7, maxiter=iterations)[0]
+    length = jnp.sqrt(delta / (flat @ direction + 1e-20))
+    return jax.tree.map(lambda p, d: p + length * d, actor, rebuilt(direction))
