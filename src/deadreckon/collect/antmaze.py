@@ -3,9 +3,11 @@
 The guide remembers which waypoints it has reached, so the behaviour that is logged is not Markovian.
 """
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from deadreckon.policies import library, store
 from deadreckon.policies.policy import Deployed, first_actions
 from deadreckon.tasks.antmaze import GOAL_NOISE, AntMaze, ahead
 
-NOISE = 0.2  # standard deviation of the noise on the walker's actions
+ACTION_NOISE = 0.2  # standard deviation of the noise on the walker's actions
 NEAR = 1.0  # m, within which a waypoint counts as reached
 
 
@@ -42,11 +44,11 @@ class Errands(Guide):
     """Sends the ants of many copies of one maze from target to target, by way of the cells that the planner names.
 
     Attributes:
-        columns: `goal`, the target that each row's action heads for.
-        sent, arrived: how many targets there were in all copies, and how many were reached.
+        columns: `goal`, the target that each row's action heads for, and `episode_goal`, which the episode's rewards are of.
+        sent: how many targets there were in all copies.
     """
 
-    def __init__(self, task: AntMaze, policy: Deployed, *, copies: int = COPIES, noise: float = NOISE):
+    def __init__(self, task: AntMaze, policy: Deployed, *, copies: int = COPIES, noise: float = ACTION_NOISE):
         """Sets up the guide.
 
         Args:
@@ -56,7 +58,7 @@ class Errands(Guide):
             copies: of the maze.
             noise: standard deviation of what is added to the walker's mean actions, which are then cut to ±1.
         """
-        self.columns = {"goal": (2,)}
+        self.columns = {"goal": (2,), "episode_goal": (2,)}
         self._task, self._policy, self._noise = task, policy, noise
         self._next = routes(task.grid)
         kind = task.name.rpartition("-")[2]
@@ -64,11 +66,12 @@ class Errands(Guide):
         self._targets = cells.get(kind)
         self._generators = [np.random.default_rng(0)] * copies
         self.target = np.zeros((copies, 2))
+        self.episode_goals = np.zeros((copies, 2))
         self._aim = np.zeros((copies, 2))  # the waypoint that is headed for
         self._cell = np.zeros(copies, int)  # the cell that it lies in
         self._left = np.zeros(copies, int)  # the cell before that
         self._goal = np.zeros(copies, int)  # the target's cell
-        self.sent = self.arrived = 0
+        self.sent = 0
 
     @property
     def wanders(self) -> bool:
@@ -78,6 +81,7 @@ class Errands(Guide):
     def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
         """See `Guide`."""
         self._generators[copy] = generator
+        self.episode_goals[copy] = simulator.goals[copy]
         here = int(self._task.cell_of(observation[None, :2])[0])
         if self._targets is None:
             self.target[copy] = simulator.goals[copy]
@@ -96,17 +100,15 @@ class Errands(Guide):
         # Pushed off its way, an ant would be led through walls.
         lost = (cells >= 0) & (cells != self._cell) & (cells != self._left)
         for copy in running[(there | near | lost)[running]].tolist():
-            if there[copy]:
-                self.arrived += 1
-                if self._targets is not None:
-                    self._send(copy, int(cells[copy]))
+            if there[copy] and self._targets is not None:
+                self._send(copy, int(cells[copy]))
             self._head_on(copy, int(cells[copy] if there[copy] or lost[copy] else self._cell[copy]))
         angles = np.arctan2(*(self._aim - place).T[::-1])
         seen = ahead(observations.astype(np.float64), angles).astype(np.float32)
         actions = np.array(first_actions(self._policy, jnp.asarray(seen), jax.random.key(0), True))
         for copy in running.tolist():
             actions[copy] += self._noise * self._generators[copy].standard_normal(actions.shape[1])
-        return np.clip(actions, -1.0, 1.0), {"goal": self.target.copy()}
+        return np.clip(actions, -1.0, 1.0), {"goal": self.target.copy(), "episode_goal": self.episode_goals.copy()}
 
     def _send(self, copy: int, here: int) -> None:
         """Draws a new target in another cell than `here`."""
@@ -126,29 +128,6 @@ class Errands(Guide):
             self._aim[copy] = self._task.middles(self._task.cells[self._cell[copy]]) + noise
 
 
-def errands(task: AntMaze, *, episodes: int = 100, seed: int = 0, threads: int | None = None) -> tuple[int, int, float, float]:
-    """What becomes of the ants that `Errands` sends through a maze as in its log.
-
-    Returns:
-        How many targets they were sent to, and how many they reached; the share of episodes that ended at the task's own
-        goal, and the share that ended on the back.
-    """
-    guide = Errands(task, walker(), copies=episodes)
-    simulator = replace(task, anywhere=guide.wanders).simulate(range(seed, seed + episodes), threads)
-    seen = simulator.reset()
-    for copy in range(episodes):
-        guide.begin(simulator, copy, seen[copy], np.random.default_rng([seed, copy]))
-    running = np.arange(episodes)
-    while len(running):
-        actions, _ = guide.act(seen, running)
-        seen, _, terminals, timeouts = simulator.step(actions)
-        running = running[~(terminals | timeouts)[running]]
-    ended = int(simulator.achieved.sum())
-    arrived = guide.arrived if guide.wanders else ended  # an episode that ends at its errand's goal does not come back here
-    x, y = seen[:, 4:6].T
-    return guide.sent, arrived, ended / episodes, float((x**2 + y**2 > 0.5).mean())
-
-
 def collect_antmaze(
     task: AntMaze,
     *,
@@ -163,7 +142,7 @@ def collect_antmaze(
 
     Ants of umaze logs begin at the start and go to the episode's goal. Those of the others begin anywhere and are sent to one
     target after the other, until they come upon the episode's goal (a terminal) or time is up (a timeout). The target is the
-    column `goal`; rewards are those of the task's own goal.
+    column `goal`; rewards are those of the task's own goal, the column `episode_goal`.
 
     Args:
         task: where, and where to.
@@ -174,11 +153,12 @@ def collect_antmaze(
         threads: to simulate with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and `steps`.
     """
-    import mujoco
-
     guide = Errands(task, walker())
-    extra = {"task": task.name, "policies": ["ant-reach walker"], "noise": NOISE}
-    versions = {"mujoco": mujoco.__version__, "numpy": np.__version__, "deadreckon": __version__}
+    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium", "numpy", "jax")} | {"deadreckon": __version__}
+    extra = {
+        "task": task.name, "policies": ["ant-reach walker"], "noise": ACTION_NOISE, "device": jax.devices()[0].platform,
+        "walker": hashlib.sha256(WALKER.read_bytes()).hexdigest(),
+    }  # fmt: skip
     place = replace(task, anywhere=guide.wanders)
     return perform(
         place, [Act(guide, steps)], name=f"{name}@{VERSION}", seed=seed, scratch=scratch, threads=threads, progress=progress,

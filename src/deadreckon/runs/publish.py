@@ -1,4 +1,4 @@
-"""Makes the behaviour policies that come with the package from online runs, and measures what they are worth.
+"""Makes the behaviour policies that come with the package from runs, and measures what they are worth.
 
 `python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
 Without these two it ships the eleven snapshots alone, for tasks whose logs others make. What has been measured is kept as it
@@ -31,9 +31,9 @@ DISCOUNT = 0.995  # DOPE's
 
 @dataclass
 class Publish:
-    """Ship the policies of an online run, with their true returns."""
+    """Ship the policies of a run, with their true returns."""
 
-    run: str  # folder of an online run with one seed
+    run: str  # folder of a run with seed 0 alone, online or on a log
     medium: int | None = None  # updates after which the policy was medium; None: ship none, and make no medium-replay
     expert: int | None = None  # updates after which it was best; None: ship none
     updates: int | None = None  # of the run, over which the snapshots are spread; None: all
@@ -51,13 +51,16 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         The JSON file about them.
 
     Raises:
-        UserError: no online run of one seed, or no policy was kept after those updates.
+        UserError: no run of seed 0 alone, no medium of a run on a log, or no policy was kept after those updates.
     """
     folder = Folder(Path(options.run))
     config = read_json(folder.config)
     # The recipe of medium-replay calls the run with seed 0 the one that the policies come from.
-    if "online" not in config or config["seeds"] != [0]:
-        raise UserError(f"{options.run}: an online run of seed 0 alone is needed")
+    if config["seeds"] != [0]:
+        raise UserError(f"{options.run}: a run of seed 0 alone is needed")
+    online = config.get("online")
+    if online is None and options.medium is not None:
+        raise UserError(f"{options.run} learned from a log: it has no medium-replay, leave medium out")
     total, task = options.updates or config["steps"], config["task"]
     spaced = [round(i * total / (library.SNAPSHOTS - 1)) for i in range(library.SNAPSHOTS)]
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
@@ -68,21 +71,22 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         raise UserError(f"{options.run}: no policy was kept after {missing[0]} updates; those kept are {kept}")
     if 0 in (options.medium, options.expert):
         raise UserError("medium and expert are updates after which a policy was kept, above 0")
-    steps = Online(**config["online"]).steps
+    steps = Online(**online).steps if online else lambda updates: 0
 
     # The library that is there stays whole until the new one is.
     out, work = Path(options.out), Path(options.out) / f".{task}.part"
     state, published = work / "about.json", out / f"{task}.json"
     about = read_json(state if state.exists() else published) if state.exists() or published.exists() else {}
-    run = {"agent": config["agent"]["fields"], "online": config["online"], "seed": 0, "updates": total,
+    run = {"agent": config["agent"]["fields"], "online": online, "seed": 0, "updates": total,
            "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
+    run |= {} if online else {"data": {key: config["data"][key] for key in ("name", "fingerprint")}}
     run |= {key: config[key] for key in ("demonstrations",) if key in config}
     measured: dict[str, dict[str, Any]] = about.get("measured") or _by_updates(about)
     if about.get("run", run) != run:
         measured = {}
     made: dict[str, Any] = {"task": task, "agent": config["agent"]["name"], "run": run}
-    if options.medium is not None:
-        made["medium_replay"] = _replay(folder, task, config["online"]["copies"], steps(options.medium))
+    if online and options.medium is not None:
+        made["medium_replay"] = _replay(folder, task, online["copies"], steps(options.medium))
 
     def measure(key: str, mode: str, policy: Any) -> dict[str, Any]:
         found = measured.setdefault(key, {})

@@ -55,7 +55,8 @@ class AntMaze(Maze):
 
     Attributes:
         picked: cells (row, column) that "play" logs are sent to.
-        anywhere: begin in any free cell that is not picked, as logs other than antmaze-umaze do, instead of at the start.
+        anywhere: begin in any free cell that is neither picked nor the goal's, as logs other than antmaze-umaze do, instead of
+            at the start.
     """
 
     marks: str = "RG"
@@ -83,7 +84,8 @@ class AntMaze(Maze):
         """(2,) where an episode begins: the start, or anywhere that the ant is not sent to."""
         if not self.anywhere:
             return np.zeros(2)
-        free = [cell for cell in self.cells.tolist() if tuple(cell) not in self.picked]
+        taken = {*self.picked, tuple(self.marked("G").tolist())}
+        free = [cell for cell in self.cells.tolist() if tuple(cell) not in taken]
         return self.middles(np.array(free[generator.integers(len(free))])) + generator.uniform(0.0, START_NOISE, 2)
 
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "AntMazeSimulator":
@@ -233,8 +235,6 @@ def model(layout: str) -> Any:
     mujoco = bindings()
     spec = mujoco.MjSpec.from_file(str(asset("gymnasium", "envs/mujoco/assets/ant.xml")))
     spec.option.timestep = TIMESTEP
-    for geom in spec.geoms:
-        geom.solimp = [0.8, 0.8, 0.01, 0.5, 2.0]  # the last two are MuJoCo's own
     for motor in spec.actuators:
         motor.gear[0] = TORQUE
     rows = layout.split("/") if layout else []
@@ -247,6 +247,8 @@ def model(layout: str) -> Any:
                     type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, SCALE / 4], size=[SCALE / 2, SCALE / 2, SCALE / 4],
                     contype=1, conaffinity=1, rgba=[0.7, 0.5, 0.3, 1.0],
                 )  # fmt: skip
+    for geom in spec.geoms:
+        geom.solimp = [0.8, 0.8, 0.01, 0.5, 2.0]  # the last two are MuJoCo's own
     return spec.compile()
 
 
