@@ -100,7 +100,7 @@ def test_dapg_policies_are_trained_published_and_shown(tmp_path, monkeypatch, ca
     library.about.cache_clear()
     try:
         assert len(library.load_policies("maze2d-umaze-dense")) == 11
-        example.main(example.Options(only=("maze2d-umaze-dense",), table=True))
+        example.main(example.Options(only=("maze2d-umaze-dense",), budget="cpu", table=True))
     finally:
         library.about.cache_clear()
     assert "| `maze2d-umaze-dense` | " in capsys.readouterr().out
