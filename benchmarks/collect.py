@@ -152,15 +152,15 @@ def mazes(options: argparse.Namespace, cores: int) -> None:
 # ---- robots that are led ----------------------------------------------------------------------------------------------
 
 
-def stepped(name: str, actions: np.ndarray) -> float:
-    """Steps a second of physics alone through actions (n, size), from the beginning of an episode every horizon."""
-    found = task(name)
-    simulator = found.simulate([0], 1)
+def stepped(name: str, log: Any) -> float:
+    """Steps a second of physics alone through a log's actions, each of its episodes from the same start."""
+    simulator = task(name).simulate([0], 1)
     simulator.reset()
     compiled, data, skip, parts = simulator._models[0], simulator._data[0], simulator._skip, simulator._parts
+    begins, actions = set(log.starts.tolist()), np.array(log.actions)
     begin = time.perf_counter()
     for at, action in enumerate(actions):
-        if at % found.horizon == 0:
+        if at in begins:
             mujoco.mj_setState(compiled, data, simulator._state[0], parts)
         simulator._control(data, 0, action)
         mujoco.mj_step(compiled, data, skip)
@@ -178,7 +178,7 @@ def led(options: argparse.Namespace) -> None:
             begin = time.perf_counter()
             log = generate(name, steps=options.led_steps, seed=repeat, threads=1)
             found["collect"].append(len(log) / (time.perf_counter() - begin))
-            found["mj_step"].append(stepped(recipe(name).task, log.actions))
+            found["mj_step"].append(stepped(recipe(name).task, log))
             shares.append(found["collect"][-1] / found["mj_step"][-1])
         drift = max(calibrations) / min(calibrations) - 1
         print(f"{name}: {options.repeats} repeats of {options.led_steps:,} rows; calibration drifts {100 * drift:.0f} %")

@@ -5,7 +5,8 @@ seed it makes a second, all seeds together, and how long a process needs before 
 compiling). Processes are started together and wait for each other before they are timed; on a CPU each has a core of its own.
 
 With --settings N it says instead how long whole runs of N learning rates take, as lanes of one program and one after another
-in one process: start, compiling and checkpoints included, each way in processes of its own, by turns, on a CPU on one core.
+in one process: start, compiling and checkpoints included, each way in processes of its own, by turns, on a CPU on one core;
+programs come from the cache of compiled ones.
 The first repeat compiles for those that follow and is not counted.
 """
 

@@ -16,7 +16,8 @@ from deadreckon.agents.sac import SAC
 from deadreckon.bench.published import scores
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.data.catalogue import ENTRIES, entry
+from deadreckon.collect.online import Online
+from deadreckon.data.catalogue import entry
 
 LOGS = (
     "maze2d-umaze-v1", "antmaze-umaze-v2", "door-human-v1", "kitchen-complete-v0", "flow-ring-controller-v0",
@@ -29,7 +30,7 @@ class Options:
     """Online SAC, every field at its default."""
 
     logs: tuple[str, ...] = LOGS  # in whose tasks; each stands for all logs of its task
-    steps: int | None = None  # environment steps; None: the greatest number of rows among the task's logs
+    steps: int | None = None  # environment steps; None: rows of the log, of short ones 1,000,000
     seeds: int = 3  # side by side
     episodes: int = 20  # an evaluation, a seed
     threads: int | None = None  # to simulate with; None: all cores
@@ -42,8 +43,9 @@ def main(options: Options) -> None:
     rows = []
     for log in options.logs:
         task = entry(log).task
-        steps = options.steps or max(each.rows for each in ENTRIES.values() if each.task == task)
-        with Bar(f"sac in {task}", steps, "updates") as bar:
+        # Of people's demonstrations there are too few to learn from them online: the task's other logs have so many.
+        steps = options.steps or max(entry(log).rows, 1_000_000)
+        with Bar(f"sac in {task}", Online(**SAC.acting(task)).updates(steps), "updates") as bar:
             run = dr.train_online(
                 SAC(), task, steps=steps, seeds=options.seeds, evaluate_every=-(-steps // 5), episodes=options.episodes,
                 threads=options.threads, out=Path(options.out) / task, resume=True,

@@ -215,13 +215,33 @@ def test_of_a_program_that_is_done_in_part_the_rest_is_run(planned, tmp_path):
     assert len({each.name for each in rest} | {each.name for each in programs(jobs)}) == 3
 
 
+def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
+    text = """
+    seeds = 1
+    steps = 4
+    episodes = 1
+    logs = ["maze2d-umaze-v1"]
+    rows = 600
+    [methods]
+    right = { agent = "kl_control", fields = { hidden = [8], batch_size = 16, behavior_steps = 2, target_entropy = 0.0 } }
+    wrong = { agent = "kl_control", fields = { hidden = [8], batch_size = 16, behavior_steps = 2, target_entropy = -1.0 } }
+    """
+    store, jobs = Store(tmp_path / "out"), planned(text)
+    assert len(programs(jobs)) == 1
+    run("some", jobs, store, Lines(1), Here(store.path))
+    assert [job.method for job in store.undone(jobs)] == ["wrong"]
+    assert "leave out target_entropy" in store.failure(jobs[1], 0)["error"]
+    assert "its settings go on one by one\n1 of 2: right on maze2d-umaze-v1, seed 0" in capsys.readouterr().out
+
+
 def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):
     store, jobs = Store(tmp_path / "out"), planned()
     lost = [dataclasses.replace(job, on="no-such-log", data="no-such-log") for job in jobs]
     events = []
     run("some", lost, store, events.append, Here(store.path))
-    [event] = events
-    assert str(event.program) == "plain and 2 other settings of td3_bc on no-such-log, seeds 0 to 1"
+    first, *others = events
+    assert str(first.program) == "plain and 2 other settings of td3_bc on no-such-log, seeds 0 to 1"
+    assert [(event.what, len(event.program.jobs)) for event in events] == [("split", 3), *[("failed", 1)] * 3]
     assert all("no-such-log" in store.failure(job, seed)["error"] for job in lost for seed in job.seeds)
 
 

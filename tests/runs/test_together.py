@@ -7,6 +7,7 @@ import deadreckon as dr
 from deadreckon.collect import generate
 from deadreckon.report.entries import read
 from deadreckon.runs.recorder import Enough
+from deadreckon.training.learner import lift
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}
 X = np.random.default_rng(0).uniform(-1, 1, (20, 4)).astype("f4")
@@ -107,6 +108,8 @@ def test_what_cannot_share_a_program_is_refused_and_nothing_is_written(log, tmp_
     for name in ("", ".", "..", "a/b", "checkpoints"):
         with pytest.raises(dr.UserError, match="agents are named as folders are"):
             dr.train_together({name: td3_bc()}, log, out=out, **SETTINGS)
+    with pytest.raises(dr.UserError, match=r"MOBILE.floor shapes the program"):
+        lift([dr.agents.MOBILE(floor=None), dr.agents.MOBILE(floor=0.0)])
     with pytest.raises(dr.UserError, match="no agent to train"):
         dr.train_together({}, log, out=out, **SETTINGS)
     (out / "b").mkdir(parents=True)
@@ -114,6 +117,14 @@ def test_what_cannot_share_a_program_is_refused_and_nothing_is_written(log, tmp_
     with pytest.raises(dr.UserError, match="b exists and is not a run"):
         dr.train_together({"a": td3_bc(), "b": td3_bc(alpha=1.0)}, log, out=out, **SETTINGS)
     assert not (out / "a").exists()
+
+
+def test_other_runs_do_not_go_on_with_these_checkpoints(runs, log):
+    out = runs["plain"].path.parent
+    assert any((out / "checkpoints").iterdir())
+    with pytest.raises(dr.UserError, match="checkpoints is of other runs; give c, d, e another folder"):
+        dr.train_together({name: td3_bc() for name in "cde"}, log, out=out, **SETTINGS)
+    assert not (out / "c").exists()
 
 
 def test_agents_that_prepare_themselves_differ_too_also_in_what_they_prepare_with(log, tmp_path):

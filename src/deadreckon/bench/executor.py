@@ -3,7 +3,7 @@
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -17,7 +17,8 @@ TRIES = 3  # of a program whose process dies; what went on until then is on disk
 
 class Event(NamedTuple):
     """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one a job), `failed` (why),
-    `elsewhere` (another command is at it) or `died` (and is begun again)."""
+    `elsewhere` (another command is at it), `split` (it failed for a reason, and its jobs go on one by one) or `died` (and is
+    begun again)."""
 
     what: str
     program: Program
@@ -84,7 +85,11 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
                 continue
             running -= 1
             event = _judged(event, lost)
-            if event.what == "died":
+            if event.what == "failed" and len(event.program.jobs) > 1:
+                # Settings that are refused, or too many for the memory, must not take the others with them.
+                waiting.extend(Program((job,)) for job in event.program.jobs)
+                event = Event("split", event.program, event.told[0])
+            elif event.what == "died":
                 waiting.appendleft(event.program)
             elif event.what == "failed":
                 for job in event.program.jobs:
@@ -118,12 +123,10 @@ def attempt(program: Program, planned: str, path: Path, work: Work, watch: Calla
         return "failed", ("the package's source is another where it would run; install the same there, or run it again", "")
     folder = Store(path).folder(program)
     try:
-        with ExitStack() as held:
-            try:
-                held.enter_context(alone(folder))  # of all that write to it
-            except BusyError:
-                return "elsewhere", None
+        with alone(folder):  # of all that write to it
             return "done", work(program, folder, watch)
+    except BusyError:  # or another command collects its log
+        return "elsewhere", None
     except BrokenPipeError:
         raise
     except UserError as error:

@@ -172,7 +172,7 @@ def _packed(jobs: Sequence[Job], lanes: int) -> list[Job]:
 def _shape(job: Job) -> str | None:
     """What jobs of one program have in common; None of a job that shares none.
 
-    Online only seeds are lanes: experience is made with the settings of one agent. One whose settings are wrong fails alone.
+    Online only seeds are lanes: experience is made with the settings of one agent.
     """
     if job.kind != "learn":
         return None

@@ -145,6 +145,9 @@ class Lines:
             print(f"FAILED: {event.program}: {event.told[0]}", flush=True)
         elif event.what == "elsewhere":
             print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
+        elif event.what == "split":
+            self.total += len(event.program.jobs) - 1
+            print(f"{event.program}: {event.told}; its settings go on one by one", flush=True)
         elif event.what == "died":
             print(f"{event.program}: its process ended ({event.told}); it is begun again where it was", flush=True)
 

@@ -179,8 +179,9 @@ def trajectories(page: Page) -> Markup | None:
     return join(
         tag("div", figures, class_="mazes"),
         note(
-            "From above, as the layout is written. Star: goal, with the circle inside which a step is rewarded. An agent's "
-            f"panel has the first episodes of the last evaluation (first seed), ring: start, dot: end.{of_log}"
+            "From above, as the layout is written. Star: goal, or the middle of where an episode's lies; shaded: where a step "
+            "can be rewarded. An agent's panel has the first episodes of the last evaluation (first seed), ring: start, dot: "
+            f"end.{of_log}"
         ),
     )
 

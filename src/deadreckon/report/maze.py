@@ -78,9 +78,12 @@ def _maze(task: Maze, title: str, parts: Sequence[Markup]) -> Markup:
     height, width = (np.array(task.grid.shape) - 1.5 + RIM - LOW) * CELL
     blocks = "".join(f"M{x:.1f} {y:.1f}h{CELL}v{CELL}h{-CELL}Z" for x, y in _place(np.argwhere(~task.grid) - 0.5))
     gx, gy = _place(task.grid_places(task.goal_place()))
+    reach, side = (CELL * length / task.width for length in (task.reach, 2 * (task.reach + task.goal_spread)))
+    # Where a step can be rewarded: within reach of the goal, or of a square of goals, whose corners are then round.
+    zone = {"x": f"{gx - side / 2:.1f}", "y": f"{gy - side / 2:.1f}", "width": f"{side:.1f}", "height": f"{side:.1f}"}
     below = [
         tag("title", title), tag("rect", width=f"{width:.0f}", height=f"{height:.0f}", class_="floor"),
-        tag("circle", cx=f"{gx:.1f}", cy=f"{gy:.1f}", r=task.reach / task.width * CELL, class_="reach"),
+        tag("rect", **zone, rx=f"{reach:.1f}", class_="reach"),
         tag("path", d=blocks, class_="wall"),
     ]  # fmt: skip
     return tag("svg", below, parts, viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", aria_label=title, class_="maze")

@@ -201,6 +201,9 @@ def _train(
         own = lanes[run * seeds : (run + 1) * seeds]
         config = {"agent": {"name": agent_name(own[0]), "fields": fields_of(own)}, **common}
         configs.append(json.loads(json.dumps(config, default=str)))
+    kept = Folder(out).checkpoints
+    if out != folders[0].path and kept.exists() and not all(folder.config.exists() for folder in folders):
+        raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
     job = Fit(lanes, rows, numbers * len(folders), steps, chunk, Folder(out).checkpoints, stream=stream, stops=every)
     told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]

@@ -76,6 +76,11 @@ class AntMaze(Maze):
         """See `Maze`: goals lie in a square."""
         return self.middles(self.marked("G")) + sum(GOAL_NOISE) / 2
 
+    @property
+    def goal_spread(self) -> float:
+        """See `Maze`."""
+        return sum(GOAL_NOISE) / 2
+
     def goal_in(self, cell: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """(2,) a place to go to in a cell (row, column)."""
         return self.middles(cell) + generator.uniform(0.0, GOAL_NOISE[0], 2) + generator.uniform(0.0, GOAL_NOISE[1], 2)

@@ -60,6 +60,11 @@ class Maze(Task):
         """(2,) x and y of the goal, or of the middle of where goals may be."""
         raise NotImplementedError
 
+    @property
+    def goal_spread(self) -> float:
+        """Half the side of the square about `goal_place` in which each episode's goal lies; 0 where it is always the same."""
+        return 0.0
+
     def walls(self) -> np.ndarray:
         """(walls, 4) x low, y low, x high, y high of each wall box, in the observations' coordinates."""
         middle = self.middles(np.argwhere(~self.grid))

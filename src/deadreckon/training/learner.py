@@ -126,6 +126,7 @@ def lift(learners: Sequence[L]) -> L:
         if type(other) is not type(first):
             raise UserError(f"lanes of one program must be of one type, got {type(first).__name__}, {type(other).__name__}")
         for f in dataclasses.fields(first):
-            if f.metadata.get("static") and getattr(other, f.name) != getattr(first, f.name):
+            one, two = getattr(first, f.name), getattr(other, f.name)
+            if (one is None) != (two is None) or (f.metadata.get("static") and one != two):
                 raise UserError(f"{type(first).__name__}.{f.name} shapes the program and must be the same in all lanes")
     return jax.tree.map(lambda *values: jnp.asarray(values, jnp.float32), *learners)
