@@ -219,6 +219,7 @@ def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
     text = """
     seeds = 1
     steps = 4
+    evaluations = 1
     episodes = 1
     logs = ["maze2d-umaze-v1"]
     rows = 600
