@@ -1,7 +1,7 @@
 """DOPE's policies of AntMaze: snapshots of behaviour cloning from a planner whose ants all go to the goal (thesis 8.4).
 
-    python examples/antmaze_policies.py --train --only umaze --rows 200000 --steps 20000        (goes on where it was stopped)
-    python examples/antmaze_policies.py --publish --only umaze --rows 200000 --steps 20000 --episodes 50
+    python examples/antmaze_policies.py --train --only umaze --rows 200000 --steps 22000        (goes on where it was stopped)
+    python examples/antmaze_policies.py --publish --only umaze --rows 200000 --steps 22000 --episodes 50
 
 The thesis imitates in the large maze alone, and takes snapshots of DAPG in the others.
 """
@@ -30,7 +30,7 @@ class Options:
 
     only: tuple[str, ...] = tuple(TASKS)  # of these mazes
     rows: int = 1_000_000  # of the planner's log
-    steps: int = 100_000  # updates, over which the snapshots are spread
+    steps: int = 110_000  # updates, a multiple of the number of snapshots, which are spread over them
     train: bool = False  # train what is not trained yet
     publish: bool = False  # write the library and measure it
     episodes: int = 1000  # a policy, with drawn and with mean actions
@@ -59,7 +59,7 @@ def main(options: Options) -> None:
             log = directed(maze, options.rows, Path(options.out) / f"{name}.hdf5")
             with Bar(f"bc in {maze}", options.steps, "updates") as bar:
                 dr.train(
-                    BC(), log, steps=options.steps, task=TASKS[maze], evaluate_every=options.steps // (SNAPSHOTS - 1),
+                    BC(), log, steps=options.steps, task=TASKS[maze], evaluate_every=options.steps // SNAPSHOTS,
                     episodes=5, out=run, resume=True, watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
                 )  # fmt: skip
         if options.publish:

@@ -62,7 +62,9 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     if online is None and options.medium is not None:
         raise UserError(f"{options.run} learned from a log: it has no medium-replay, leave medium out")
     total, task = options.updates or config["steps"], config["task"]
-    spaced = [round(i * total / (library.SNAPSHOTS - 1)) for i in range(library.SNAPSHOTS)]
+    # Runs on a log do not keep the policy that they begin with.
+    parts = library.SNAPSHOTS - 1 if online else library.SNAPSHOTS
+    spaced = [round((i + (online is None)) * total / parts) for i in range(library.SNAPSHOTS)]
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
     chosen = {"medium": options.medium, "expert": options.expert}
     wanted |= {name: step for name, step in chosen.items() if step is not None}
