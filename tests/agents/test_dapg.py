@@ -78,6 +78,7 @@ def block(seed=0, steps=6, copies=2):
     return {name: jnp.asarray(column) for name, column in rows.items()}
 
 
+@pytest.mark.slow
 def test_demonstrations_count_less_from_step_to_step(monkeypatch):
     rows, rng = block(), np.random.default_rng(3)
     shown = {"observation": jnp.asarray(rng.standard_normal((5, 3)), jnp.float32),

@@ -135,6 +135,7 @@ def test_settings_that_are_tuned_share_a_program():
     assert [program.lanes for program in programs(plan(asked))] == [9]
 
 
+@pytest.mark.slow
 def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
     apart, together = Store(tmp_path / "apart"), Store(tmp_path / "together")
     told = lambda event: None  # noqa: E731

@@ -136,3 +136,19 @@ def test_refusals(run, tmp_path):
     with pytest.raises(UserError, match="no policy was kept after 25 updates; those kept are"):
         publish(Publish(str(run), medium=25, expert=80, out=str(tmp_path)))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_runs_on_a_log_are_shipped_from_their_first_eleventh_on(tmp_path):
+    from deadreckon.agents.bc import BC
+    from deadreckon.collect import generate
+    from deadreckon.runs.train import train
+
+    log = generate("hopper-medium-v2", steps=300)
+    train(BC(hidden=(8,), batch_size=16), log, steps=22, evaluate_every=2, episodes=1, out=tmp_path / "run")
+    with pytest.raises(UserError, match="it has no medium-replay, leave medium out"):
+        publish(Publish(str(tmp_path / "run"), medium=2, episodes=2, most=2, out=str(tmp_path / "library")))
+    about = json.loads(publish(Publish(str(tmp_path / "run"), episodes=2, most=2, out=str(tmp_path / "library"))).read_text())
+    assert [each["updates"] for each in about["policies"].values()] == [*range(2, 23, 2)]
+    assert {each["environment_steps"] for each in about["policies"].values()} == {0}
+    assert about["run"]["data"]["name"] == log.name

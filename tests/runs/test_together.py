@@ -127,6 +127,7 @@ def test_other_runs_do_not_go_on_with_these_checkpoints(runs, log):
     assert not (out / "c").exists()
 
 
+@pytest.mark.slow
 def test_agents_that_prepare_themselves_differ_too_also_in_what_they_prepare_with(log, tmp_path):
     small = {"hidden": (8,), "batch_size": 16, "behavior_steps": 10}
     agents = {"a": dr.agents.BRAC(**small, penalty=0.01), "b": dr.agents.BRAC(**small, penalty=10.0, behavior_lr=0.01)}

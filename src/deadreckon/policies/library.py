@@ -76,21 +76,13 @@ def about(task: str) -> dict[str, Any]:
     Raises:
         UserError: the task has no policies.
     """
-    path = ROOT / f"{_keeper(task)}.json"
+    path = ROOT / f"{task}.json"
     if not path.is_file():
         raise UserError(
             f"there are no policies of {task!r}, only of {', '.join(library_tasks())}; "
             "`python -m deadreckon.runs.publish` makes them from a run"
         )
     return json.loads(path.read_text())
-
-
-def _keeper(task: str) -> str:
-    """Under which name a task's policies lie: AntMaze's play and diverse are one environment."""
-    maze, _, kind = task.rpartition("-")
-    if not maze.startswith("antmaze-") or kind != "diverse":
-        return task
-    return maze if maze.endswith("umaze") else f"{maze}-play"
 
 
 def snapshot(task: str, name: str) -> Snapshot:
@@ -107,9 +99,8 @@ def snapshot(task: str, name: str) -> Snapshot:
 
 def library(task: str) -> list[Snapshot]:
     """All policies of a task: the 11 snapshots in order of training, then `medium` and `expert` where there are such."""
-    keeper = _keeper(task)
     return [
-        Snapshot(keeper, name, e["updates"], e["environment_steps"], Returns(**e["sampled"]), Returns(**e["greedy"]))
+        Snapshot(task, name, e["updates"], e["environment_steps"], Returns(**e["sampled"]), Returns(**e["greedy"]))
         for name, e in about(task)["policies"].items()
     ]
 
@@ -117,8 +108,7 @@ def library(task: str) -> list[Snapshot]:
 def load_policies(task: str) -> list[Deployed]:
     """The 11 policies of a task, evenly spaced over one run from its random beginning to its end (DOPE, thesis 8.4).
 
-    The runs are of SAC in Gym-MuJoCo, of DAPG in Maze2D and Adroit, and of behaviour cloning in AntMaze; `about(task)` says
-    how they were made.
+    The runs are of SAC in Gym-MuJoCo, and of DAPG in Maze2D and Adroit; `about(task)` says how they were made.
 
     Args:
         task: such as `hopper`, `maze2d-umaze-dense` or `door`.
