@@ -71,7 +71,7 @@ class BCQ(Agent):
         return State(behavior, mover, critics, copy(mover), copy(critics), *opts)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
-        """r + discount max_i [lambda min_j Q'_j + (1 - lambda) max_j Q'_j](s', a_i), a_i of the VAE, moved (eq. 13).
+        """r + discount max_i (lambda min_j Q'_j + (1 - lambda) max_j Q'_j)(s', a_i), a_i of the VAE, moved (eq. 13).
 
         Of discrete actions a_i are those that are likely enough.
         """

@@ -40,7 +40,8 @@ def branches(
     """Rollouts of `length` steps from `starts`, every step of every rollout by an elite of its own.
 
     Args:
-        model, ensemble: what happens next.
+        model: what is learned.
+        ensemble: what has been learned of what happens next.
         policy: what is done, in the coordinates of the model.
         starts: observations, dealt out to the elites anew at every step.
         length: steps.

@@ -105,7 +105,8 @@ class AdroitSimulator(MujocoCopies):
         """Starts an episode of every copy in a state of one's own, such as where a demonstration began.
 
         Args:
-            positions, velocities: (copies, joints).
+            positions: (copies, joints).
+            velocities: (copies, joints).
             moved: (copies, numbers) of what an episode puts elsewhere, in the order of `Adroit.moved`.
 
         Returns:

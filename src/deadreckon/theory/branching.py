@@ -48,8 +48,10 @@ def branched_return_bound(
 
     Args:
         k: steps after the branch.
-        before, after: (model, policy) errors before and after the branch, under the first rollout.
-        discount, r_max: as above.
+        before: (model, policy) errors before the branch, under the first rollout.
+        after: those after it.
+        discount: as above.
+        r_max: as above.
         averaged: over all lengths 0 .. k.
     """
     _check(discount, *before, *after)
@@ -97,7 +99,11 @@ def averaged_bound(k: Any, model: Any, policy: Any, discount: Any, r_max: Any = 
     """Corollaries B.1.2.1 and B.1.3.1, for rollouts whose states all count, as MBPO's do.
 
     Args:
-        k, model, policy, discount, r_max: as above.
+        k: as above.
+        model: as above; see `shifted`.
+        policy: as above.
+        discount: as above.
+        r_max: as above.
         shifted: `model` is measured under the new policy (B.1.2.1); else under the old one (B.1.3.1).
     """
     _check(discount, model, policy)
@@ -204,8 +210,10 @@ def branched_occupancy(
     """(states, actions) occupancy of k-branched rollouts, which sums to one where no episode ends (Definitions B.1.1-2).
 
     Args:
-        world, old: before the branch.
-        model, new: after it; the first step takes the old policy's last action.
+        world: before the branch.
+        old: the policy there.
+        model: the world after it.
+        new: the policy there; the first step takes the old policy's last action.
         k: steps after the branch.
         discount: per step.
         averaged: over all lengths 0 .. k, the states on the way included.

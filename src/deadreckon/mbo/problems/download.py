@@ -43,7 +43,8 @@ def get(
     Args:
         name: among `SOURCES`.
         force: download it again if it is there.
-        progress, patience: see `data.download.get`.
+        progress: see `data.download.get`.
+        patience: see `data.download.get`.
 
     Raises:
         UserError: a problem without a source, or a file that does not come or holds something else.

@@ -43,7 +43,8 @@ def gfp(*, path: Path | str | None = None, least: float = 50.0, most: float = 60
 
     Args:
         path: the TSV; None: the package's folder of designs. Variants with a stop codon are left out.
-        least, most: percentiles of the brightness between which proteins are shown.
+        least: percentile of the brightness above which proteins are shown.
+        most: percentile up to which they are.
         limit: proteins shown at most.
 
     Raises:

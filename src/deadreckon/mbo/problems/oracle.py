@@ -25,7 +25,8 @@ def kept(name: str, x: np.ndarray, y: np.ndarray, settings: tuple[Any, ...], tra
 
     Args:
         name: of the file, before the digest of all that follows.
-        x, y: the data.
+        x: designs of the data.
+        y: their scores.
         settings: numbers and texts that `train` depends on.
         train: makes the judge.
     """

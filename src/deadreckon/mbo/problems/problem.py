@@ -95,9 +95,12 @@ def hidden(
     Args:
         name: of the problem.
         full: all designs.
-        oracle, about, optimum: see `Problem`.
-        least, most: percentiles, included.
+        oracle: see `Problem`.
+        about: see `Problem`.
+        least: percentile of the least score that is shown.
+        most: percentile of the greatest.
         limit: designs shown at most, drawn from the others with a seed that never changes.
+        optimum: see `Problem`.
     """
     low, high = np.percentile(full.y, [least, most])
     rows = np.flatnonzero((full.y >= low) & (full.y <= high))
