@@ -70,3 +70,9 @@ def test_lock_and_constraints_name_public_packages_only():
     sources = {str(package["source"]) for package in packages}
     assert sources == {"{'registry': 'https://pypi.org/simple'}", "{'editable': '.'}"}
     assert not {"torch", "mujoco-py", "d4rl"} & {package["name"] for package in packages}
+
+
+def test_agents_are_short():
+    lengths = {path.name: len(path.read_text().splitlines()) for path in (ROOT / "src/deadreckon/agents").glob("*.py")}
+    assert lengths
+    assert {name: lines for name, lines in lengths.items() if lines > 250} == {}

@@ -7,7 +7,8 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import deadreckon as dr
-from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Actor, Cloning, fisher_product, log_prob, natural_step
+from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Cloning
+from deadreckon.agents.natural import Actor, fisher_product, log_prob, natural_step
 from deadreckon.cli.main import main
 from deadreckon.collect.demonstrated import Demonstrated
 from deadreckon.collect.maze2d import demonstrations
