@@ -7,7 +7,6 @@ that lies there already is taken as it is, and so is a copy of the human log tha
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon._version import __version__
 from deadreckon.agents.bc import BC
-from deadreckon.collect.rollouts import Act, perform
+from deadreckon.collect.rollouts import Act, acted_in, perform
 from deadreckon.data.batch import Rows
 from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
 from deadreckon.data.dataset import Dataset, Provenance
@@ -31,6 +29,7 @@ from deadreckon.tasks.adroit import Adroit
 from deadreckon.training.fit import Fit
 
 ROOT = ("DEADRECKON_DAPG_URL", "https://raw.githubusercontent.com/aravindr93/hand_dapg/master/dapg")
+BODY = "gymnasium-robotics"  # the package that has the hand
 UPDATES = 10_000  # of the clone behind the cloned logs
 _CHUNK = 2_000  # updates between its checkpoints
 
@@ -79,7 +78,7 @@ def human(task: Adroit, patience: Patience | None = None) -> Dataset:
         observations=log.observations, actions=np.clip(log.actions, -1.0, 1.0), rewards=log.rewards, terminals=log.terminals,
         timeouts=log.timeouts, final_observations=log.final_observations, final_known=log.final_known,
         action_space=task.action_space, name=name,
-        provenance=_provenance(name, 0, {"task": task.name, "from": log.name, "actions": "as demonstrated, clipped to 1"}),
+        provenance=acted_in(BODY, name, 0, {"task": task.name, "from": log.name, "actions": "as demonstrated, clipped to 1"}),
     )  # fmt: skip
 
 
@@ -114,7 +113,7 @@ def collect_adroit(
     """
     full = f"{name}@{VERSION}"
     if kind == "expert":
-        provenance = _provenance(name, seed, {"task": task.name, "policies": ["DAPG's"], "actions": "drawn, clipped to 1"})
+        provenance = acted_in(BODY, name, seed, {"task": task.name, "policies": ["DAPG's"], "actions": "drawn, clipped to 1"})
         return _acted(task, load_dapg(policy_file(task)), steps, full, seed, provenance, threads, scratch, progress)
     people = human(task)
     if kind == "human":
@@ -126,7 +125,7 @@ def collect_adroit(
     shown = steps // 2
     extra = {"task": task.name, "policies": ["people", "bc"], "updates": UPDATES, "rows": [shown, steps - shown],
              "actions": "as demonstrated, then drawn; clipped to 1"}  # fmt: skip
-    provenance = _provenance(name, seed, extra)
+    provenance = acted_in(BODY, name, seed, extra)
     clone = cloned_policy(people, seed, scratch / "clone")
     told = (lambda rows, total: progress(shown + rows, steps)) if progress else None
     acted = _acted(task, clone, steps - shown, full, seed, provenance, threads, scratch / "rows", told)
@@ -212,9 +211,3 @@ def _joined(parts: list[Dataset], name: str, provenance: Provenance) -> Dataset:
     columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations", "final_known")
     whole: dict[str, Any] = {key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}
     return Dataset.from_arrays(**whole, action_space=parts[0].action_space, name=name, provenance=provenance)
-
-
-def _provenance(name: str, seed: int, extra: dict[str, Any]) -> Provenance:
-    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium-robotics", "numpy", "jax")}
-    platform = jax.devices()[0].platform
-    return Provenance("collected", name, seed, versions | {"deadreckon": __version__}, extra=extra | {"device": platform})

@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon._version import __version__
 from deadreckon.collect.planner import routes
-from deadreckon.collect.rollouts import COPIES, Act, Guide, perform
+from deadreckon.collect.rollouts import COPIES, Act, Guide, acted_in, perform
 from deadreckon.data.catalogue import VERSION
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
 from deadreckon.policies import library, store
 from deadreckon.policies.policy import Deployed, first_actions
 from deadreckon.tasks.antmaze import GOAL_NOISE, AntMaze, ahead
 
 ACTION_NOISE = 0.2  # standard deviation of the noise on the walker's actions
 NEAR = 1.0  # m, within which a waypoint counts as reached
-
-
 WALKER = library.ROOT / "ant-reach" / "walker.npz"
 
 
@@ -154,13 +150,10 @@ def collect_antmaze(
         progress: called now and then with the rows done and `steps`.
     """
     guide = Errands(task, walker())
-    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium", "numpy", "jax")} | {"deadreckon": __version__}
-    extra = {
-        "task": task.name, "policies": ["ant-reach walker"], "noise": ACTION_NOISE, "device": jax.devices()[0].platform,
-        "walker": hashlib.sha256(WALKER.read_bytes()).hexdigest(),
-    }  # fmt: skip
+    walked = hashlib.sha256(WALKER.read_bytes()).hexdigest()
+    extra = {"task": task.name, "policies": ["ant-reach walker"], "noise": ACTION_NOISE, "walker": walked}
     place = replace(task, anywhere=guide.wanders)
     return perform(
         place, [Act(guide, steps)], name=f"{name}@{VERSION}", seed=seed, scratch=scratch, threads=threads, progress=progress,
-        provenance=Provenance("collected", name, seed, versions, extra=extra),
+        provenance=acted_in("gymnasium", name, seed, extra),
     )  # fmt: skip

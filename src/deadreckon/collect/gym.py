@@ -2,18 +2,14 @@
 
 import warnings
 from collections.abc import Callable
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jax
-
-from deadreckon._version import __version__
 from deadreckon.agents.sac import SAC
 from deadreckon.collect.online import Exploration, Online, replay_log
-from deadreckon.collect.rollouts import Act, asked_for, perform, same_collection
+from deadreckon.collect.rollouts import Act, acted_in, asked_for, perform, same_collection
 from deadreckon.data.catalogue import VERSION
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.policies import library
@@ -83,7 +79,7 @@ def collect_gym(
     taken = {part: library.snapshot(task.name, part).updates for part in parts if part != UNIFORM}
     extra = {"task": task.name, "policies": list(parts), "updates": taken, "rows": rows, "actions": "drawn"}
     return perform(
-        task, acts, name=f"{name}@{VERSION}", seed=seed, provenance=_provenance(name, seed, extra), threads=threads,
+        task, acts, name=f"{name}@{VERSION}", seed=seed, provenance=acted_in("gymnasium", name, seed, extra), threads=threads,
         scratch=scratch, progress=progress,
     )  # fmt: skip
 
@@ -126,7 +122,7 @@ def collect_replay(
         warnings.warn(text, stacklevel=2)
     extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
              "trained_with": now}  # fmt: skip
-    provenance = _provenance(name, seed, extra)
+    provenance = acted_in("gymnasium", name, seed, extra)
     same_collection(folder, asked_for(name, seed, [steps], provenance))
     experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)
     job = Fit(lanes, experience, [seed], updates, CHUNK, folder / "checkpoints")
@@ -142,9 +138,3 @@ def collect_replay(
 def _fields(values: dict[str, Any]) -> dict[str, Any]:
     """Fields as JSON has them, as an agent takes them."""
     return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-
-
-def _provenance(name: str, seed: int, extra: dict[str, Any]) -> Provenance:
-    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium", "numpy", "jax")}
-    platform = jax.devices()[0].platform
-    return Provenance("collected", name, seed, versions | {"deadreckon": __version__}, extra=extra | {"device": platform})

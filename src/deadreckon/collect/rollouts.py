@@ -9,6 +9,7 @@ import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
+from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
@@ -95,8 +97,7 @@ def perform(
     Raises:
         UserError: `scratch` holds the beginning of another log, or cannot be written.
     """
-    guide = acts[0].policy
-    kinds = column_kinds(task, guide if isinstance(guide, Guide) else None)
+    kinds = column_kinds(task, acts[0].policy)
     stage = _Stage(scratch, task, kinds, asked_for(name, seed, [act.rows for act in acts], provenance))
     _perform(task, acts, stage, seed, threads, progress)
     return stage.log(name, provenance, densities=all(_drawn(act.policy) for act in acts))
@@ -177,7 +178,7 @@ class _Scene:
         self.low, self.high = (np.asarray(side, np.float32) for side in (task.action_space.low, task.action_space.high))
         self.episode, self.age = np.full(COPIES, -1), np.zeros(COPIES, int)
         self.seen = np.zeros((COPIES, *task.observation_shape), np.float32)
-        kinds = column_kinds(task, policy if isinstance(policy, Guide) else None)
+        kinds = column_kinds(task, policy)
         self.columns = {key: np.zeros((COPIES, task.horizon, *shape), dtype) for key, (shape, dtype) in kinds.items()}
 
     def play(self, first: int, rows: int, wanted: int, progress: Callable[[int], None] | None) -> Iterator["list[Episode]"]:
@@ -266,17 +267,24 @@ class Episode(NamedTuple):
         return len(self.columns["rewards"])
 
 
-def column_kinds(task: Task, guide: Guide | None = None) -> dict[str, tuple[tuple[int, ...], Any]]:
-    """Shape and dtype of a row of each of `COLUMNS`, and of what a guide tells."""
+def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a guide."""
     kinds = (task.observation_shape, np.float32), ((task.action_space.size,), np.float32), ((), np.float32), ((), bool)
     known = dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
-    return known | {key: (shape, np.float32) for key, shape in (guide.columns if guide else {}).items()}
+    told = policy.columns if isinstance(policy, Guide) else {}
+    return known | {key: (shape, np.float32) for key, shape in told.items()}
 
 
 def asked_for(name: str, seed: int, rows: list[int], provenance: Provenance) -> dict[str, Any]:
     """What tells one collection from another, as JSON values."""
     what = {"scheme": SCHEME, "name": name, "seed": seed, "rows": rows}
     return json.loads(json.dumps(what | {"versions": provenance.versions, "extra": provenance.extra}))
+
+
+def acted_in(body: str, name: str, seed: int, extra: dict[str, Any]) -> Provenance:
+    """Where a log comes from in which policies act, on this device, in a body of the package `body` and MuJoCo."""
+    versions = {each: metadata.version(each) for each in ("mujoco", body, "numpy", "jax")} | {"deadreckon": __version__}
+    return Provenance("collected", name, seed, versions, extra=extra | {"device": jax.devices()[0].platform})
 
 
 def same_collection(scratch: Path, asked: dict[str, Any]) -> None:

@@ -74,7 +74,7 @@ class AntMaze(Maze):
 
     def goal_place(self) -> np.ndarray:
         """See `Maze`: goals lie in a square."""
-        return self.middles(self.marked("G")) + sum(GOAL_NOISE) / 2
+        return self.middles(self.marked("G")) + self.goal_spread
 
     @property
     def goal_spread(self) -> float:
@@ -260,8 +260,8 @@ def model(layout: str) -> Any:
 # ---- the tasks ----------------------------------------------------------------------------------------------------------
 
 _ACTIONS = Box((-1.0,) * JOINTS, (1.0,) * JOINTS)
-# Logs differ in where they begin and where the ant is sent, and are judged alike: at the start, with the goal in one cell.
 _PROPERTIES = ("non-Markovian policies", "sparse rewards", "high-dimensional", "long horizon", "temporally extended")
+# Logs differ in where they begin and where the ant is sent, and are judged alike: at the start, with the goal in one cell.
 _KINDS = {"umaze": ("", "diverse"), "medium": ("play", "diverse"), "large": ("play", "diverse")}
 
 
