@@ -59,7 +59,7 @@ def main(options: Options) -> None:
             log = directed(maze, options.rows, Path(options.out) / f"{name}.hdf5")
             with Bar(f"bc in {maze}", options.steps, "updates") as bar:
                 dr.train(
-                    BC(), log, steps=options.steps, task=TASKS[maze], evaluate_every=options.steps // SNAPSHOTS,
+                    BC(model="clipped"), log, steps=options.steps, task=TASKS[maze], evaluate_every=options.steps // SNAPSHOTS,
                     episodes=5, out=run, resume=True, watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
                 )  # fmt: skip
         if options.publish:

@@ -242,7 +242,7 @@ def test_learns_the_corridor(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["gaussian", "vae"])
+@pytest.mark.parametrize("model", ["gaussian", "vae", "clipped"])
 def test_bc_copies_what_was_logged(model):
     """Actions that follow from the state are found again; the mean squared error falls below 1 % of their variance."""
     rng = np.random.default_rng(0)

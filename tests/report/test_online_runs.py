@@ -9,7 +9,7 @@ from run_folders import write_run
 from deadreckon.cli.parse import parse
 from deadreckon.cli.train import TrainOnline
 from deadreckon.collect.online import Online
-from deadreckon.report import headline, table
+from deadreckon.report import headline, picture, table
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
 from deadreckon.report.provenance import command
@@ -48,6 +48,7 @@ def test_curves_are_drawn_against_environment_steps(tmp_path):
     text = render(read([tmp_path / "run"]))
     assert 'data-across="environment steps"' in text
     assert 'data-across="updates"' not in text
+    assert 'data-across="environment steps"' in picture(tmp_path / "c.svg", {"all": [tmp_path / "run"]}).read_text()
 
 
 def test_nothing_is_said_to_be_better_than_a_log_that_is_not_there(tmp_path):

@@ -1,7 +1,7 @@
 """Behaviour cloning: maximum likelihood of the logged actions. The row that every other agent has to beat."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import optax
@@ -20,17 +20,18 @@ from deadreckon.training.learner import static
 class State(NamedTuple):
     """Model and its optimiser."""
 
-    model: MLP | VAE | Categorical
+    model: MLP | VAE | behavior.Clipped | Categorical
     opt: optax.OptState
 
 
 class BC(Agent):
-    """Behaviour cloning with a tanh-Gaussian network, or the VAE that the thesis used as its baseline (A.4)."""
+    """Behaviour cloning with a tanh-Gaussian network, the VAE that the thesis used as its baseline (A.4), or a Gaussian whose
+    draws are clipped, for logs with many actions at the bounds."""
 
     choices: ClassVar[bool] = True
 
     lr: float = 3e-4  # learning rate
-    model: behavior.Kind = static("gaussian")  # "gaussian" (tanh-Gaussian) or "vae" (thesis A.4)
+    model: behavior.Kind | Literal["clipped"] = static("gaussian")  # tanh-Gaussian; "vae": thesis A.4; "clipped": a Gaussian
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     batch_size: int = static(256)  # rows a batch
 

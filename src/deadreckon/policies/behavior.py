@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -9,20 +10,34 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import Categorical, Inner, VAEDecoder, stochastic
+from deadreckon.policies.policy import Categorical, Gaussian, Inner, VAEDecoder, stochastic
 
 Kind = Literal["gaussian", "vae"]
 
 
-def create(kind: Kind, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | VAE:
-    """A tanh-Gaussian network (thesis A.4) or a conditional VAE (BCQ, the official BEAR)."""
+class Clipped(eqx.Module):
+    """A Gaussian without bounds whose draws are clipped to them, with one deviation an action, as DAPG's policies are.
+
+    Attributes:
+        means: network.
+        log_std: (a,) log-deviations.
+    """
+
+    means: MLP
+    log_std: Float[Array, "a"]
+
+
+def create(kind: Kind | Literal["clipped"], spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | VAE | Clipped:
+    """A tanh-Gaussian network (thesis A.4), a conditional VAE (BCQ, the official BEAR) or a clipped Gaussian."""
     if kind == "vae":
         return VAE.create(spec.observation_size, spec.action_size, hidden, key)
+    if kind == "clipped":
+        return Clipped(MLP.create(spec.observation_size, hidden, spec.action_size, key), jnp.zeros(spec.action_size))
     return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
 
 
 def loss(
-    model: MLP | VAE | Categorical, observation: Float[Array, "b o"], action: Array, key: PRNGKeyArray
+    model: MLP | VAE | Clipped | Categorical, observation: Float[Array, "b o"], action: Array, key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """What fitting minimises: the negative log-likelihood, or the VAE's bound (squared error + 0.5 KL)."""
     if isinstance(model, VAE):
@@ -30,11 +45,16 @@ def loss(
     if isinstance(model, Categorical):
         nll = -model.log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll}
+    if isinstance(model, Clipped):
+        nll = -policy(model).log_prob(observation, action).mean()
+        return nll, {"behavior_nll": nll, "behavior_error": jnp.square(model.means(observation) - action).mean()}
     d = dist.gaussian_head(model(observation))
     nll = -dist.log_prob(d, jnp.arctanh(action)).mean()
     return nll, {"behavior_nll": nll, "behavior_error": jnp.square(jnp.tanh(d.mean) - action).mean()}
 
 
-def policy(model: MLP | VAE | Categorical) -> Inner:
+def policy(model: MLP | VAE | Clipped | Categorical) -> Inner:
     """The model as something that acts."""
+    if isinstance(model, Clipped):
+        return Gaussian.of(model.means, model.log_std)
     return VAEDecoder(model) if isinstance(model, VAE) else stochastic(model)

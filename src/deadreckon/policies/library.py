@@ -16,6 +16,9 @@ from deadreckon.policies.store import load
 
 ROOT = Path(__file__).parent / "library"
 SNAPSHOTS = 11  # evenly spaced over the run, the first before any update (DOPE)
+# Tasks whose logs differ while their episodes are the same have the same policies.
+SHARED = {"antmaze-umaze-diverse": "antmaze-umaze", "antmaze-medium-diverse": "antmaze-medium-play",
+          "antmaze-large-diverse": "antmaze-large-play"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Snapshot:
     """One policy of the library.
 
     Attributes:
-        task: its task's name.
+        task: whose episodes it was measured in, by name.
         name: `snapshot-00` .. `snapshot-10`, and where logs are made with them `medium` and `expert`.
         updates: of the run when it was taken.
         environment_steps: likewise.
@@ -66,7 +69,8 @@ class Snapshot:
 
 def library_tasks() -> list[str]:
     """Tasks that have policies."""
-    return sorted(path.stem for path in ROOT.glob("*.json"))
+    own = [path.stem for path in ROOT.glob("*.json")]
+    return sorted(own + [task for task, other in SHARED.items() if other in own])
 
 
 @lru_cache
@@ -76,7 +80,7 @@ def about(task: str) -> dict[str, Any]:
     Raises:
         UserError: the task has no policies.
     """
-    path = ROOT / f"{task}.json"
+    path = ROOT / f"{SHARED.get(task, task)}.json"
     if not path.is_file():
         raise UserError(
             f"there are no policies of {task!r}, only of {', '.join(library_tasks())}; "
@@ -99,16 +103,18 @@ def snapshot(task: str, name: str) -> Snapshot:
 
 def library(task: str) -> list[Snapshot]:
     """All policies of a task: the 11 snapshots in order of training, then `medium` and `expert` where there are such."""
+    own = SHARED.get(task, task)
     return [
-        Snapshot(task, name, e["updates"], e["environment_steps"], Returns(**e["sampled"]), Returns(**e["greedy"]))
+        Snapshot(own, name, e["updates"], e["environment_steps"], Returns(**e["sampled"]), Returns(**e["greedy"]))
         for name, e in about(task)["policies"].items()
     ]
 
 
 def load_policies(task: str) -> list[Deployed]:
-    """The 11 policies of a task, evenly spaced over one run from its random beginning to its end (DOPE, thesis 8.4).
+    """The 11 policies of a task, evenly spaced over one run to its end (DOPE, thesis 8.4).
 
-    The runs are of SAC in Gym-MuJoCo, and of DAPG in Maze2D and Adroit; `about(task)` says how they were made.
+    The runs are of SAC in Gym-MuJoCo, of DAPG in Maze2D and Adroit, whose first policies are untrained, and of behaviour
+    cloning in AntMaze; `about(task)` says how they were made.
 
     Args:
         task: such as `hopper`, `maze2d-umaze-dense` or `door`.

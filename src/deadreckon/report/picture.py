@@ -29,6 +29,8 @@ def picture(
 ) -> Path:
     """Draws a quantity against updates, a panel for each group of runs; line: mean over seeds, band: lowest to highest.
 
+    Of runs that all learned online it is drawn against environment steps.
+
     Args:
         path: of the SVG file.
         panels: title to run folders; runs whose folders have the same name have the same colour in all panels.
@@ -52,9 +54,12 @@ def picture(
         raise UserError(f"{path}: none of the runs has a column {quantity!r}")
     drawn = {}
     for title, entries in runs.items():
-        series = [_series(e, labels.index(e.folder.path.name), quantity) for e in entries if len(e.curve(quantity)[0])]
-        lines = list((references or {}).get(title, {}).items())
-        drawn[title] = charts.lines(series, title=title, unit=quantity, size=PANEL, references=lines, symlog=symlog)
+        acted = all(e.online for e in entries)
+        series = [_series(e, labels.index(e.folder.path.name), quantity, acted) for e in entries if len(e.curve(quantity)[0])]
+        lines, across = list((references or {}).get(title, {}).items()), "environment steps" if acted else "updates"
+        drawn[title] = charts.lines(
+            series, title=title, unit=quantity, size=PANEL, references=lines, symlog=symlog, across=across
+        )
     return sheet(path, drawn, [(names or {}).get(label, label) for label in labels], columns)
 
 
@@ -79,8 +84,9 @@ def sheet(path: Path | str, panels: Mapping[str, Markup], names: Sequence[str], 
     return Path(path)
 
 
-def _series(entry: Entry, slot: int, quantity: str) -> charts.Series:
-    return charts.Series.over_seeds(entry.label, slot % COLOURS, *entry.curve(quantity), dashed=slot >= COLOURS)
+def _series(entry: Entry, slot: int, quantity: str, environment: bool) -> charts.Series:
+    curve = entry.curve(quantity, environment)
+    return charts.Series.over_seeds(entry.label, slot % COLOURS, *curve, dashed=slot >= COLOURS)
 
 
 def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
