@@ -13,6 +13,7 @@ from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import AutoRegressive, Gaussian, Trainer
+from deadreckon.dynamics import model as models
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
 from deadreckon.dynamics.model import bernoulli_nll, gaussian_nll, soft_bounds
 from deadreckon.errors import DivergedError, UserError
@@ -94,6 +95,21 @@ def test_losses_equal_numpy_for_each_member_on_its_own_rows():
     squares = np.square(mean - target).sum(-1) - ends
     np.testing.assert_allclose(plain.losses(params, inputs, target, terminal, jax.random.key(1)), squares, rtol=1e-4)
     np.testing.assert_array_equal(plain.sample(params, jnp.asarray(inputs), jax.random.key(2))[0], mean)
+
+
+@pytest.mark.parametrize("parts", [2, 5])
+def test_stacks_of_members_learn_what_one_stack_does(parts, monkeypatch):
+    """Each member from its own rows, with its own weights of them."""
+    net = Gaussian(members=3, hidden=(8,), layer_decay=(0.1, 0.2))
+    params, rng = net.create(SPEC, jax.random.key(0)), np.random.default_rng(0)
+    rows, target = rng.standard_normal((3, 16, 3)), rng.standard_normal((3, 16, 3))
+    given = params, begin(params), rows, target, rng.random((3, 16)), rng.random((3, 16)), jax.random.key(0)
+    monkeypatch.setattr(models, "stacks", lambda: 1)
+    new, _, told = net.step(*given)
+    monkeypatch.setattr(models, "stacks", lambda: parts)
+    same, _, also = net.step(*given)
+    np.testing.assert_allclose(ravel_pytree(same)[0], ravel_pytree(new)[0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(also["model_nll"], told["model_nll"], rtol=1e-6)
 
 
 def test_decay_of_layers_by_hand():

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.dynamics import Ensemble, Model, branches
+from deadreckon.dynamics import Ensemble, Model, branches, rollout
 from deadreckon.policies.policy import Inner
 
 
@@ -45,6 +45,19 @@ def test_every_step_is_an_elites_and_all_have_equal_shares():
     np.testing.assert_allclose(found[2].next_observation[:, 1], 3 * 0.25, rtol=1e-6)
     np.testing.assert_allclose(found[1].reward, 0.5, rtol=1e-6)
     assert all(b.running.all() for b in found)
+
+
+def test_blocks_of_rows_are_put_together_again(monkeypatch):
+    """Rows stand where they stood, also where blocks do not divide them."""
+    monkeypatch.setattr(rollout, "BLOCK", 5)
+    starts = jnp.stack([jnp.arange(23.0), jnp.zeros(23)], 1)
+    found = branches(Counting(members=2), ensemble([100, 200], [0, 1]), Half(), starts, 2, jax.random.key(0),
+                     lambda following: following[:, 0] % 100 == 7)  # fmt: skip
+    np.testing.assert_array_equal(found[0].observation, starts)
+    np.testing.assert_array_equal(np.asarray(found[0].next_observation)[:, 0] % 100, np.arange(23))
+    assert set(np.unique(found[0].next_observation[:, 0] // 100)) == {1.0, 2.0}
+    np.testing.assert_array_equal(found[0].terminal, np.arange(23) == 7)
+    np.testing.assert_array_equal(found[1].running, np.arange(23) != 7)
 
 
 def test_what_has_ended_runs_no_more():

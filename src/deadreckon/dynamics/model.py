@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.data.spec import Spec
 from deadreckon.data.view import STD_FLOOR
+from deadreckon.nets.mlp import joined, split, stacks
 from deadreckon.nets.optim import begin, descend
 from deadreckon.training.learner import Metrics, static
 
@@ -118,15 +119,17 @@ class Model(eqx.Module):
     def step(self, params: Any, opt: Any, inputs: Array, target: Array, terminal: Array, weight: Any, key: PRNGKeyArray) -> Any:
         """One step of maximum likelihood on every member's own rows, see `losses`, with weights (members, b) or 1."""
 
-        def loss(params):
+        def loss(params, inputs, target, terminal, weight, key):
             each = self.losses(params, inputs, target, terminal, key)
             decay = sum(d * jnp.square(w).sum() / 2.0 for d, w in zip(self.layer_decay, params["nets"].weights))
-            return (weight * each).mean(-1).sum() + decay, {"model_nll": each.mean()}
+            return (weight * each).mean(-1).sum() + decay, each
 
-        grads, metrics = jax.grad(loss, has_aux=True)(params)
+        parts = split((params, inputs, target, terminal, jnp.broadcast_to(weight, terminal.shape)), stacks())
+        keys = jax.random.split(key, len(parts))
+        grads, each = joined([jax.grad(loss, has_aux=True)(*part, k) for part, k in zip(parts, keys)])
         new, opt = descend(params, grads, opt, self.lr)
         new = jax.tree.map(lambda n, p: n - self.lr * self.weight_decay * p, new, params)
-        return new, opt, metrics
+        return new, opt, {"model_nll": each.mean()}
 
     def _choices(self, params: Any) -> int:
         """How many discrete actions there are, 0 for continuous ones."""

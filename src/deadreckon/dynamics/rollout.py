@@ -15,6 +15,7 @@ from deadreckon.policies.policy import Step
 
 # Whether episodes end (n,) where these are observed (n, o): a task's `ends`.
 Ends = Callable[[Array], Array]
+BLOCK = 5000  # rows at a time on a CPU: what the networks make of them stays in its caches, and sorting them is quicker
 
 
 class Branch(NamedTuple):
@@ -68,6 +69,17 @@ def packed(found: Sequence[Branch]) -> Float[np.ndarray, "n w"]:
 
 @eqx.filter_jit
 def _step(
+    model: Model, ensemble: Ensemble, policy: Any, ends: Ends | None, observation: Array, running: Array, key: PRNGKeyArray
+) -> Branch:
+    n = len(observation)
+    blocks = -(-n // BLOCK) if jax.default_backend() == "cpu" else 1
+    # Blocks are of one size; where they do not divide the rows, the first rows are done once more.
+    rows = jax.tree.map(lambda x: jnp.resize(x, (blocks, -(-n // blocks), *x.shape[1:])), (observation, running))
+    found = jax.lax.map(lambda part: _one(model, ensemble, policy, ends, *part), (*rows, jax.random.split(key, blocks)))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], found)
+
+
+def _one(
     model: Model, ensemble: Ensemble, policy: Any, ends: Ends | None, observation: Array, running: Array, key: PRNGKeyArray
 ) -> Branch:
     k_act, k_next = jax.random.split(key)

@@ -102,6 +102,11 @@ def ensemble(create: Callable[[PRNGKeyArray], N], count: int, key: PRNGKeyArray)
     return jax.vmap(create)(jax.random.split(key, count))
 
 
+def stacks() -> int:
+    """Into how many stacks to `split` networks: two on a CPU (more are no faster), one on a GPU, which does them all at once."""
+    return 2 if jax.default_backend() == "cpu" else 1
+
+
 def split(stack: T, parts: int) -> tuple[T, ...]:
     """A stack of networks as several, as equal as can be. XLA does products of one stack one after the other on a CPU, those of
     several beside each other, which keeps its cores busier."""
