@@ -19,7 +19,7 @@ def _rows(n: int = 200) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_clipped_gaussian_has_one_deviation_an_action():
     """Its likelihood is numpy's, its deviations are best where they are those of its errors, and its draws are not squashed."""
-    model = behavior.create("clipped", SPEC, (8,), jax.random.key(0))
+    model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))
     observation, action = _rows()
     errors = action - np.asarray(model.means(observation))
     best = np.sqrt(np.square(errors).mean(0))

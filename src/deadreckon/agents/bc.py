@@ -47,8 +47,12 @@ class BC(Agent):
 
     def init(self, spec, key):
         """A fresh model."""
-        stochastic = self.model == "gaussian"
-        model = create_actor(spec, self.hidden, key) if stochastic else behavior.create(self.model, spec, self.hidden, key)
+        if self.model == "gaussian":
+            model = create_actor(spec, self.hidden, key)
+        elif self.model == "vae":
+            model = behavior.create("vae", spec, self.hidden, key)
+        else:
+            model = behavior.Clipped.create(spec, self.hidden, key)
         return State(model, begin(model))
 
     def update(self, state, batch, *, step, key):

@@ -103,7 +103,7 @@ def ensemble(create: Callable[[PRNGKeyArray], N], count: int, key: PRNGKeyArray)
 
 
 def stacks() -> int:
-    """Into how many stacks to `split` networks: two on a CPU (more are no faster), one on a GPU, which does them all at once."""
+    """Into how many stacks to `split` networks: two on a CPU (more are no faster), one on a GPU, which does all at once."""
     return 2 if jax.default_backend() == "cpu" else 1
 
 

@@ -26,13 +26,16 @@ class Clipped(eqx.Module):
     means: MLP
     log_std: Float[Array, "a"]
 
+    @classmethod
+    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> "Clipped":
+        """Fresh, with deviations of one."""
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key), jnp.zeros(spec.action_size))
 
-def create(kind: Kind | Literal["clipped"], spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | VAE | Clipped:
-    """A tanh-Gaussian network (thesis A.4), a conditional VAE (BCQ, the official BEAR) or a clipped Gaussian."""
+
+def create(kind: Kind, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | VAE:
+    """A tanh-Gaussian network (thesis A.4) or a conditional VAE (BCQ, the official BEAR)."""
     if kind == "vae":
         return VAE.create(spec.observation_size, spec.action_size, hidden, key)
-    if kind == "clipped":
-        return Clipped(MLP.create(spec.observation_size, hidden, spec.action_size, key), jnp.zeros(spec.action_size))
     return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
 
 
@@ -46,7 +49,7 @@ def loss(
         nll = -model.log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll}
     if isinstance(model, Clipped):
-        nll = -policy(model).log_prob(observation, action).mean()
+        nll = -_clipped(model).log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll, "behavior_error": jnp.square(model.means(observation) - action).mean()}
     d = dist.gaussian_head(model(observation))
     nll = -dist.log_prob(d, jnp.arctanh(action)).mean()
@@ -56,5 +59,9 @@ def loss(
 def policy(model: MLP | VAE | Clipped | Categorical) -> Inner:
     """The model as something that acts."""
     if isinstance(model, Clipped):
-        return Gaussian.of(model.means, model.log_std)
+        return _clipped(model)
     return VAEDecoder(model) if isinstance(model, VAE) else stochastic(model)
+
+
+def _clipped(model: Clipped) -> Gaussian:
+    return Gaussian.of(model.means, model.log_std)
