@@ -9,11 +9,15 @@ import shutil
 import socket
 import threading
 import urllib.request
+import warnings
 from collections import deque
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import SimpleNamespace
 
+import gymnasium
+import gymnasium_robotics
 import h5py
+import minari
 import numpy as np
 import pytest
 from small_logs import make_log, same
@@ -26,6 +30,8 @@ from deadreckon.data.download import Patience, fetch, get
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.data.minari import write_minari
 from deadreckon.errors import UserError
+from deadreckon.tasks import task
+from deadreckon.tasks.kitchen import ELEMENTS
 from tests.limits import files_up_to
 
 NAME = "hopper-medium-v2"
@@ -210,7 +216,52 @@ def test_ants_twin_is_laid_out_as_the_original(server, tmp_path, monkeypatch):
         np.testing.assert_array_equal(getattr(found, key)[:, :27], getattr(log, key)[:, :27])
         assert getattr(found, key).shape[1] == 111
         assert not getattr(found, key)[:, 27:].any()
-    assert found.provenance.extra["observations"] == "the first 27 of 105, then 84 zeros"
+    assert found.provenance.extra["observations"] == "columns 0-26 of 105, then 84 constants"
+
+
+def test_the_kitchens_twin_is_laid_out_as_the_original(server, tmp_path, monkeypatch):
+    """The environment whose steps Minari has shows dicts and 59 numbers; our tasks show what D4RL's did."""
+    gymnasium.register_envs(gymnasium_robotics)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    todo = ["microwave", "kettle", "bottom burner", "light switch"]
+    env = gymnasium.make("FrankaKitchen-v1", tasks_to_complete=todo, max_episode_steps=3)
+    collector = minari.DataCollector(env)
+    rng = np.random.default_rng(0)
+    for seed in range(2):
+        collector.reset(seed=seed)
+        for _ in range(3):
+            collector.step(rng.uniform(-1, 1, 9))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that there is no author, code link, ...
+        made = collector.create_dataset("D4RL/kitchen/mixed-v2")
+    theirs = [episode.observations for episode in made.iterate_episodes()]
+    collector.close()
+    for name in ("metadata.json", "main_data.hdf5"):
+        content = (tmp_path / "minari" / "D4RL/kitchen/mixed-v2/data" / name).read_bytes()
+        server.files[f"/hub/D4RL/resolve/main/kitchen/mixed-v2/data/{name}"] = (content, {})
+    get("kitchen-mixed-v0", "minari")
+    found, here = load("kitchen-mixed-v0@minari"), task("kitchen-mixed")
+    assert found.spec.observation_shape == here.observation_shape
+    assert found.spec.action_size == here.action_space.size
+    seen = found.observations.reshape(2, 3, 60)
+    for episode, rows, last in zip(theirs, seen, found.final_observations):
+        assert episode["observation"].shape == (4, 59)
+        rows = np.concatenate([rows, last[None]])
+        np.testing.assert_allclose(rows[:, :9], episode["observation"][:, :9], rtol=1e-6)
+        for element, (where, wanted) in ELEMENTS.items():
+            if element in todo:
+                # What was achieved is true, what is seen is read with noise.
+                np.testing.assert_allclose(rows[:, where], episode["achieved_goal"][element], atol=0.02)
+                np.testing.assert_allclose(episode["desired_goal"][element], np.tile(wanted, (4, 1)))
+    np.testing.assert_array_equal(found.observations[:, 30:], np.tile(here.goal.astype(np.float32), (6, 1)))
+    assert found.provenance.extra["observations"] == "columns 0-8, 18-38 of 59, then 30 constants"
+
+
+@pytest.mark.parametrize("kind", ["complete", "partial", "mixed"])
+def test_goals_of_the_kitchens_twins_are_the_tasks(kind):
+    columns, goal = entry(f"kitchen-{kind}-v0").twin_layout
+    np.testing.assert_array_equal(goal, task(f"kitchen-{kind}").goal)
+    assert len(columns) == 30
 
 
 def test_the_twin_becomes_one_file_with_our_columns(server, twin, home):

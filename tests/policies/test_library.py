@@ -1,4 +1,6 @@
-"""The policies of DAPG that come with the package: whole, evenly spaced, and better at the end than at the beginning."""
+"""The policies of DAPG and of clones that come with the package: whole, evenly spaced, and better at the end than at first."""
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -8,11 +10,11 @@ from deadreckon.cli.main import main
 from deadreckon.policies import library, store
 from deadreckon.tasks import task
 
-OURS = [name for name in library.library_tasks() if task(name).domain != "gym"]
+OURS = [name for name in library.library_tasks() if task(name).domain != "gym" and name not in library.SHARED]
 
 
 def test_some_are_shipped():
-    assert {"maze2d-umaze-dense", "door"} <= set(OURS)
+    assert {"maze2d-umaze-dense", "door", "antmaze-umaze"} <= set(OURS)
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -20,21 +22,34 @@ def test_snapshots(name):
     policies, found, world = dr.load_policies(name), library.library(name), task(name)
     assert [s.name for s in found] == [f"snapshot-{i:02d}" for i in range(11)]
     updates = [s.updates for s in found]
-    assert updates[0] == 0
-    assert len(set(np.diff(updates))) == 1
-    assert library.about(name)["agent"] == "dapg"
-    assert library.about(name)["run"]["demonstrations"]["episodes"] >= 25
+    about, cloned = library.about(name), world.domain == "antmaze"
+    step = updates[1] - updates[0]
+    # What learns from a log keeps no policy of before.
+    assert updates == [step * (i + cloned) for i in range(11)]
+    assert about["agent"] == ("bc" if cloned else "dapg")
+    assert "directed" in about["run"]["data"]["name"] if cloned else about["run"]["demonstrations"]["episodes"] >= 25
     for each, policy in zip(found, policies):
         meta = store.meta(library.ROOT / name / f"{each.name}.npz")
-        assert (meta["task"], meta["name"], meta["updates"], meta["agent"]) == (name, each.name, each.updates, "dapg")
+        assert (meta["task"], meta["name"], meta["updates"], meta["agent"]) == (name, each.name, each.updates, about["agent"])
         assert policy.has_log_prob
         assert policy(np.zeros((3, *world.observation_shape), np.float32)).shape == (3, world.action_space.size)
         for returns in (each.sampled, each.greedy):
             assert returns.discount == 0.995
             assert returns.episodes >= 100
-            assert returns.error > 0
+            assert returns.error > 0 or returns.mean == 0.0
     best, first = max(found, key=lambda s: s.sampled.mean).sampled, found[0].sampled
     assert best.mean - first.mean > 4 * np.hypot(best.error, first.error)
+
+
+def test_tasks_with_the_same_episodes_share_them(capsys):
+    first, same = (dr.load_policies(name)[5] for name in ("antmaze-umaze", "antmaze-umaze-diverse"))
+    seen = np.random.default_rng(0).standard_normal((4, 29)).astype(np.float32)
+    np.testing.assert_array_equal(first(seen), same(seen))
+    for name, own in library.SHARED.items():
+        called = {key: getattr(task(name), key) for key in ("name", "gym_id", "properties")}
+        assert task(name) == dataclasses.replace(task(own), **called)
+    assert main(["tasks", "--domain", "antmaze"]) == 0
+    assert "antmaze-umaze-diverse has those of antmaze-umaze" in capsys.readouterr().out
 
 
 def test_the_command_shows_them(capsys):

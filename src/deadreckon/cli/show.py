@@ -90,17 +90,20 @@ def _own_logs(tasks: Sequence) -> None:
 
 def _policies(tasks: Sequence) -> None:
     """Policies of the tasks that have some in the package."""
-    from deadreckon.policies.library import library, library_tasks
+    from deadreckon.policies.library import SHARED, library, library_tasks
 
+    known = [task for task in tasks if task.name in library_tasks()]
     policies = [["policy", "environment steps", "return", "error", "score", "discounted", "with mean actions", "score"]]
-    for task in (task for task in tasks if task.name in library_tasks()):
+    for task in (task for task in known if task.name not in SHARED):
         for s in library(task.name):
             scores = [f"{task.reference.normalise(r.mean):.1f}" for r in (s.sampled, s.greedy)]
-            drawn = f"{s.sampled.mean:.1f}", f"{s.sampled.error:.1f}", scores[0], f"{s.sampled.discounted:.1f}"
-            policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, f"{s.greedy.mean:.1f}", scores[1]])
+            drawn = short(s.sampled.mean), short(s.sampled.error), scores[0], short(s.sampled.discounted)
+            policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, short(s.greedy.mean), scores[1]])
     if len(policies) > 1:
         print("\n" + table(policies, right=(1, 2, 3, 4, 5, 6, 7)))
         print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives the 11.")
+        for task in (task for task in known if task.name in SHARED):
+            print(f"{task.name} has those of {SHARED[task.name]}")
 
 
 def agents(args: Sequence[str]) -> None:

@@ -27,8 +27,8 @@ class Entry:
         original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
-        twin_layout: (kept, zeros): of the twin's observations the first `kept` are taken and `zeros` zeros put behind them, so
-            that they are laid out as the original's; None takes them as they are.
+        twin_layout: (columns, constants): of the twin's observations these columns are taken and these numbers put behind them,
+            so that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
         controller: who acts, thesis Table D.1: `planner`, `policy` (random ones and hand-made controllers too) or `human`.
     """
@@ -41,7 +41,7 @@ class Entry:
     original: str | None
     minari: str | None
     version: str = VERSION
-    twin_layout: tuple[int, int] | None = None
+    twin_layout: tuple[tuple[int, ...], tuple[float, ...]] | None = None
     sha256: str | None = None
     controller: str = "policy"
 
@@ -83,7 +83,8 @@ def _gym(robot: str, policy: str) -> Entry:
     # Minari's `simple` logs are those of a weak policy, not of a random one.
     twin = f"mujoco/{robot}/{policy}-v0" if policy in ("medium", "expert") and file else None
     # Ant's contact forces, which the twin observes, were zero in the originals.
-    return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=(27, 84) if robot == "ant" and twin else None)
+    layout = (tuple(range(27)), (0.0,) * 84) if robot == "ant" and twin else None
+    return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=layout)
 
 
 def _flow(road: str, kind: str) -> Entry:
@@ -102,17 +103,26 @@ def _adroit(task: str, kind: str) -> Entry:
     return Entry(name, "adroit", task, name, rows, f"hand_dapg_v1/{name}.hdf5", f"D4RL/{task}/{kind}-v2")
 
 
-_KITCHEN = {  # rows, and D4RL's file; Minari's twins have other observations (59, goals apart), which no task here has
+_KITCHEN = {  # rows, and D4RL's file
     "complete": (3_680, "mini_kitchen_microwave_kettle_light_slider-v0"),
     "partial": (136_950, "kitchen_microwave_kettle_light_slider-v0"),
     "mixed": (136_950, "kitchen_microwave_kettle_bottomburner_light-v0"),
 }
+# Minari's twins show positions (9), velocities (9), the kitchen's positions (21) and velocities (20), and the goal elsewhere;
+# the originals positions and the goal. Goals by the first column of a posture that they say something of.
+_POSITIONS = (*range(9), *range(18, 39))
+_SLIDE, _BURNER, _LIGHT = (19, (0.37,)), (11, (-0.88, -0.01)), (17, (-0.69, -0.05))
+_MICROWAVE, _KETTLE = (22, (-0.75,)), (23, (-0.23, 0.75, 1.62, 0.99, 0.0, 0.0, -0.06))
 
 
 def _kitchen(kind: str) -> Entry:
     rows, file = _KITCHEN[kind]
     name = f"kitchen-{kind}-v0"
-    return Entry(name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", None)
+    goal = [0.0] * 30
+    for start, wanted in (_MICROWAVE, _KETTLE, _LIGHT, _BURNER if kind == "mixed" else _SLIDE):
+        goal[start : start + len(wanted)] = wanted
+    twin, layout = f"D4RL/kitchen/{kind}-v2", (_POSITIONS, tuple(goal))
+    return Entry(name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", twin, twin_layout=layout)
 
 
 # D4RL's own words for the mazes in the names of its files.

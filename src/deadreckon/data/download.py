@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from email.message import Message
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote, urlsplit
@@ -279,12 +280,30 @@ def _twin(found: Entry, path: Path, sums: Sums, progress: Progress, patience: Pa
     return received
 
 
-def _laid_out(log: Dataset, kept: int, zeros: int) -> Dataset:
-    """The log with the first `kept` numbers of each observation and `zeros` zeros behind them; the provenance says so."""
-    change = lambda seen: None if seen is None else np.pad(seen[:, :kept], ((0, 0), (0, zeros)))  # noqa: E731
+def _laid_out(log: Dataset, kept: tuple[int, ...], constants: tuple[float, ...]) -> Dataset:
+    """The log with these columns of each observation and constants behind them; the provenance says so.
+
+    Raises:
+        UserError: observations are not the twin's, and have too few columns.
+    """
+    if log.spec.observation_size <= max(kept):
+        raise UserError(f"{log.name} has {log.spec.observation_size} numbers an observation; {max(kept) + 1} or more are needed")
+
+    def change(seen: np.ndarray | None) -> np.ndarray | None:
+        if seen is None:
+            return None
+        behind = np.broadcast_to(np.asarray(constants, seen.dtype), (len(seen), len(constants)))
+        return np.concatenate([seen[:, list(kept)], behind], 1)
+
     columns = {key: change(getattr(log, key)) for key in ("observations", "final_observations", "successors")}
-    note = f"the first {kept} of {log.spec.observation_size}, then {zeros} zeros"
+    note = f"columns {_ranges(kept)} of {log.spec.observation_size}, then {len(constants)} constants"
     return replace(log, **columns, provenance=replace(log.provenance, extra={**log.provenance.extra, "observations": note}))
+
+
+def _ranges(columns: tuple[int, ...]) -> str:
+    """Columns that follow each other as `first-last`."""
+    breaks = [i for i in range(1, len(columns)) if columns[i] != columns[i - 1] + 1]
+    return ", ".join(f"{columns[a]}-{columns[b - 1]}" for a, b in pairwise([0, *breaks, len(columns)]))
 
 
 def _checked_metadata(url: str, about: Path) -> int:
