@@ -287,7 +287,7 @@ def _laid_out(log: Dataset, kept: tuple[int, ...], constants: tuple[float, ...])
         UserError: observations are not the twin's, and have too few columns.
     """
     if log.spec.observation_size <= max(kept):
-        raise UserError(f"{log.name} has {log.spec.observation_size} numbers an observation; {max(kept) + 1} or more are needed")
+        raise UserError(f"{log.name} has {log.spec.observation_size} numbers an observation; {max(kept) + 1} are needed")
 
     def change(seen: np.ndarray | None) -> np.ndarray | None:
         if seen is None:
