@@ -241,6 +241,11 @@ def test_learns_the_corridor(name):
     assert np.abs(policy(s) - np.clip(-5 * s, -1, 1)).mean() < most
 
 
+def test_bc_knows_its_models():
+    with pytest.raises(UserError, match="BC.model"):
+        agent_class("bc")(model="clip").resolve(LOG.spec, 10)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["gaussian", "vae", "clipped"])
 def test_bc_copies_what_was_logged(model):

@@ -60,6 +60,20 @@ def test_blocks_of_rows_are_put_together_again(monkeypatch):
     np.testing.assert_array_equal(found[1].running, np.arange(23) != 7)
 
 
+class Drawing(Counting):
+    """Changes are draws."""
+
+    def sample(self, params, inputs, key):
+        """See `Model`."""
+        return jax.random.normal(key, (*inputs.shape[:2], 3)), jnp.full(inputs.shape[:2], -jnp.inf)
+
+
+def test_blocks_draw_on_their_own(monkeypatch):
+    monkeypatch.setattr(rollout, "BLOCK", 6)
+    found = branches(Drawing(members=2), ensemble([1, 2], [0, 1]), Half(), jnp.zeros((12, 2)), 1, jax.random.key(0))
+    assert len(np.unique(np.asarray(found[0].reward))) == 12
+
+
 def test_what_has_ended_runs_no_more():
     starts = jnp.stack([jnp.arange(6.0), jnp.zeros(6)], 1)
     found = branches(Counting(members=1), ensemble([1], [0]), Half(), starts, 3, jax.random.key(0),

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 
 from deadreckon.data.spec import Box, Spec
 from deadreckon.policies import behavior
@@ -18,7 +19,7 @@ def _rows(n: int = 200) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_clipped_gaussian_has_one_deviation_an_action():
-    """Its likelihood is numpy's, its deviations are best where they are those of its errors, and its draws are not squashed."""
+    """Its likelihood is numpy's, and its deviations are best where they are those of its errors."""
     model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))
     observation, action = _rows()
     errors = action - np.asarray(model.means(observation))
@@ -34,10 +35,32 @@ def test_a_clipped_gaussian_has_one_deviation_an_action():
         return behavior.loss(behavior.Clipped(model.means, log_std), observation, action, jax.random.key(1))[0]
 
     np.testing.assert_allclose(jax.grad(nll)(jnp.log(jnp.asarray(best))), 0.0, atol=1e-5)
-    policy = behavior.policy(behavior.Clipped(model.means, jnp.log(jnp.asarray([2.0, 0.1]))))
-    drawn = policy.pre_actions(jnp.zeros((1, 3)), jax.random.key(2), greedy=False, count=(4000,))[:, 0]
-    np.testing.assert_allclose(drawn.std(0), [2.0, 0.1], rtol=0.05)
-    assert float(jnp.abs(policy.act(_step(observation), (), jax.random.key(3), greedy=False)[0]).max()) > 1.5
+
+
+def test_draws_are_cut_to_the_bounds_which_have_what_lies_beyond():
+    """Between the bounds densities integrate to what the bounds leave, and both are what the draws say."""
+    model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))
+    policy = behavior.policy(behavior.Clipped(model.means, jnp.log(jnp.asarray([0.8, 0.1]))))
+    seen = jnp.zeros((20_000, 3))
+    drawn = policy.act(_step(seen), (), jax.random.key(2), greedy=False)[0]
+    assert float(jnp.abs(drawn).max()) == 1.0
+    mean, other = np.asarray(model.means(seen[0]))
+    shares = [float((drawn[:, 0] == edge).mean()) for edge in (-1.0, 1.0)]
+    assert min(shares) > 0.02
+    grid = np.concatenate([[-1.0], np.linspace(-0.9999, 0.9999, 401), [1.0]])
+    actions = jnp.asarray(np.stack([grid, np.full(403, 0.05)], 1))
+    first = np.exp(policy.log_prob(seen[:403], actions) - stats.norm.logpdf(0.05, other, 0.1))
+    at = first[[0, -1]]
+    np.testing.assert_allclose(at, stats.norm.cdf([(-1.0 - mean) / 0.8, (mean - 1.0) / 0.8]), rtol=1e-4)
+    np.testing.assert_allclose(at, shares, atol=0.01)
+    np.testing.assert_allclose(np.trapezoid(first[1:-1], grid[1:-1]) + at.sum(), 1.0, atol=1e-3)
+
+
+def test_deviations_have_a_least():
+    """Of an action that is always the same they would fall without end."""
+    model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))
+    policy = behavior.policy(behavior.Clipped(model.means, jnp.full(2, -100.0)))
+    assert np.isfinite(policy.log_prob(jnp.zeros((1, 3)), model.means(jnp.zeros((1, 3))))).all()
 
 
 def _step(observation: np.ndarray):

@@ -15,7 +15,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import BlackBoxPolicy, Deployed, Policy, Step, portable, store
-from deadreckon.policies.policy import Deterministic, GreedyQ, Moved, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import ClippedGaussian, Deterministic, GreedyQ, Moved, TanhGaussian, VAEDecoder
 
 KEY = jax.random.key(0)
 VIEW = View(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
@@ -26,6 +26,7 @@ def make(kind):
     inner = {
         "deterministic": Deterministic(MLP.create(3, (8,), 2, KEY, activation="swish")),
         "gaussian": TanhGaussian(actor),
+        "clipped": ClippedGaussian.of(MLP.create(3, (8,), 2, KEY), jnp.zeros(2)),
         "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
         "moved": Moved(VAE.create(3, 2, (8,), KEY), MLP.create(5, (8,), 2, KEY), jnp.asarray(0.3)),
         "normalised": Deterministic(MLP.create(3, (8, 8), 2, KEY, normalise=True)),
@@ -34,7 +35,7 @@ def make(kind):
     return Deployed.of(inner, VIEW)
 
 
-@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "vae", "moved", "normalised", "greedy"])
+@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "clipped", "vae", "moved", "normalised", "greedy"])
 def test_file_round_trip_and_numpy_player(kind, tmp_path):
     policy = make(kind)
     assert isinstance(policy, Policy)

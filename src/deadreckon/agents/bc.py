@@ -31,12 +31,12 @@ class BC(Agent):
     choices: ClassVar[bool] = True
 
     lr: float = 3e-4  # learning rate
-    model: behavior.Kind | Literal["clipped"] = static("gaussian")  # tanh-Gaussian; "vae": thesis A.4; "clipped": a Gaussian
+    model: Literal["gaussian", "vae", "clipped"] = static("gaussian")  # a tanh-Gaussian, a VAE (thesis A.4), a Gaussian
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     batch_size: int = static(256)  # rows a batch
 
     def resolve(self, spec, steps):
-        """A VAE makes no discrete actions."""
+        """Of discrete actions there is one model."""
         if spec.discrete and self.model != "gaussian":
             raise UserError(f"BC.model: of discrete actions it is a network's logits; leave {self.model!r} out")
         return super().resolve(spec, steps)
@@ -49,10 +49,10 @@ class BC(Agent):
         """A fresh model."""
         if self.model == "gaussian":
             model = create_actor(spec, self.hidden, key)
-        elif self.model == "vae":
-            model = behavior.create("vae", spec, self.hidden, key)
-        else:
+        elif self.model == "clipped":
             model = behavior.Clipped.create(spec, self.hidden, key)
+        else:
+            model = behavior.create(self.model, spec, self.hidden, key)
         return State(model, begin(model))
 
     def update(self, state, batch, *, step, key):

@@ -29,6 +29,11 @@ def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
 
 
+def short(x: float) -> str:
+    """A return: tenths of large ones, and of small ones, such as shares of success, hundredths."""
+    return f"{x:.1f}" if abs(x) >= 10 else f"{x:.2f}"
+
+
 def tasks(args: Sequence[str]) -> None:
     """Prints the tasks with horizon, reference returns and the thesis's split, then the logs and policies made in them."""
     from deadreckon.tasks import registry
@@ -93,14 +98,16 @@ def _policies(tasks: Sequence) -> None:
     from deadreckon.policies.library import SHARED, library, library_tasks
 
     known = [task for task in tasks if task.name in library_tasks()]
-    policies = [["policy", "environment steps", "return", "error", "score", "discounted", "with mean actions", "score"]]
+    drawing = "return", "error", "score", "discounted"
+    policies = [["policy", "updates", "environment steps", *drawing, "with mean actions", "score"]]
     for task in (task for task in known if task.name not in SHARED):
         for s in library(task.name):
             scores = [f"{task.reference.normalise(r.mean):.1f}" for r in (s.sampled, s.greedy)]
             drawn = short(s.sampled.mean), short(s.sampled.error), scores[0], short(s.sampled.discounted)
-            policies.append([f"{task.name} {s.name}", f"{s.environment_steps:,}", *drawn, short(s.greedy.mean), scores[1]])
+            at = f"{s.updates:,}", f"{s.environment_steps:,}"
+            policies.append([f"{task.name} {s.name}", *at, *drawn, short(s.greedy.mean), scores[1]])
     if len(policies) > 1:
-        print("\n" + table(policies, right=(1, 2, 3, 4, 5, 6, 7)))
+        print("\n" + table(policies, right=range(1, 9)))
         print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives the 11.")
         for task in (task for task in known if task.name in SHARED):
             print(f"{task.name} has those of {SHARED[task.name]}")

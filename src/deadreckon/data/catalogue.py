@@ -6,6 +6,7 @@ from typing import Any
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.io import read
+from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import home, read_json
 
@@ -27,8 +28,8 @@ class Entry:
         original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
-        twin_layout: (columns, constants): of the twin's observations these columns are taken and these numbers put behind them,
-            so that they are laid out as the original's; None takes them as they are.
+        twin_layout: (width, columns, constants): of the twin's observations, which have this width, these columns are taken
+            and these numbers put behind them, so that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
         controller: who acts, thesis Table D.1: `planner`, `policy` (random ones and hand-made controllers too) or `human`.
     """
@@ -41,7 +42,7 @@ class Entry:
     original: str | None
     minari: str | None
     version: str = VERSION
-    twin_layout: tuple[tuple[int, ...], tuple[float, ...]] | None = None
+    twin_layout: tuple[int, tuple[int, ...], tuple[float, ...]] | None = None
     sha256: str | None = None
     controller: str = "policy"
 
@@ -83,7 +84,7 @@ def _gym(robot: str, policy: str) -> Entry:
     # Minari's `simple` logs are those of a weak policy, not of a random one.
     twin = f"mujoco/{robot}/{policy}-v0" if policy in ("medium", "expert") and file else None
     # Ant's contact forces, which the twin observes, were zero in the originals.
-    layout = (tuple(range(27)), (0.0,) * 84) if robot == "ant" and twin else None
+    layout = (105, tuple(range(27)), (0.0,) * 84) if robot == "ant" and twin else None
     return Entry(name, "gym", robot, name, rows, file, twin, twin_layout=layout)
 
 
@@ -109,19 +110,14 @@ _KITCHEN = {  # rows, and D4RL's file
     "mixed": (136_950, "kitchen_microwave_kettle_bottomburner_light-v0"),
 }
 # Minari's twins show positions (9), velocities (9), the kitchen's positions (21) and velocities (20), and the goal elsewhere;
-# the originals positions and the goal. Goals by the first column of a posture that they say something of.
+# the originals positions and the goal.
 _POSITIONS = (*range(9), *range(18, 39))
-_SLIDE, _BURNER, _LIGHT = (19, (0.37,)), (11, (-0.88, -0.01)), (17, (-0.69, -0.05))
-_MICROWAVE, _KETTLE = (22, (-0.75,)), (23, (-0.23, 0.75, 1.62, 0.99, 0.0, 0.0, -0.06))
 
 
 def _kitchen(kind: str) -> Entry:
     rows, file = _KITCHEN[kind]
     name = f"kitchen-{kind}-v0"
-    goal = [0.0] * 30
-    for start, wanted in (_MICROWAVE, _KETTLE, _LIGHT, _BURNER if kind == "mixed" else _SLIDE):
-        goal[start : start + len(wanted)] = wanted
-    twin, layout = f"D4RL/kitchen/{kind}-v2", (_POSITIONS, tuple(goal))
+    twin, layout = f"D4RL/kitchen/{kind}-v2", (59, _POSITIONS, kitchen_goal(KITCHENS[f"kitchen-{kind}"]))
     return Entry(name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", twin, twin_layout=layout)
 
 

@@ -268,6 +268,8 @@ def _twin(found: Entry, path: Path, sums: Sums, progress: Progress, patience: Pa
             log = read_minari(data)
             if len(log) != steps:
                 raise UserError(f"it has {len(log):,} steps, but {about.name} says {steps:,}")
+            if found.twin_layout is not None:
+                log = _laid_out(log, *found.twin_layout)
     except UserError:
         if not _size(main):  # nothing that the next transfer could go on from
             shutil.rmtree(data.parent)
@@ -275,19 +277,19 @@ def _twin(found: Entry, path: Path, sums: Sums, progress: Progress, patience: Pa
     extra = {**log.provenance.extra, "dataset_id": twin, **_record(received)}
     origin = replace(log.provenance, source="minari", recipe=None, path=None, extra=extra)
     log = replace(log, name=f"{found.name}@{TWIN}", provenance=origin)
-    write_hdf5(log if found.twin_layout is None else _laid_out(log, *found.twin_layout), path)
+    write_hdf5(log, path)
     shutil.rmtree(data.parent)
     return received
 
 
-def _laid_out(log: Dataset, kept: tuple[int, ...], constants: tuple[float, ...]) -> Dataset:
+def _laid_out(log: Dataset, width: int, kept: tuple[int, ...], constants: tuple[float, ...]) -> Dataset:
     """The log with these columns of each observation and constants behind them; the provenance says so.
 
     Raises:
-        UserError: observations are not the twin's, and have too few columns.
+        UserError: observations have not the `width` that the layout is for.
     """
-    if log.spec.observation_size <= max(kept):
-        raise UserError(f"{log.name} has {log.spec.observation_size} numbers an observation; {max(kept) + 1} are needed")
+    if log.spec.observation_size != width:
+        raise UserError(f"it has {log.spec.observation_size} numbers an observation, not the {width} that are known of it")
 
     def change(seen: np.ndarray | None) -> np.ndarray | None:
         if seen is None:
@@ -296,7 +298,7 @@ def _laid_out(log: Dataset, kept: tuple[int, ...], constants: tuple[float, ...])
         return np.concatenate([seen[:, list(kept)], behind], 1)
 
     columns = {key: change(getattr(log, key)) for key in ("observations", "final_observations", "successors")}
-    note = f"columns {_ranges(kept)} of {log.spec.observation_size}, then {len(constants)} constants"
+    note = f"columns {_ranges(kept)} of {width}, then {len(constants)} constants"
     return replace(log, **columns, provenance=replace(log.provenance, extra={**log.provenance.extra, "observations": note}))
 
 

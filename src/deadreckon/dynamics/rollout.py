@@ -72,7 +72,7 @@ def _step(
     model: Model, ensemble: Ensemble, policy: Any, ends: Ends | None, observation: Array, running: Array, key: PRNGKeyArray
 ) -> Branch:
     n = len(observation)
-    blocks = -(-n // BLOCK) if jax.default_backend() == "cpu" else 1
+    blocks = max(1, -(-n // BLOCK)) if jax.default_backend() == "cpu" else 1
     # Blocks are of one size; where they do not divide the rows, the first rows are done once more.
     rows = jax.tree.map(lambda x: jnp.resize(x, (blocks, -(-n // blocks), *x.shape[1:])), (observation, running))
     found = jax.lax.map(lambda part: _one(model, ensemble, policy, ends, *part), (*rows, jax.random.split(key, blocks)))

@@ -10,13 +10,13 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import Categorical, Gaussian, Inner, VAEDecoder, stochastic
+from deadreckon.policies.policy import Categorical, ClippedGaussian, Gaussian, Inner, VAEDecoder, stochastic
 
 Kind = Literal["gaussian", "vae"]
 
 
 class Clipped(eqx.Module):
-    """A Gaussian without bounds whose draws are clipped to them, with one deviation an action, as DAPG's policies are.
+    """A Gaussian with one deviation an action, as DAPG's policies are, fitted as if there were no bounds.
 
     Attributes:
         means: network.
@@ -49,7 +49,7 @@ def loss(
         nll = -model.log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll}
     if isinstance(model, Clipped):
-        nll = -_clipped(model).log_prob(observation, action).mean()
+        nll = -Gaussian.of(model.means, _deviations(model)).log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll, "behavior_error": jnp.square(model.means(observation) - action).mean()}
     d = dist.gaussian_head(model(observation))
     nll = -dist.log_prob(d, jnp.arctanh(action)).mean()
@@ -59,9 +59,10 @@ def loss(
 def policy(model: MLP | VAE | Clipped | Categorical) -> Inner:
     """The model as something that acts."""
     if isinstance(model, Clipped):
-        return _clipped(model)
+        return ClippedGaussian.of(model.means, _deviations(model))
     return VAEDecoder(model) if isinstance(model, VAE) else stochastic(model)
 
 
-def _clipped(model: Clipped) -> Gaussian:
-    return Gaussian.of(model.means, model.log_std)
+def _deviations(model: Clipped) -> Array:
+    """Log-deviations in the range of a tanh-Gaussian's: an action that is always the same has none otherwise."""
+    return jnp.clip(model.log_std, dist.LOG_STD_MIN, dist.LOG_STD_MAX)

@@ -133,6 +133,27 @@ class Gaussian(Inner):
         return (-0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
 
 
+class ClippedGaussian(Gaussian):
+    """A `Gaussian` whose draws are cut to [-1, 1]; each bound has the probability of all that lies beyond."""
+
+    @classmethod
+    def of(cls, means: MLP, log_std: Float[Array, "a"]) -> "ClippedGaussian":
+        """See `Gaussian.of`."""
+        return cls(Gaussian.of(means, log_std).net)
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`."""
+        return jnp.clip(self.pre_actions(step.observation, key, greedy=greedy), -1.0, 1.0), carry
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+        """Sum of log-densities of actions between the bounds, and log-probabilities of those at them."""
+        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
+        beyond = jax.scipy.stats.norm.logcdf((jnp.sign(action) * mean - 1.0) * jnp.exp(-log_std))
+        z = (action - mean) * jnp.exp(-log_std)
+        inside = -0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)
+        return jnp.where(jnp.abs(action) >= EDGE, beyond, inside).sum(-1)
+
+
 class VAEDecoder(Inner):
     """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
 

@@ -66,7 +66,10 @@ class NumpyPolicy:
         self.tree, self.arrays = tree["policy"], arrays
 
     def __call__(self, observations, rng=None, greedy=True):
-        """Actions in the environment's bounds; `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed."""
+        """Actions in the environment's bounds, if the policy knows these.
+
+        `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed.
+        """
         x = np.asarray(observations, np.float32)
         rng = rng or np.random.default_rng(0)
         batch = x if x.ndim > 1 else x[None]
@@ -77,7 +80,10 @@ class NumpyPolicy:
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy, ())
-        if self.tree["inner"]["kind"] != "Gaussian":
+        kind = self.tree["inner"]["kind"]
+        if kind == "ClippedGaussian":
+            action = np.clip(action, -1.0, 1.0)
+        elif kind != "Gaussian":
             action = np.tanh(action)
         if self.tree["low"] is not None:
             low, high = get(self.tree["low"]), get(self.tree["high"])
@@ -116,7 +122,7 @@ class NumpyPolicy:
         if kind == "Deterministic":
             out = self._net(node["net"], x)
             return np.broadcast_to(out, (*count, *out.shape))
-        if kind in ("TanhGaussian", "Gaussian"):
+        if kind in ("TanhGaussian", "Gaussian", "ClippedGaussian"):
             mean, log_std = np.split(self._net(node["net"], x), 2, -1)
             if greedy:
                 return np.broadcast_to(mean, (*count, *mean.shape))

@@ -17,6 +17,7 @@ from deadreckon.nets.vae import VAE
 from deadreckon.policies import portable
 from deadreckon.policies.policy import (
     Categorical,
+    ClippedGaussian,
     Deployed,
     Deterministic,
     Gaussian,
@@ -37,8 +38,8 @@ _ELSEWHERE = {  # imported where a file has one: they need what needs policies
 _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
-        Deployed, Deterministic, Gaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical, Supported, MLP, VAE,
-        Transformer, Block,
+        Deployed, Deterministic, Gaussian, ClippedGaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical,
+        Supported, MLP, VAE, Transformer, Block,
     )
 }
 

@@ -11,24 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.kitchen import ELEMENTS, JOINTS, KITCHENS, kitchen_goal
 from deadreckon.data.spec import Box
 from deadreckon.tasks.copies import MujocoCopies, load_model
 from deadreckon.tasks.task import Reference, Task
 
 FRAME_SKIP = 40
-ARM, JOINTS = 9, 30  # numbers of a posture: the arm's, and with the kitchen's (the kettle has 7)
+ARM = 9  # numbers of a posture that are the arm's
 SPEED = 2.0  # rad/s (of the fingers m/s) that an action of 1 asks for
 NEAR = 0.3  # a sub-task is done within this distance of its goal
-# A sub-task: where its joints stand in a posture, and what they should be.
-ELEMENTS: dict[str, tuple[slice, tuple[float, ...]]] = {
-    "bottom burner": (slice(11, 13), (-0.88, -0.01)),
-    "top burner": (slice(15, 17), (-0.92, -0.01)),
-    "light switch": (slice(17, 19), (-0.69, -0.05)),
-    "slide cabinet": (slice(19, 20), (0.37,)),
-    "hinge cabinet": (slice(20, 22), (0.0, 1.45)),
-    "microwave": (slice(22, 23), (-0.75,)),
-    "kettle": (slice(23, 30), (-0.23, 0.75, 1.62, 0.99, 0.0, 0.0, -0.06)),
-}
 # The posture that episodes begin in, D4RL's.
 _FIRST = np.array([
     1.48388023e-01, -1.76848573e00, 1.84390296e00, -2.47685760e00, 2.60252026e-01, 7.12533105e-01, 1.59515394e00,
@@ -63,11 +54,7 @@ class Kitchen(Task):
     @cached_property
     def goal(self) -> np.ndarray:
         """(30,) the posture's numbers that are wanted, zeros elsewhere."""
-        goal = np.zeros(JOINTS)
-        for name in self.elements:
-            where, wanted = ELEMENTS[name]
-            goal[where] = wanted
-        return goal
+        return np.array(kitchen_goal(self.elements))
 
     def done(self, postures: np.ndarray, elements: Sequence[str] | None = None) -> np.ndarray:
         """(n, elements) bool, which sub-tasks' goals postures (n, 30) are near, in the order of `elements` or of the task's."""
@@ -144,22 +131,15 @@ def kitchen() -> Any:
 
 # ---- the tasks ----------------------------------------------------------------------------------------------------------
 
-_COMPLETE = ("microwave", "kettle", "light switch", "slide cabinet")
-
-
 def _make(name: str, elements: tuple[str, ...]) -> Kitchen:
     published = Reference(0.0, 4.0, "D4RL: nothing, and all four sub-tasks")
     return Kitchen(
-        name=f"kitchen-{name}", domain="kitchen", horizon=280, observation_shape=(2 * JOINTS,), reference=published,
-        action_space=Box((-1.0,) * ARM, (1.0,) * ARM), gym_id=f"deadreckon/Kitchen{name.title()}-v0", published=published,
-        summary=", ".join(elements), properties=("undirected data", "sparse rewards", "realistic"),
+        name=name, domain="kitchen", horizon=280, observation_shape=(2 * JOINTS,), reference=published,
+        action_space=Box((-1.0,) * ARM, (1.0,) * ARM), gym_id=f"deadreckon/{name.title().replace('-', '')}-v0",
+        published=published, summary=", ".join(elements), properties=("undirected data", "sparse rewards", "realistic"),
         elements=elements,
     )  # fmt: skip
 
 
-# Table D.3 splits no kitchen tasks. Complete and partial are the same environment, with different logs.
-TASKS = (
-    _make("complete", _COMPLETE),
-    _make("partial", _COMPLETE),
-    _make("mixed", ("microwave", "kettle", "bottom burner", "light switch")),
-)
+# Table D.3 splits no kitchen tasks.
+TASKS = tuple(_make(name, elements) for name, elements in KITCHENS.items())
