@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 # Name on the command line: (module, class, one line). Modules load on first use: they need JAX.
 AGENTS = {
-    "bc": ("bc", "BC", "behaviour cloning, tanh-Gaussian or VAE (thesis A.4)"),
+    "bc": ("bc", "BC", "behaviour cloning: tanh-Gaussian, VAE (thesis A.4) or clipped Gaussian"),
     "td3": ("td3", "TD3", "twin delayed DDPG on a fixed log, the naive baseline (thesis 4.4)"),
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),

@@ -1,4 +1,4 @@
-"""The behaviour policies that come with the package: snapshots of one online training run a task, and what they are worth.
+"""The behaviour policies that come with the package: snapshots of one training run a task, and what they are worth.
 
 `library/TASK.json` says how the run was made and, for each snapshot, its returns; `library/TASK/NAME.npz` are the policies,
 float16. Made by `deadreckon.runs.publish`.
@@ -15,7 +15,7 @@ from deadreckon.policies.policy import Deployed
 from deadreckon.policies.store import load
 
 ROOT = Path(__file__).parent / "library"
-SNAPSHOTS = 11  # evenly spaced over the run, the first before any update (DOPE)
+SNAPSHOTS = 11  # evenly spaced over the run, the first before any update (DOPE) but of a run on a log
 # Tasks whose logs differ while their episodes are the same have the same policies.
 SHARED = {"antmaze-umaze-diverse": "antmaze-umaze", "antmaze-medium-diverse": "antmaze-medium-play",
           "antmaze-large-diverse": "antmaze-large-play"}  # fmt: skip
@@ -113,8 +113,8 @@ def library(task: str) -> list[Snapshot]:
 def load_policies(task: str) -> list[Deployed]:
     """The 11 policies of a task, evenly spaced over one run to its end (DOPE, thesis 8.4).
 
-    The runs are of SAC in Gym-MuJoCo, of DAPG in Maze2D and Adroit, whose first policies are untrained, and of behaviour
-    cloning in AntMaze; `about(task)` says how they were made.
+    The runs are of SAC in Gym-MuJoCo and of DAPG in Maze2D and Adroit, whose first policies are untrained, and of behaviour
+    cloning in AntMaze, whose first ones are a little trained; `about(task)` says how they were made.
 
     Args:
         task: such as `hopper`, `maze2d-umaze-dense` or `door`.
