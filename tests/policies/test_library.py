@@ -14,7 +14,9 @@ OURS = [name for name in library.library_tasks() if task(name).domain != "gym" a
 
 
 def test_some_are_shipped():
-    assert {"maze2d-umaze-dense", "door", "antmaze-umaze"} <= set(OURS)
+    mazes = {f"maze2d-{size}-dense" for size in ("umaze", "medium", "large")}
+    ants = {"antmaze-umaze", "antmaze-medium-play", "antmaze-large-play"}
+    assert set(OURS) == mazes | ants | {"door", "pen", "hammer", "relocate"}
 
 
 @pytest.mark.parametrize("name", OURS)
