@@ -11,7 +11,7 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.ope import FQE, LOGGED, BehaviorModel, Case, DoublyRobust, ImportanceSampling
 from deadreckon.ope.tables import NOISE
 from deadreckon.policies import BlackBoxPolicy, Deployed, library
-from deadreckon.policies.policy import Deterministic
+from deadreckon.policies.policy import ClippedGaussian, Deterministic
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
 
@@ -65,6 +65,27 @@ def test_fqe_on_lqr_has_the_riccati_value():
     assert found.names[found.best] == "better"
     assert "better" in str(found)
     np.testing.assert_allclose(found.average, 0.1 * found.value)
+
+
+def test_a_clipped_policy_is_divided_by_a_clipped_model():
+    """Of the policy that made the log ratios are near one, also at the bounds, where both have probabilities."""
+    rng = np.random.default_rng(0)
+    seen = rng.uniform(-1, 1, (4000, 1)).astype(np.float32)
+    taken = np.clip(1.2 * seen + 0.5 * rng.standard_normal(seen.shape), -1, 1)
+    assert 0.2 < (np.abs(taken) == 1.0).mean() < 0.5
+    log = Dataset.from_arrays(
+        observations=seen, actions=taken, rewards=np.zeros(4000), terminals=np.ones(4000), name="clipped",
+        action_space=Box((-1.0,), (1.0,)),
+    )  # fmt: skip
+    means = MLP((jnp.asarray([[1.2]]),), (jnp.zeros(1),))
+    policy = Deployed(ClippedGaussian.of(means, jnp.log(jnp.asarray([0.5]))), None, None, -jnp.ones(1), jnp.ones(1))
+    case = Case(log, [policy])
+    learned = case.behavior_log_probs("learned", BehaviorModel(hidden=(16,), lr=3e-3, steps=1000))
+    ratio = np.exp(case.log_probs[0] - learned)
+    bound = np.abs(taken[:, 0]) == 1.0
+    for where in (bound, ~bound):
+        assert abs(ratio[where].mean() - 1.0) < 0.15
+        assert np.abs(np.log(ratio[where])).mean() < 0.25
 
 
 def test_importance_sampling_with_a_learned_behaviour_policy():

@@ -7,7 +7,7 @@ from scipy import stats
 
 from deadreckon.data.spec import Box, Spec
 from deadreckon.policies import behavior
-from deadreckon.policies.policy import Step
+from deadreckon.policies.policy import Deployed, Step
 
 SPEC = Spec.empty((3,), Box([-1.0, -1.0], [1.0, 1.0]), "none")
 
@@ -54,6 +54,15 @@ def test_draws_are_cut_to_the_bounds_which_have_what_lies_beyond():
     np.testing.assert_allclose(at, stats.norm.cdf([(-1.0 - mean) / 0.8, (mean - 1.0) / 0.8]), rtol=1e-4)
     np.testing.assert_allclose(at, shares, atol=0.01)
     np.testing.assert_allclose(np.trapezoid(first[1:-1], grid[1:-1]) + at.sum(), 1.0, atol=1e-3)
+
+
+def test_a_change_of_bounds_scales_densities_alone():
+    """With bounds of two the density is half as large, and what the bounds have is the same."""
+    inner = behavior.policy(behavior.Clipped.create(SPEC, (8,), jax.random.key(0)))
+    one, two = (Deployed(inner, None, None, -bound * jnp.ones(2), bound * jnp.ones(2)) for bound in (1.0, 2.0))
+    seen, actions = jnp.zeros((3, 3)), jnp.asarray([[0.5, 0.1], [1.0, 0.1], [-1.0, 1.0]])
+    apart = one.log_prob(seen, actions) - two.log_prob(seen, 2.0 * actions)
+    np.testing.assert_allclose(apart, np.log(2.0) * np.array([2, 1, 0]), atol=1e-5)
 
 
 def test_deviations_have_a_least():

@@ -51,7 +51,12 @@ def test_tasks_with_the_same_episodes_share_them(capsys):
         called = {key: getattr(task(name), key) for key in ("name", "gym_id", "properties")}
         assert task(name) == dataclasses.replace(task(own), **called)
     assert main(["tasks", "--domain", "antmaze"]) == 0
-    assert "antmaze-umaze-diverse has those of antmaze-umaze" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "antmaze-umaze-diverse has those of antmaze-umaze" in out
+    row = next(line for line in out.splitlines() if line.startswith("antmaze-umaze snapshot-10")).split()
+    last = library.library("antmaze-umaze")[-1]
+    worth = [f"{x:.2f}" for x in (last.sampled.mean, last.sampled.error)]
+    assert row[2:] == ["22,000", "0", *worth, "80.0", f"{last.sampled.discounted:.2f}", f"{last.greedy.mean:.2f}", "93.0"]
 
 
 def test_the_command_shows_them(capsys):

@@ -29,11 +29,6 @@ def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
 
 
-def short(x: float) -> str:
-    """A return: tenths of large ones, and of small ones, such as shares of success, hundredths."""
-    return f"{x:.1f}" if abs(x) >= 10 else f"{x:.2f}"
-
-
 def tasks(args: Sequence[str]) -> None:
     """Prints the tasks with horizon, reference returns and the thesis's split, then the logs and policies made in them."""
     from deadreckon.tasks import registry
@@ -101,8 +96,12 @@ def _policies(tasks: Sequence) -> None:
     drawing = "return", "error", "score", "discounted"
     policies = [["policy", "updates", "environment steps", *drawing, "with mean actions", "score"]]
     for task in (task for task in known if task.name not in SHARED):
-        for s in library(task.name):
-            scores = [f"{task.reference.normalise(r.mean):.1f}" for r in (s.sampled, s.greedy)]
+        snapshots = library(task.name)
+        # Hundredths of shares of success, tenths of other returns.
+        digits = 2 if max(abs(s.sampled.mean) for s in snapshots) < 10 else 1
+        short = lambda x, digits=digits: f"{x:,.{digits}f}"  # noqa: E731
+        for s in snapshots:
+            scores = [f"{round(task.reference.normalise(r.mean), 1) + 0.0:.1f}" for r in (s.sampled, s.greedy)]
             drawn = short(s.sampled.mean), short(s.sampled.error), scores[0], short(s.sampled.discounted)
             at = f"{s.updates:,}", f"{s.environment_steps:,}"
             policies.append([f"{task.name} {s.name}", *at, *drawn, short(s.greedy.mean), scores[1]])

@@ -27,7 +27,7 @@ from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import Deployed, Policy, create_actor
+from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy, create_actor
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Fit, Progress, complete
 from deadreckon.training.learner import check_fields, described, static
@@ -86,12 +86,17 @@ class Estimates:
 
 
 class BehaviorModel(eqx.Module):
-    """The policy that made the log, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5)."""
+    """The policy that made the log, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
+
+    Beside policies that are clipped Gaussians it is one itself: what these have at the bounds are probabilities, which no
+    density may divide.
+    """
 
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     lr: float = 3e-4  # learning rate
     steps: int = static(50_000)  # updates
     batch_size: int = static(256)  # rows a batch
+    clipped: bool = static(False)  # a clipped Gaussian; cases set it
 
     def needs(self, spec):
         """Observations and actions."""
@@ -99,13 +104,15 @@ class BehaviorModel(eqx.Module):
 
     def init(self, spec, key):
         """Network and optimiser."""
-        model = create_actor(spec, self.hidden, key)
+        make = models.Clipped.create if self.clipped else create_actor
+        model = make(spec, self.hidden, key)
         return model, begin(model)
 
     def update(self, state, batch: Batch, *, step, key):
         """One step of maximum likelihood."""
         model, opt = state
-        grads, metrics = jax.grad(models.loss, has_aux=True)(model, batch.observation, batch.action, key)
+        loss = models.censored if self.clipped else models.loss
+        grads, metrics = jax.grad(loss, has_aux=True)(model, batch.observation, batch.action, key)
         model, opt = descend(model, grads, opt, self.lr)
         return (model, opt), metrics
 
@@ -230,6 +237,8 @@ class Case:
 
     def behavior(self, model: BehaviorModel) -> Actor:
         """A model of the policy that made the log, which draws its actions; made once."""
+        clipped = any(isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.policies)
+        model = dataclasses.replace(model, clipped=clipped)
 
         def make() -> Actor:
             rows = Rows(self.data, model.needs(self.data.spec))

@@ -56,11 +56,23 @@ def loss(
     return nll, {"behavior_nll": nll, "behavior_error": jnp.square(jnp.tanh(d.mean) - action).mean()}
 
 
+def censored(
+    model: Clipped, observation: Float[Array, "b o"], action: Array, key: PRNGKeyArray
+) -> tuple[Float[Array, ""], dict[str, Array]]:
+    """The negative log-likelihood of what was clipped: at a bound the probability of all beyond it (Tobin 1958)."""
+    nll = -_clipped(model).log_prob(observation, action).mean()
+    return nll, {"behavior_nll": nll}
+
+
 def policy(model: MLP | VAE | Clipped | Categorical) -> Inner:
     """The model as something that acts."""
     if isinstance(model, Clipped):
-        return ClippedGaussian.of(model.means, _deviations(model))
+        return _clipped(model)
     return VAEDecoder(model) if isinstance(model, VAE) else stochastic(model)
+
+
+def _clipped(model: Clipped) -> ClippedGaussian:
+    return ClippedGaussian.of(model.means, _deviations(model))
 
 
 def _deviations(model: Clipped) -> Array:

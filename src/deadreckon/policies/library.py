@@ -15,7 +15,7 @@ from deadreckon.policies.policy import Deployed
 from deadreckon.policies.store import load
 
 ROOT = Path(__file__).parent / "library"
-SNAPSHOTS = 11  # evenly spaced over the run, the first before any update (DOPE) but of a run on a log
+SNAPSHOTS = 11  # evenly spaced over the run, the first before any update (DOPE), except of a run on a log
 # Tasks whose logs differ while their episodes are the same have the same policies.
 SHARED = {"antmaze-umaze-diverse": "antmaze-umaze", "antmaze-medium-diverse": "antmaze-medium-play",
           "antmaze-large-diverse": "antmaze-large-play"}  # fmt: skip

@@ -337,13 +337,18 @@ class Deployed(eqx.Module):
         return self.view.from_unit(action), carry
 
     def log_prob(self, observation: Any, action: Any) -> Array:
-        """Log-density of environment actions (n, size) at raw observations (n, *shape)."""
+        """Log-density of environment actions (n, size) at raw observations (n, *shape); see also `ClippedGaussian`."""
         if not isinstance(self.inner, TanhGaussian | Gaussian | Categorical):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
         view = self.view
-        log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), view.to_unit(jnp.asarray(action)))
-        # As `View.log_scale`, but also where the bounds are traced.
-        return log_prob if self.low is None or self.high is None else log_prob - jnp.log(0.5 * (self.high - self.low)).sum()
+        unit = view.to_unit(jnp.asarray(action))
+        log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), unit)
+        if self.low is None or self.high is None:
+            return log_prob
+        # As `View.log_scale`, but also where the bounds are traced; what a bound has of a clipped Gaussian is no density.
+        scale = jnp.log(0.5 * (self.high - self.low))
+        dense = jnp.abs(unit) < EDGE if isinstance(self.inner, ClippedGaussian) else 1.0
+        return log_prob - (dense * scale).sum(-1)
 
     @property
     def action_probs(self) -> Callable[[Any], np.ndarray] | None:
