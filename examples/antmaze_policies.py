@@ -9,6 +9,7 @@ the planner's actions many lie at the bounds, where a tanh-Gaussian would not dr
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -32,6 +33,7 @@ class Options:
     only: tuple[str, ...] = tuple(TASKS)  # of these mazes
     rows: int = 1_000_000  # of the planner's log
     steps: int = 110_000  # updates, a multiple of the number of snapshots, which are spread over them
+    model: Literal["clipped", "gaussian"] = "clipped"  # of the clones; runs of a tanh-Gaussian have a name of their own
     train: bool = False  # train what is not trained yet
     publish: bool = False  # write the library and measure it
     episodes: int = 1000  # a policy, with drawn and with mean actions
@@ -55,13 +57,14 @@ def main(options: Options) -> None:
     cache_compiled_programs()
     for maze in options.only:
         name = f"antmaze-{maze}-directed-{options.rows}"
-        run = Path(options.out) / f"bc-{name}"
+        run = Path(options.out) / (f"bc-{name}" if options.model == "clipped" else f"bc-{options.model}-{name}")
         if options.train:
             log = directed(maze, options.rows, Path(options.out) / f"{name}.hdf5")
             with Bar(f"bc in {maze}", options.steps, "updates") as bar:
                 dr.train(
-                    BC(model="clipped"), log, steps=options.steps, task=TASKS[maze], evaluate_every=options.steps // SNAPSHOTS,
-                    episodes=5, out=run, resume=True, watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
+                    BC(model=options.model), log, steps=options.steps, task=TASKS[maze],
+                    evaluate_every=options.steps // SNAPSHOTS, episodes=5, out=run, resume=True,
+                    watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
                 )  # fmt: skip
         if options.publish:
             asked = Publish(
