@@ -16,7 +16,9 @@ Kind = Literal["gaussian", "vae"]
 
 
 class Clipped(eqx.Module):
-    """A Gaussian with one deviation an action, as DAPG's policies are, fitted as if there were no bounds.
+    """A Gaussian with one deviation an action, as DAPG's policies are, whose draws are clipped.
+
+    `loss` fits it as if there were no bounds, `censored` with them.
 
     Attributes:
         means: network.

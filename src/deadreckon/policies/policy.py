@@ -1,7 +1,7 @@
 """What acts: the protocol, the kinds of policy that agents produce, and any Python function as a policy."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -109,7 +109,7 @@ class Gaussian(Inner):
     has_log_prob = True
 
     @classmethod
-    def of(cls, means: MLP, log_std: Float[Array, "a"]) -> "Gaussian":
+    def of(cls, means: MLP, log_std: Float[Array, "a"]) -> Self:
         """With a network to the means, and log-deviations that no observation changes."""
         weight, bias = means.weights[-1], means.biases[-1]
         weights = *means.weights[:-1], jnp.concatenate([weight, jnp.zeros_like(weight)], -1)
@@ -129,17 +129,17 @@ class Gaussian(Inner):
     def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
         """Log-density of actions."""
         mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
-        z = (action - mean) * jnp.exp(-log_std)
-        return (-0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
+        return _log_densities(mean, log_std, action).sum(-1)
+
+
+def _log_densities(mean: Array, log_std: Array, action: Array) -> Array:
+    """Of each number of an action, under a Gaussian."""
+    z = (action - mean) * jnp.exp(-log_std)
+    return -0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)
 
 
 class ClippedGaussian(Gaussian):
     """A `Gaussian` whose draws are cut to [-1, 1]; each bound has the probability of all that lies beyond."""
-
-    @classmethod
-    def of(cls, means: MLP, log_std: Float[Array, "a"]) -> "ClippedGaussian":
-        """See `Gaussian.of`."""
-        return cls(Gaussian.of(means, log_std).net)
 
     def act(self, step, carry, key, *, greedy):
         """See `Inner`."""
@@ -149,9 +149,7 @@ class ClippedGaussian(Gaussian):
         """Sum of log-densities of actions between the bounds, and log-probabilities of those at them."""
         mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
         beyond = jax.scipy.stats.norm.logcdf((jnp.sign(action) * mean - 1.0) * jnp.exp(-log_std))
-        z = (action - mean) * jnp.exp(-log_std)
-        inside = -0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)
-        return jnp.where(jnp.abs(action) >= EDGE, beyond, inside).sum(-1)
+        return jnp.where(jnp.abs(action) >= EDGE, beyond, _log_densities(mean, log_std, action)).sum(-1)
 
 
 class VAEDecoder(Inner):
