@@ -3,10 +3,12 @@
 from deadreckon.ope.coverage import coverage
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.fqe_d import FQED
 from deadreckon.ope.importance import ImportanceSampling
+from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.ope.model_based import ModelBased
 from deadreckon.ope.registry import ESTIMATORS, estimator
@@ -14,6 +16,6 @@ from deadreckon.ope.select import Choice, select
 from deadreckon.ope.vpm import VPM
 
 __all__ = [
-    "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimates",
-    "Estimator", "ImportanceSampling", "Metrics", "ModelBased", "compare", "coverage", "estimator", "select",
+    "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimand", "Estimates",
+    "Estimator", "ImportanceSampling", "LinearFQE", "Metrics", "ModelBased", "compare", "coverage", "estimator", "select",
 ]  # fmt: skip

@@ -50,19 +50,29 @@ def coverage(case: Case, model: BehaviorModel = MODEL) -> Float[np.ndarray, "pol
 
 
 def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
-    data, actor = case.data, case.actor
+    actor, teach = case.actor, case.teaching()
     rng = np.random.default_rng([case.seed, PURPOSE, 1])
-    held, others, rows = [], [], 0
-    for episode, length in zip(order := rng.permutation(data.episodes), data.lengths[order]):
-        enough = rows >= max(HELD * len(data), FEWEST_ROWS) and len(held) >= FEWEST_EPISODES
-        if enough or rows + length > 0.5 * len(data):
-            others.append(episode)
-        else:
-            held.append(episode)
-            rows += length
-    if len(held) < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
-        return np.full(len(actor.names), np.nan)
-    part = data.select(others[: int(np.searchsorted(np.cumsum(data.lengths[others]), FITTED)) + 1])
+    if teach is not None:  # the bound is for the judged episodes, by a model of the others
+        data, kept = case.log, case.data
+        rows = len(kept)
+        if kept.episodes < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
+            return np.full(len(actor.names), np.nan)
+        others = rng.permutation(teach.data.episodes)
+        taught = teach.data
+    else:
+        data = taught = case.data
+        held, others, rows = [], [], 0
+        for episode, length in zip(order := rng.permutation(data.episodes), data.lengths[order]):
+            enough = rows >= max(HELD * len(data), FEWEST_ROWS) and len(held) >= FEWEST_EPISODES
+            if enough or rows + length > 0.5 * len(data):
+                others.append(episode)
+            else:
+                held.append(episode)
+                rows += length
+        if len(held) < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
+            return np.full(len(actor.names), np.nan)
+        kept = data.select(held)
+    part = taught.select(others[: int(np.searchsorted(np.cumsum(taught.lengths[others]), FITTED)) + 1])
     view = View.of(data.spec)
     if not data.spec.discrete:
         part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -EDGE, EDGE)))
@@ -70,7 +80,6 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
     fitted, _ = case.train(model, learned, model.steps, "coverage")
     net = fitted.log_chances if isinstance(fitted, Categorical) else fitted
 
-    kept = data.select(held)
     pick = np.sort(rng.choice(len(kept), min(len(kept), MOST), replace=False))
     seen, taken = np.asarray(kept.observations[pick]), np.asarray(kept.actions[pick])
     told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model says

@@ -5,6 +5,7 @@ and has an output an action.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +17,8 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.view import View
 from deadreckon.nets.mlp import MLP, ensemble
 
+LOOK_RATE, LOOK_EVERY = 0.01, 50  # of the running validation loss, and updates between two looks at it
+NONE_YET = 1e30  # not infinite, which would count as diverged
 BLOCK = 512  # rows at a time: with 11 policies, 10 samples and 256 units, hidden layers of 60 MB
 
 
@@ -60,6 +63,34 @@ def _each(critics: MLP, inputs: Float[Array, "b i"]) -> Float[Array, "m p b o"]:
 
 
 _expected, _taken = jax.jit(expected), jax.jit(taken)
+
+
+class Best(NamedTuple):
+    """Early stopping inside a compiled program: the parameters with the least loss on rows that do not teach them.
+
+    Attributes:
+        params: (lanes..., *) the best so far.
+        loss: (lanes...,) theirs.
+        running: (lanes...,) a running mean of the loss now.
+    """
+
+    params: Any
+    loss: Array
+    running: Array
+
+    @classmethod
+    def begin(cls, params: Any, lanes: tuple[int, ...]) -> "Best":
+        """Before the first update."""
+        return cls(jax.tree.map(jnp.copy, params), jnp.full(lanes, NONE_YET), jnp.zeros(lanes))
+
+    def look(self, params: Any, loss: Array, step: Array, first: Any) -> "Best":
+        """After an update with this `loss`; from update `first` on the parameters of every 50th may be kept."""
+        rate = jnp.maximum(LOOK_RATE, 1.0 / (step + 1))
+        running = self.running + rate * (loss - self.running)
+        better = (running < self.loss) & (step >= first) & (step % LOOK_EVERY == 0)
+        keep = lambda new, old: jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - better.ndim)), new, old)  # noqa: E731
+        params = jax.lax.cond(better.any(), lambda: jax.tree.map(keep, params, self.params), lambda: self.params)
+        return Best(params, jnp.where(better, running, self.loss), running)
 
 
 class Fitted(NamedTuple):
@@ -107,3 +138,52 @@ def in_blocks(function: Callable[..., Any], *columns: Any) -> np.ndarray:
         out[..., start : start + count] = found
     assert out is not None
     return out
+
+
+@dataclass
+class OutOfFold:
+    """What nuisance functions that have not seen an episode say of it.
+
+    Attributes:
+        begins: (policies, episodes) value of the initial observation.
+        errors: (policies, rows) r + discount V(s') - Q(s, a), with as many steps to go as are left.
+        weighted: (policies, rows) the same summed over the steps of an episode, weighted by the ratio of the policy's occupancy
+            over the log's rows; None where that was not asked for.
+        weights: (policies, rows) these ratios, whose mean over rows is one; likewise.
+        settled: (policies,) whether the critics' backup converged.
+    """
+
+    begins: np.ndarray
+    errors: np.ndarray
+    weighted: np.ndarray | None
+    weights: np.ndarray | None
+    settled: np.ndarray
+
+    @classmethod
+    def empty(cls, policies: int, episodes: int, rows: int, marginal: bool) -> "OutOfFold":
+        """Room for them."""
+        more = [np.zeros((policies, rows)) if marginal else None for _ in range(2)]
+        return cls(np.zeros((policies, episodes)), np.zeros((policies, rows)), *more, np.ones(policies, bool))
+
+    @classmethod
+    def of_values(cls, case: Any, begins: np.ndarray, now: np.ndarray, last: np.ndarray, chosen: np.ndarray) -> "OutOfFold":
+        """From a critic's values.
+
+        Args:
+            case: log and policies.
+            begins: (policies, episodes) of the initial observations.
+            now: (policies, rows) of each row's observation.
+            last: (policies, episodes) of the final observations.
+            chosen: (policies, rows) of each row's observation and action.
+        """
+        data, ends = case.data, case.data.ends
+        out = cls.empty(case.count, data.episodes, len(data), marginal=False)
+        following = np.empty_like(now, np.float64)
+        following[:, :-1] = now[:, 1:]
+        unknown = ~data.usable[ends]
+        following[:, ends] = np.where(np.asarray(data.terminals)[ends] | unknown, 0.0, last)
+        out.begins[:] = begins
+        out.errors[:] = np.asarray(data.rewards, np.float64) + case.discount * following - chosen
+        # Where nobody knows what came next, nothing is corrected.
+        out.errors[:, ends[unknown]] = 0.0
+        return out

@@ -175,7 +175,7 @@ def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray, war
     weight = np.stack([np.bincount(case.data.episode_of, own, case.data.episodes) for own in rows])
     effective = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
     return Estimates(
-        label, case.names, found.mean(0), low, high, case.discount, redraws=found, effective=effective,
+        label, case.names, found.mean(0), low, high, case.estimand, redraws=found, effective=effective,
         warnings=(*few(case.names, effective, case.data.episodes), *warnings),
     )  # fmt: skip
 

@@ -20,6 +20,7 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import digest, read_json, write_json
+from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimate import Case, Estimates, Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
 from deadreckon.ope.registry import Function, as_estimator
@@ -144,7 +145,7 @@ def _kept(path: Path) -> Result:
 def _nothing(asked: Any, names: tuple[str, ...], discount: float, why: str) -> Estimates:
     """What stands for the estimates of a method that gave none."""
     nan = np.full(len(names), np.nan)
-    return Estimates(asked.label, names, nan, nan, nan, discount, warnings=(f"no estimates: {why}",))
+    return Estimates(asked.label, names, nan, nan, nan, Estimand(discount), warnings=(f"no estimates: {why}",))
 
 
 def _result(

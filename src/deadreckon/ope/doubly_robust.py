@@ -3,19 +3,28 @@
     V(s_0) + sum_t discount^t w_t (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
 
 with the weights of importance sampling (`dr`, Jiang and Li 2016, unbiased where they are), self-normalised (`wdr`), or `magic`,
-which ends the sum early where that is worth its bias (both Thomas and Brunskill 2016). Q comes from FQE. V is zero after a
-terminal; the public code that the thesis used forgets that.
+which ends the sum early where that is worth its bias (both Thomas and Brunskill 2016); or with ratios of occupancies (`marginal`:
+double reinforcement learning, Kallus and Uehara 2020), whose variance does not grow with the product of the weights. V is zero
+after a terminal; the public code that the thesis used forgets that.
+
+All of it rests on Q (and learned propensities and ratios) not having seen the rows that it is corrected by: a critic that has
+memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018, Kallus
+and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not judged.
 """
 
 from typing import Literal
 
 import numpy as np
 
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.errors import UserError
+from deadreckon.ope import inference
+from deadreckon.ope.critics import OutOfFold
+from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.importance import log_ratios
-from deadreckon.ope.intervals import spread, student
-from deadreckon.ope.weights import Episodes, Sums
+from deadreckon.ope.intervals import spread
+from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.ope.weights import Episodes, Sums, few
 from deadreckon.training.learner import static
 
 NORMAL = 1.96  # half of a normal's 95 % interval, in standard deviations
@@ -24,9 +33,12 @@ NORMAL = 1.96  # half of a normal's 95 % interval, in standard deviations
 class DoublyRobust(Estimator):
     """FQE corrected by importance sampling."""
 
-    kind: Literal["dr", "wdr", "magic"] = static("wdr")  # plain weights, self-normalised ones, or a blend of lengths
-    fqe: FQE = static(FQE())  # the value function
-    samples: int = static(10)  # actions drawn at each row for V
+    takes_horizon = True
+
+    kind: Literal["dr", "wdr", "magic", "marginal"] = static("wdr")  # plain or normalised weights, a blend, occupancy ratios
+    fqe: FQE | LinearFQE = static(FQE())  # the value function
+    folds: int = static(5)  # each fold's critics and propensities learn from the others; 1: from the judged rows themselves
+    samples: int = static(10)  # actions sampled at each row for V
     behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
     model: BehaviorModel = static(BehaviorModel())  # how the behaviour policy is learned
     log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
@@ -37,68 +49,129 @@ class DoublyRobust(Estimator):
     @property
     def label(self) -> str:
         """What tables call it."""
-        return {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
+        return {"dr": "DR", "wdr": "WDR", "magic": "MAGIC", "marginal": "DRL"}[self.kind]
 
     def solve(self, case: Case) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
-        episodes = case.once("episodes", lambda: Episodes(case.data, case.discount, case.seed))
-        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range)
-        errors, begins = case.once(("errors", self.fqe, self.samples), lambda: self._errors(case))
-        begin = begins.mean(0)
-        values, lows, highs, effective, redraws = [], [], [], [], []
+        if self.kind == "marginal":
+            return self._marginal(case)
+        episodes = case.episodes
+        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        nuisances, begins = self._nuisances(case)
+        begin, errors = nuisances.begins, nuisances.errors
+        values, lows, highs, effective, redraws, influence = [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             sums = episodes.sums(log_rho, errors[i], normalised=self.kind != "dr", alive_only=self.alive_only)
-            total, count = (np.bincount(episodes.group, weights, episodes.groups) for weights in (begin[i], None))
-            drawn = (episodes.counts @ total) / (episodes.counts @ count)
+            start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
-                value, redrawn, uncorrected = self._blend(episodes, sums, begin[i].mean(), drawn)
+                value, redrawn, pulled, uncorrected = self._blend(episodes, sums, start, drawn)
                 # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of one
                 # critic that is not known, and there is no interval.
-                low, high = spread(begins[:, i].mean(-1))
+                low, high = spread(begins[:, i].mean(-1)) if begins is not None else (np.nan, np.nan)
                 noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
                 if uncorrected > 0:
                     redrawn = redrawn + uncorrected * (high - low) / (2 * NORMAL) * noise
             else:
-                value, redrawn = begin[i].mean() + sums.value(), drawn + sums.redraw(episodes.counts)
+                value, redrawn, pulled = start + sums.value(), drawn + sums.redraw(episodes.counts), sums.influence()
+            pulls = pulls + pulled
             if self.kind == "dr" and episodes.even:  # a mean over episodes, whose deviation is known
-                low, high = student(begin[i] + episodes.contributions(log_rho, errors[i], whole=False))
+                low, high = inference.student(np.array([value]), pulls[:, None])
+                low, high = float(low[0]), float(high[0])
             else:
                 low, high = episodes.percentiles(redrawn, sums.effective)
+            if not sums.effective > 0:
+                low, high = -np.inf, np.inf
             values.append(value)
             redraws.append(redrawn)
+            influence.append(pulls)
             lows.append(low)
             highs.append(high)
             effective.append(sums.effective)
         effective = np.asarray(effective)
-        warnings = [*episodes.warnings(case.names, effective, beyond=True), *self.fqe.unsettled(case)]
+        warnings = [*episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances)]
         return Estimates(
-            self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.discount,
-            redraws=np.stack(redraws, 1), effective=effective, warnings=tuple(warnings),
+            self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.estimand,
+            redraws=np.stack(redraws, 1), influence=np.stack(influence, 1), effective=effective, corrected=True,
+            warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances),
         )  # fmt: skip
 
-    def _errors(self, case: Case) -> tuple[np.ndarray, np.ndarray]:
-        """(policies, rows) r + discount V(s') - Q(s, a), and (members, policies, episodes) V at the initial observations."""
-        data, fitted = case.data, self.fqe.fitted(case)
+    def _nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
+        """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""
+        if isinstance(self.fqe, LinearFQE):
+            key = ("out of fold", self.fqe, self.folds, self.kind == "marginal")
+            fit = Fit(self.fqe, case)
+            return case.once(key, lambda: fit.out_of_fold(self.folds, marginal=self.kind == "marginal")), None
+        if self.folds > 1:
+            return self.fqe.out_of_fold(case, self.folds, self.samples), None
+        return case.once(("errors", self.fqe, self.samples), lambda: self._in_sample(case))
+
+    def _in_sample(self, case: Case) -> tuple[OutOfFold, np.ndarray]:
+        """By critics that learned from the judged rows, as the public code has it; an ensemble's mean."""
+        assert isinstance(self.fqe, FQE)
+        data, fitted = case.timed, self.fqe.fitted(case)
         now = fitted.values(data.observations, case.current_actions(self.samples))
         begins, now = now[:, :, data.starts].astype(np.float64), now.mean(0)
-        following = np.empty_like(now)
-        following[:, :-1] = now[:, 1:]
-        ends = data.ends
         last = fitted.values(data.final_observations, case.final_actions(self.samples)).mean(0)
-        unknown = ~data.usable[ends]
-        following[:, ends] = np.where(np.asarray(data.terminals)[ends] | unknown, 0.0, last)
         chosen = fitted.of_actions(data.observations, data.actions).mean(0)
-        errors = np.asarray(data.rewards, np.float64) + case.discount * following - chosen
-        # Where nobody knows what came next, nothing is corrected.
-        errors[:, ends[unknown]] = 0.0
-        return errors, begins
+        out = OutOfFold.of_values(case, begins.mean(0), now, last, chosen)
+        return out, begins
 
-    def _blend(self, episodes: Episodes, sums: Sums, begin: float, drawn: np.ndarray) -> tuple[float, np.ndarray, float]:
+    def _unsettled(self, case: Case, nuisances: OutOfFold) -> list[str]:
+        found = [f"the critics of {name} diverge" for name, settled in zip(case.names, nuisances.settled) if not settled]
+        if isinstance(self.fqe, FQE):
+            found += self.fqe.unsettled(case, "fqe by folds" if self.folds > 1 else "fqe")
+        return found
+
+    def _diagnostics(self, case: Case, nuisances: OutOfFold) -> dict[str, np.ndarray]:
+        """Root mean square of what the critics leave unexplained, out of fold, in standard deviations of the reward."""
+        scale = float(case.data.spec.reward.std) or 1.0
+        return {"residual": np.sqrt(np.square(nuisances.errors).mean(1)) / scale}
+
+    def _marginal(self, case: Case) -> Estimates:
+        """By ratios of occupancies. Where all episodes are whole the log's own policy has its mean return, exactly."""
+        if not isinstance(self.fqe, LinearFQE):
+            raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
+        if self.folds < 2:
+            raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not have seen the rows they weigh")
+        nuisances, _ = self._nuisances(case)
+        assert nuisances.weighted is not None
+        assert nuisances.weights is not None
+        episodes = case.episodes
+        of_row = episodes.group[episodes.of]
+        # Ratios are of occupancies over the rows whose successor is known.
+        rows = np.bincount(of_row[case.followed], minlength=episodes.groups)
+        values, influence, effective = [], [], []
+        for i, name in enumerate(case.names):
+            if name == LOGGED and episodes.even:
+                returns = case.data.returns(case.discount)
+                value, pulls, _ = episodes.means(returns)
+                weight = np.ones(episodes.count)
+            else:
+                start, pulls, _ = episodes.means(nuisances.begins[i])
+                total = np.bincount(of_row, nuisances.weighted[i], episodes.groups)
+                mean = total.sum() / rows.sum()
+                value = start + mean
+                pulls = pulls + episodes.groups * (total - mean * rows) / rows.sum()
+                weight = np.maximum(np.bincount(episodes.of, nuisances.weights[i], episodes.count), 0.0)
+            values.append(value)
+            influence.append(pulls)
+            effective.append(weight.sum() ** 2 / max(float(np.square(weight).sum()), 1e-300))
+        effective = np.asarray(effective)
+        warnings = [*few(case.names, effective, episodes.count), *self._unsettled(case, nuisances)]
+        means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
+        return Estimates.of_influence(
+            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
+            warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | means,
+        )  # fmt: skip
+
+    def _blend(
+        self, episodes: Episodes, sums: Sums, begin: float, drawn: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray, float]:
         """Corrections of several lengths, weighted so that variance plus squared bias is least.
 
         Returns:
-            The estimate, its redraws, and the weight of no correction at all.
+            The estimate, its redraws, the influence of the corrections, and the weight of no correction at all.
         """
         from scipy.optimize import nnls  # half a second, for this kind alone
 
@@ -115,4 +188,5 @@ class DoublyRobust(Estimator):
         heavy = 1e4 * max(float(np.abs(root).max()), 1e-12)
         x = nnls(np.vstack([root, np.full(len(partial), heavy)]), np.append(np.zeros(len(partial)), heavy))[0]
         x /= x.sum()
-        return begin + float(x @ partial), drawn + redrawn @ x, float(x[0])
+        pulls = np.cumsum(sums.influence_steps(), 1)[:, ends] @ x[1:]
+        return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(x[0])

@@ -1,9 +1,4 @@
-"""What every estimator is asked (`Case`) and answers (`Estimates`).
-
-The value of a policy is, everywhere: the expected discounted return sum_t discount^t r_t of an episode, from the initial
-states of the log. Terminals end it; where the log cuts an episode off (a timeout) it goes on, for estimators that can look
-beyond. `Estimates.average` is the same on the scale of a reward, (1 - discount) times it.
-"""
+"""What every estimator is asked (`Case`) and answers (`Estimates`). What is estimated is an `Estimand`, for all alike."""
 
 import contextlib
 import dataclasses
@@ -25,7 +20,10 @@ from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
+from deadreckon.ope import inference
+from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.tables import Actor
+from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy, create_actor
 from deadreckon.training.checkpoint import folder_of
@@ -47,12 +45,20 @@ class Estimates:
         names: of the policies.
         value: (policies,) expected discounted return of an episode.
         low, high: (policies,) 95 % interval; NaN where the method gives none.
-        discount: of the returns.
+        estimand: what is estimated.
         redraws: (n, policies) estimates of redrawn logs or of members of an ensemble, the same redraws for all policies, so
             that differences between policies can be judged; None where there are none.
-        effective: (policies,) episodes that the weights amount to, (sum w)^2 / sum w^2; None where nothing is weighted.
+        influence: (units, policies) influence function of the estimates at each unit of the log (`Case.units`: episodes,
+            clusters or groups of them), which has mean zero; the sum of its squares over units^2 is the variance of the
+            estimate. The same units for all policies and methods of a case, so that gains are paired. None where there is none.
+        effective: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
+            weighted.
+        corrected: whether logged rewards, weighted by how likely the policy is to act as logged, decide the estimate. Otherwise
+            it is model-based: an error of the fitted model is not corrected by anything.
         warnings: why not to trust it, one line each.
         seconds: it took, without what was there already for another estimator.
+        asked: the name that it was asked by.
+        diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
     """
 
     method: str
@@ -60,11 +66,33 @@ class Estimates:
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    discount: float
+    estimand: Estimand
     redraws: np.ndarray | None = field(default=None, repr=False)
+    influence: np.ndarray | None = field(default=None, repr=False)
     effective: np.ndarray | None = None
+    corrected: bool = False
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
+    asked: str = ""
+    diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of_influence(
+        cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any
+    ) -> "Estimates":
+        """Estimates of (policies,) values with (units, policies) influence functions; intervals are Student's, each for itself."""
+        low, high = inference.student(value, influence)
+        return cls(method, case.names, value, low, high, case.estimand, influence=influence, **more)
+
+    @property
+    def discount(self) -> float:
+        """Of the returns."""
+        return self.estimand.discount
+
+    @property
+    def label(self) -> str:
+        """The name that it was asked by, with the method where that says more."""
+        return self.method if self.asked in ("", self.method) else f"{self.asked} ({self.method})"
 
     @property
     def average(self) -> np.ndarray:
@@ -78,15 +106,16 @@ class Estimates:
 
     def __str__(self) -> str:
         width = max(map(len, self.names))
-        lines = [f"{self.method}, discounted return ({self.discount:g}) with 95 % intervals"]
+        model = "" if self.corrected else ", model-based"
+        lines = [f"{self.label}{model}: {self.estimand}; 95 % intervals"]
         for i, name in enumerate(self.names):
-            weight = "" if self.effective is None else f"   {self.effective[i]:,.1f} effective episodes"
+            weight = "" if self.effective is None else f"   effective sample size {self.effective[i]:,.1f} episodes"
             lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
         return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])
 
 
 class BehaviorModel(eqx.Module):
-    """The policy that made the log, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
+    """The behaviour policy, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
 
     Beside policies that are clipped Gaussians it is one itself: what these have at the bounds are probabilities, which no
     density may divide.
@@ -94,7 +123,7 @@ class BehaviorModel(eqx.Module):
 
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
     lr: float = 3e-4  # learning rate
-    steps: int = static(50_000)  # updates
+    steps: int = static(10_000)  # updates; out of fold the best by validation loss are kept
     batch_size: int = static(256)  # rows a batch
     clipped: bool = static(False)  # a clipped Gaussian; cases set it
 
@@ -123,13 +152,23 @@ class Case:
     Args:
         data: the log.
         policies: a policy, a run, or a sequence of these.
-        discount: of the returns, below one.
-        seed: of everything random.
-        greedy: the policies' best guesses instead of their draws.
+        discount: of the returns; one where episodes end or have a horizon.
+        seed: random seed.
+        greedy: deterministic (greedy) instead of sampled actions of the policies.
         names: of the policies.
         logged: judge the log's own policy too, as the last and under the name `LOGGED`: at each row it does what was logged.
         out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
         watch: called with what is fitted, the updates done and those in all.
+        horizon: steps of an episode that count, None for all, or "auto"; see `Estimand.of`.
+        held: (n,) indices of the episodes that policies are judged on; None: all. The other episodes of `data`, which may have
+            taught the policies, only help to fit what doubly robust estimators need.
+        clusters: (episodes of `data`,) integers that are equal for episodes of one cluster, such as a user; None: each episode
+            is one. Clusters are redrawn as one wherever intervals are made.
+
+    Attributes:
+        log: all episodes, cut to the horizon.
+        data: those that are judged, cut to the horizon.
+        estimand: what is estimated.
 
     Raises:
         UserError: a log or policies that no estimator can work with.
@@ -147,9 +186,11 @@ class Case:
         logged: bool = False,
         out: Path | str | None = None,
         watch: Watcher = lambda what, step, steps: None,
+        horizon: int | Literal["auto"] | None = None,
+        held: np.ndarray | None = None,
+        clusters: np.ndarray | None = None,
     ):
-        if not 0.0 <= discount < 1.0:
-            raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+        self.estimand = Estimand.of(data, discount, horizon, greedy)
         if not 0 <= seed < 2**32:
             raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
         self.policies = _policies(policies)
@@ -160,7 +201,16 @@ class Case:
             raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
         if len(data.spec.observation_shape) != 1:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
-        self.data, self.discount, self.seed, self.greedy = data, discount, seed, greedy
+        self.discount, self.seed, self.greedy = discount, seed, greedy
+        self.held = np.arange(data.episodes) if held is None else np.asarray(held)
+        if len(np.unique(self.held)) < len(self.held) or not len(self.held):
+            raise UserError("held must be different episodes of the log, one or more")
+        if clusters is not None and np.shape(clusters) != (data.episodes,):
+            raise UserError(f"clusters must be one number an episode, ({data.episodes},), got {np.shape(clusters)}")
+        self._given = data
+        self.log = self.estimand.cut(data)
+        self.data = self.log if held is None else self.log.select(self.held)
+        self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
         self.out, self.watch = None if out is None else Path(out), watch
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
@@ -175,6 +225,81 @@ class Case:
     def count(self) -> int:
         """Policies that are judged, the log's own among them where it is."""
         return len(self.names)
+
+    @cached_property
+    def units(self) -> np.ndarray:
+        """(episodes of `data`,) unit of each episode, 0 .. n - 1: its cluster, or a random group of clusters where there are
+        more than `GROUPS`. Units are what is redrawn and what influence functions are summed over."""
+        own = np.unique(self.clusters[self.held], return_inverse=True)[1]
+        count = int(own.max()) + 1
+        mixed = np.random.default_rng([self.seed, 2]).permutation(np.arange(count) % min(count, GROUPS))
+        return mixed[own]
+
+    @cached_property
+    def episodes(self) -> Episodes:
+        """The shape of the judged episodes, as weighted sums need it."""
+        return Episodes(self.data, self.discount, self.seed, self.units)
+
+    @cached_property
+    def time(self) -> np.ndarray:
+        """(rows,) steps since the episode's start."""
+        return np.arange(len(self.data)) - np.repeat(self.data.starts, self.data.lengths)
+
+    @cached_property
+    def ended(self) -> np.ndarray:
+        """(rows,) whether the task ended there: terminals of the log, without the ends that the horizon makes."""
+        return self._uncut[0]
+
+    @cached_property
+    def followed(self) -> np.ndarray:
+        """(rows,) whether what follows the row is known, also where the horizon ends the episode, or the task ended there."""
+        return self._uncut[1]
+
+    @cached_property
+    def _uncut(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.estimand.horizon is None:
+            return np.asarray(self.data.terminals), self.data.usable
+        whole = self._given.select(self.held)
+        time = np.arange(len(whole)) - np.repeat(whole.starts, whole.lengths)
+        kept = time < self.estimand.horizon
+        return np.asarray(whole.terminals)[kept], whole.usable[kept]
+
+    def folds(self, count: int) -> np.ndarray:
+        """(episodes of `data`,) fold of each, 0 .. count - 1, or as many as there are clusters; clusters stay whole."""
+        own = np.unique(self.clusters[self.held], return_inverse=True)[1]
+        clusters = int(own.max()) + 1
+        if clusters < 2:
+            raise UserError(f"{self.data.name}: one episode or cluster cannot be cross-fitted; two or more are needed")
+        dealt = np.random.default_rng([self.seed, 9]).permutation(np.arange(clusters) % min(count, clusters))
+        return dealt[own]
+
+    def teaching(self) -> "Case | None":
+        """The episodes that are not judged, as a case with the same policies; None where all are."""
+        others = np.setdiff1d(np.arange(self._given.episodes), self.held)
+        return self.once("teaching", lambda: self._beside(others)) if len(others) else None
+
+    def whole(self) -> "Case":
+        """All episodes of the log, as a case with the same policies."""
+        if len(self.held) == self._given.episodes and (np.diff(self.held) > 0).all():
+            return self
+        return self.once("whole", lambda: self._beside(None))
+
+    def _beside(self, held: np.ndarray | None) -> "Case":
+        return Case(
+            self._given, self.policies, discount=self.discount, horizon=self.estimand.horizon, seed=self.seed,
+            greedy=self.greedy, names=self.names[: len(self.policies)], logged=self.logged, out=self.out, watch=self.watch,
+            held=held, clusters=self.clusters,
+        )  # fmt: skip
+
+    @cached_property
+    def span(self) -> float:
+        """What a return is divided by to be on the scale of a reward."""
+        return self.estimand.span(self.data)
+
+    @cached_property
+    def timed(self) -> Dataset:
+        """`data` as critics see it: where only so many steps count, observations tell how many have passed (0 to 1)."""
+        return _timed(self.data, self.estimand.horizon)
 
     # ---- what policies do -------------------------------------------------------------------------------------------
 
@@ -235,10 +360,19 @@ class Case:
     def _learned(self, model: BehaviorModel) -> np.ndarray:
         return self.behavior(model).log_probs(self.data.observations, self.data.actions)[0]
 
+    @property
+    def tells(self) -> bool:
+        """Whether all policies tell how likely their actions are, as importance weights need."""
+        return self.actor.tells
+
+    @property
+    def clips(self) -> bool:
+        """Whether policies have probabilities at the bounds of the actions, as clipped Gaussians do."""
+        return any(isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.policies)
+
     def behavior(self, model: BehaviorModel) -> Actor:
         """A model of the policy that made the log, which draws its actions; made once."""
-        clipped = any(isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.policies)
-        model = dataclasses.replace(model, clipped=clipped)
+        model = dataclasses.replace(model, clipped=self.clips)
 
         def make() -> Actor:
             rows = Rows(self.data, model.needs(self.data.spec))
@@ -296,7 +430,7 @@ class Case:
         columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
             "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self._manner,
-            "columns": columns, "discount": self.discount, "greedy": self.greedy, "seed": self.seed,
+            "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
 
@@ -318,34 +452,33 @@ class Case:
 
         One member alone counts every episode once.
         """
-        return redrawn(self.data.episodes, members, self.seed)
+        own = np.unique(self.clusters[self.held], return_inverse=True)[1]
+        return redrawn(int(own.max()) + 1, members, self.seed)[own]
 
 
 class Estimator(eqx.Module):
     """Hyperparameters in, estimates out."""
 
+    takes_horizon = False  # whether it can count the first steps of an episode only, and take a discount of one
+
     def estimate(
         self,
         data: Dataset,
         policies: Any,
-        *,
-        discount: float = 0.995,
-        seed: int = 0,
-        greedy: bool = False,
-        names: Sequence[str] | None = None,
-        logged: bool = False,
-        out: Path | str | None = None,
-        watch: Watcher = lambda what, step, steps: None,
+        **options: Any,
     ) -> Estimates:
-        """The value of each policy, from the log alone; see `Case` for the arguments."""
-        options = {"discount": discount, "seed": seed, "greedy": greedy, "names": names, "logged": logged}
-        return self.on(Case(data, policies, **options, out=out, watch=watch))
+        """The value of each policy, from the log alone; see `Case` for the options."""
+        return self.on(Case(data, policies, **options))
 
     def on(self, case: Case) -> Estimates:
         """The same on a case that several estimators share."""
         for each in (self, *vars(self).values()):
             if isinstance(each, eqx.Module):
                 check_fields(each)
+        if case.estimand.horizon not in (None, 1) and not self.takes_horizon:
+            raise UserError(f"{self.label} does not take a horizon; use FQE, importance sampling or a doubly robust estimator")
+        if case.discount == 1.0 and not self.takes_horizon:
+            raise UserError(f"{self.label} needs a discount below 1, got 1")
         begun = time.perf_counter()
         found = self.solve(case)
         warnings = found.warnings
@@ -365,6 +498,17 @@ class Estimator(eqx.Module):
     def replace(self, **changes: Any) -> Any:
         """The same estimator with some fields changed."""
         return dataclasses.replace(self, **changes)
+
+
+def _timed(data: Dataset, horizon: int | None) -> Dataset:
+    if horizon is None or horizon == 1:
+        return data
+    time = np.arange(len(data)) - np.repeat(data.starts, data.lengths)
+    with_time = lambda seen, t: np.concatenate([np.asarray(seen), (t / horizon).astype(np.float32)[:, None]], 1)  # noqa: E731
+    final = with_time(data.final_observations, data.lengths)
+    successors = None if data.successors is None else with_time(data.successors, time + 1)
+    observations = with_time(data.observations, time)
+    return dataclasses.replace(data, observations=observations, final_observations=final, successors=successors)
 
 
 class _Following:

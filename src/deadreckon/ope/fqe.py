@@ -2,6 +2,9 @@
 
 Every policy has `members` critics, each of which learns from episodes redrawn with replacement (`Case.redrawn`): their mean is
 the estimate and their spread its interval. All critics of all policies are one program and see the same minibatches.
+
+For doubly robust estimates the members are folds instead: each learns from the episodes outside its fold and stops where its
+loss on a tenth of them, which do not teach it, is least.
 """
 
 from typing import NamedTuple
@@ -16,22 +19,25 @@ from jaxtyping import Array, Float
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.ope.critics import Fitted, create, expected, taken
+from deadreckon.ope.behavior import masks
+from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
 
 
+
 class State(NamedTuple):
-    """Critics (members, policies, ...), the slow copies that targets come from, and their optimiser."""
+    """Critics (members, policies, ...), the slow copies that targets come from, their optimiser and the best copies so far."""
 
     critics: MLP
     targets: MLP
     opt: optax.OptState
+    best: Best | None
 
 
 class Scale(NamedTuple):
-    """What critics count in: (1 - discount) times a return, in standard deviations of the reward.
+    """What critics count in: a return over the discounted number of steps (`Case.span`), in standard deviations of the reward.
 
     Attributes:
         std: of the reward, or 1 where it never changes.
@@ -51,7 +57,9 @@ class Scale(NamedTuple):
         std = float(reward.std) or 1.0
         ends = bool(np.asarray(case.data.terminals).any())
         low, high = float(reward.min) / std, float(reward.max) / std
-        return cls(std, std / (1.0 - case.discount), min(low, 0.0) if ends else low, max(high, 0.0) if ends else high)
+        if case.discount == 1.0 and case.estimand.horizon is None:  # an episode may be longer than any that was seen
+            return cls(std, std * case.span, -np.inf, np.inf)
+        return cls(std, std * case.span, min(low, 0.0) if ends else low, max(high, 0.0) if ends else high)
 
 
 class Critics(eqx.Module):
@@ -60,7 +68,9 @@ class Critics(eqx.Module):
     Attributes:
         lr, decay, target_rate: of the optimiser (AdamW) and of the targets.
         discount, reward_std: of the returns.
+        share: 1 / the discounted number of steps, by which rewards are multiplied.
         low, high: of the targets.
+        first: update from which the best critics may be kept.
         members, policies, hidden, batch_size: shapes.
     """
 
@@ -69,12 +79,15 @@ class Critics(eqx.Module):
     target_rate: float
     discount: float
     reward_std: float
+    share: float
     low: float
     high: float
+    first: float
     members: int = eqx.field(static=True)
     policies: int = eqx.field(static=True)
     hidden: tuple[int, ...] = eqx.field(static=True)
     batch_size: int = eqx.field(static=True)
+    stops: bool = eqx.field(static=True, default=False)  # early, by the column `check`
 
     def needs(self, spec):
         """Transitions, with the columns `policy` and `weight` beside them."""
@@ -83,30 +96,40 @@ class Critics(eqx.Module):
     def init(self, spec, key):
         """Fresh critics; targets are copies."""
         critics = create(spec, self.hidden, self.members, self.policies, key)
-        return State(critics, copy(critics), begin(critics))
+        best = Best.begin(critics, (self.members, self.policies)) if self.stops else None
+        return State(critics, copy(critics), begin(critics), best)
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of every critic towards r + discount (1 - terminal) V_target(s'), clipped to what a value can be."""
         assert batch.extra is not None
         future = expected(state.targets, batch.next_observation, batch.extra["policy"])
-        reward = (1.0 - self.discount) * batch.reward / self.reward_std
+        reward = self.share * batch.reward / self.reward_std
         target = jnp.clip(reward + self.discount * (1.0 - batch.terminal) * future, self.low, self.high)
-        grads, metrics = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
+        grads, (metrics, checked) = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
         critics, opt = descend(state.critics, grads, state.opt, self.lr)
         # Decoupled weight decay (AdamW).
         critics = jax.tree.map(lambda new, old: new - self.lr * self.decay * old, critics, state.critics)
-        return State(critics, track(state.targets, critics, self.target_rate), opt), metrics
+        targets = track(state.targets, critics, self.target_rate)
+        best = None if state.best is None else state.best.look(targets, checked, step, self.first)
+        return State(critics, targets, opt, best), metrics
 
     def loss(self, critics: MLP, batch: Batch, target: Float[Array, "m p b"]):
         """Mean squared error, weighted by how often the row's episode counts for the member; summed over critics."""
         assert batch.extra is not None
         q = taken(critics, batch.observation, batch.action)
-        error = jnp.square(q - target) * batch.extra["weight"].T[:, None, :]
-        return error.mean(-1).sum(), {"loss": error.mean(), "q": q.mean()}
+        square = jnp.square(q - target)
+        error = square * batch.extra["weight"].T[:, None, :]
+        checked = jnp.zeros(())
+        if self.stops:
+            check = batch.extra["check"].T[:, None, :]
+            checked = (square * check).sum(-1) / jnp.maximum(check.sum(-1), 1e-6)
+        return error.mean(-1).sum(), ({"loss": error.mean(), "q": q.mean()}, checked)
 
 
 class FQE(Estimator):
     """Fitted Q evaluation with a squared loss."""
+
+    takes_horizon = True
 
     members: int = static(3)  # critics a policy, each on redrawn episodes
     hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
@@ -122,20 +145,61 @@ class FQE(Estimator):
         """The critics of a case's policies; made once for a case, whoever asks."""
         return case.once(self, lambda: self._fit(case))
 
-    def problem(self, case: Case) -> tuple[Critics, Rows]:
-        """What is trained for a case, and the rows that it learns from."""
-        data, scale = case.data, Scale.of(case)
+    def problem(
+        self, case: Case, weight: np.ndarray | None = None, check: np.ndarray | None = None
+    ) -> tuple[Critics, Rows]:
+        """What is trained for a case, and the rows that it learns from.
+
+        Args:
+            case: log and policies.
+            weight: (episodes, members) how often each episode counts for a member; None: redrawn with replacement.
+            check: (episodes, members) the same for the validation loss by which critics stop early; None: they do not.
+        """
+        data, scale = case.timed, Scale.of(case)
+        weight = case.redrawn(self.members) if weight is None else weight
+        soon = case.discount == 0.0 or case.estimand.horizon == 1 or bool(np.asarray(data.terminals).all())
+        # Where values have to travel back in time, the first targets are small and so are the losses.
+        first = 0.0 if soon else self.steps / 2
         learner = Critics(
-            self.lr, self.weight_decay, self.target_rate, case.discount, scale.std, scale.low, scale.high, self.members,
-            case.count, self.hidden, self.batch_size,
+            self.lr, self.weight_decay, self.target_rate, case.discount, scale.std, 1.0 / case.span, scale.low, scale.high,
+            first, weight.shape[1], case.count, self.hidden, self.batch_size, stops=check is not None,
         )  # fmt: skip
-        extra = {"policy": case.next_actions(self.samples), "weight": case.redrawn(self.members)[data.episode_of]}
+        extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]}
+        if check is not None:
+            extra["check"] = check[data.episode_of]
         return learner, Rows(data, learner.needs(data.spec), extra)
 
     def _fit(self, case: Case) -> Fitted:
         learner, rows = self.problem(case)
         state = case.train(learner, rows, self.steps, "fqe")
         return Fitted(state.targets, Scale.of(case).unit, rows.view)
+
+    def out_of_fold(self, case: Case, folds: int, samples: int) -> OutOfFold:
+        """What critics that have not seen an episode say of it, whose folds are lanes of one program.
+
+        Args:
+            case: log and policies.
+            folds: into which the judged episodes are parted.
+            samples: actions sampled at each row for its value.
+        """
+        key = ("out of fold", self, folds, samples)
+        return case.once(key, lambda: self._out_of_fold(case, folds, samples))
+
+    def _out_of_fold(self, case: Case, folds: int, samples: int) -> OutOfFold:
+        fold, whole = case.folds(folds), case.whole()
+        weight, check = masks(case, fold, whole)
+        learner, rows = self.problem(whole, weight, check)
+        state = case.train(learner, rows, self.steps, "fqe by folds")
+        scale = Scale.of(whole)
+        fitted = Fitted(state.best.params, scale.unit, rows.view)
+
+        data = case.timed
+        of_row = fold[data.episode_of]
+        own = lambda found, of: np.take_along_axis(found, of[None, None], 0)[0].astype(np.float64)  # noqa: E731
+        now = own(fitted.values(data.observations, case.current_actions(samples)), of_row)
+        last = own(fitted.values(data.final_observations, case.final_actions(samples)), fold)
+        chosen = own(fitted.of_actions(data.observations, data.actions), of_row)
+        return OutOfFold.of_values(case, now[:, data.starts], now, last, chosen)
 
     @property
     def label(self) -> str:
@@ -144,15 +208,15 @@ class FQE(Estimator):
 
     def solve(self, case: Case) -> Estimates:
         """Mean value of the initial observations."""
-        values = self.fitted(case).values(case.data.observations[case.data.starts], case.initial_actions(self.initial_samples))
+        values = self.fitted(case).values(case.timed.observations[case.data.starts], case.initial_actions(self.initial_samples))
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
         low, high = spread(found)
         return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.discount, redraws=found,
+            self.label, case.names, found.mean(0), low, high, case.estimand, redraws=found,
             warnings=tuple(self.unsettled(case)),
         )  # fmt: skip
 
-    def unsettled(self, case: Case) -> list[str]:
+    def unsettled(self, case: Case, what: str = "fqe") -> list[str]:
         """A warning where the fit still changes."""
-        return case.unsettled("fqe", "q")
+        return case.unsettled(what, "q")

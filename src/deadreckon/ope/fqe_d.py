@@ -194,6 +194,6 @@ class FQED(Estimator):
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = spread(found)
         return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.discount, redraws=found,
+            self.label, case.names, found.mean(0), low, high, case.estimand, redraws=found,
             warnings=tuple(case.unsettled("fqe-d", "q")),
         )  # fmt: skip

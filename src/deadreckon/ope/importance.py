@@ -9,6 +9,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope import intervals
+from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.weights import Episodes
 from deadreckon.training.learner import static
@@ -19,6 +20,8 @@ PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation
 class ImportanceSampling(Estimator):
     """Trajectory-wise or per-decision importance sampling, plain (unbiased) or self-normalised."""
 
+    takes_horizon = True
+
     kind: Literal["trajectory", "per_decision"] = static("per_decision")  # one weight an episode, or one a step
     normalised: bool = static(True)  # divide by the weights' sum instead of their number: biased, far less variance
     behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
@@ -26,16 +29,17 @@ class ImportanceSampling(Estimator):
     log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
     alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
     interval: Literal["bootstrap", "t", "hoeffding", "bernstein"] = static("bootstrap")  # the last two hold for every n
+    folds: int = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
     return_range: tuple[float, float] | None = static(None)  # least and greatest return of an episode; for the last two
     max_weight: float | None = static(None)  # greatest weight of an episode, per decision of any of its steps; for the last two
 
     def solve(self, case: Case) -> Estimates:
         """Weighted sums of the logged rewards."""
-        episodes = case.once("episodes", lambda: Episodes(case.data, case.discount, case.seed))
-        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range)
+        episodes = case.episodes
+        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
         bounds = self._bounds(episodes, rewards)
-        values, lows, highs, effective, redraws = [], [], [], [], []
+        values, lows, highs, effective, redraws, influence = [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
             if self.kind == "trajectory":
@@ -43,6 +47,7 @@ class ImportanceSampling(Estimator):
             else:
                 sums = episodes.sums(log_rho, rewards, normalised=self.normalised, alive_only=self.alive_only)
             values.append(sums.value())
+            influence.append(sums.influence())
             redraws.append(sums.redraw(episodes.counts))
             if self.interval == "bootstrap":
                 low, high = episodes.percentiles(redraws[-1], sums.effective)
@@ -50,7 +55,7 @@ class ImportanceSampling(Estimator):
                 each = sums.value() + sums.influence()
                 if not self.normalised and episodes.even:
                     each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
-                low, high = self._interval(each, bounds)
+                low, high = self._interval(each, bounds) if sums.effective > 0 else (-np.inf, np.inf)
             lows.append(low)
             highs.append(high)
             effective.append(sums.effective)
@@ -59,8 +64,8 @@ class ImportanceSampling(Estimator):
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
         return Estimates(
-            self.label, case.names, values, np.asarray(lows), np.asarray(highs), case.discount, redraws=np.stack(redraws, 1),
-            effective=effective, warnings=tuple(warnings),
+            self.label, case.names, values, np.asarray(lows), np.asarray(highs), case.estimand, redraws=np.stack(redraws, 1),
+            influence=np.stack(influence, 1), effective=effective, corrected=True, warnings=tuple(warnings),
         )  # fmt: skip
 
     @property
@@ -103,10 +108,19 @@ class ImportanceSampling(Estimator):
 
 
 def log_ratios(
-    case: Case, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, within: tuple[float, float] | None
+    case: Case,
+    behavior: Literal["auto", "logged", "learned"],
+    model: BehaviorModel,
+    within: tuple[float, float] | None,
+    folds: int = 5,
 ) -> np.ndarray:
-    """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action."""
-    ratios = case.log_probs - case.behavior_log_probs(behavior, model)
+    """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
+    own = case.log_probs  # first: policies that tell no probabilities are refused before anything is fitted
+    if folds > 1 and behavior != "logged" and (behavior == "learned" or "behavior_log_probs" not in case.data.extras):
+        logged = out_of_fold(case, model, folds).log_probs
+    else:
+        logged = case.behavior_log_probs(behavior, model)
+    ratios = own - logged
     if case.logged:  # which acts like itself
         ratios = np.concatenate([ratios, np.zeros((1, ratios.shape[1]))])
     return ratios if within is None else np.clip(ratios, *within)

@@ -87,7 +87,7 @@ class ModelBased(Estimator):
                 )
             returns[:, i] = unit * np.asarray(total.mean(1))
         low, high = spread(returns)
-        return Estimates(self.label, case.names, returns.mean(0), low, high, case.discount, redraws=returns)
+        return Estimates(self.label, case.names, returns.mean(0), low, high, case.estimand, redraws=returns)
 
 
 @eqx.filter_jit

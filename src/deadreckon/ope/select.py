@@ -1,17 +1,26 @@
-"""From estimates to a decision: which policy to deploy, if any, and on what evidence."""
+"""From estimates to a decision: which policy to deploy, if any, and on what evidence. There is no other rule in the package.
+
+A policy is deployed if the lower end of its gain over the behaviour policy is above zero, at a level that holds for all policies
+that were ever judged on these episodes, and if nothing that can be checked speaks against the estimate. What cannot be checked
+from a log is whether something that was not recorded made the logged actions (confounding).
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope import inference
 from deadreckon.ope.coverage import MOSTLY
 from deadreckon.ope.estimate import LOGGED, Estimates
 from deadreckon.ope.intervals import ALPHA, percentiles, spread
+from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
 
 BOOTSTRAP = 100  # redraws from which their percentiles are an interval; fewer are members of an ensemble
+UNITS = 20  # episodes or clusters below which no interval is believed
+HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
 
 
 @dataclass(frozen=True)
@@ -20,11 +29,14 @@ class Choice:
 
     Attributes:
         name: the policy that is chosen.
-        deploy: whether its gain over the log's own policy is above zero for sure, and no other estimate speaks against it.
-        gain, low, high: estimated difference, paired, with an interval that holds for all policies at once (95 %).
+        deploy: whether it should be deployed instead of the behaviour policy.
+        gain, low, high: its estimated gain over the behaviour policy, with an interval that holds for all policies at once.
         reason: why, in one line.
         evidence: what else was estimated, a line each.
         warnings: why not to trust it.
+        gains: (policies, 3) the same of all policies, without the behaviour policy.
+        objections: for each policy, what speaks against its estimate, a phrase each; none of those that have one is deployed.
+        level: of the intervals.
     """
 
     name: str
@@ -33,92 +45,148 @@ class Choice:
     low: float
     high: float
     reason: str
-    evidence: tuple[str, ...]
-    warnings: tuple[str, ...]
+    evidence: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    gains: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
+    objections: tuple[tuple[str, ...], ...] = ()
+    level: float = 1 - ALPHA
 
     def __str__(self) -> str:
-        words = f"DEPLOY {self.name}" if self.deploy else f"DO NOT DEPLOY {self.name}"
+        words = f"DEPLOY {self.name}" if self.deploy else "DO NOT DEPLOY"
         lines = [f"{words}: {self.reason}.", *self.evidence, *(f"warning: {line}" for line in self.warnings)]
         return "\n".join(f"  {line}" if i else line for i, line in enumerate(lines))
 
 
-def gain(found: Estimates, which: int, *, bonferroni: bool = True) -> tuple[float, float, float]:
-    """How much better a policy is than the log's own: the difference, and an interval that holds for all policies at once.
+def gains(found: Estimates, alpha: float = ALPHA) -> np.ndarray:
+    """(policies, 3) gains over the behaviour policy with lower and upper ends that hold for all policies at once.
 
-    Both are estimated from the same redraws of the log by the same method, so what they share cancels; the level of each
-    interval is Bonferroni's, 1 - 0.05 / policies, because the best of several estimates is chosen for being high. Without
-    `bonferroni` it is 95 % for this policy alone.
-    """
-    if LOGGED not in found.names or found.redraws is None:
-        raise UserError(f"{found.method} was not asked about the log's own policy; use Case(..., logged=True)")
-    logged = found.names.index(LOGGED)
-    draws = found.redraws[:, which] - found.redraws[:, logged]
-    alpha = ALPHA / (len(found.names) - 1) if bonferroni else ALPHA
-    if found.effective is not None and not found.effective[which] > 0:
-        low, high = -np.inf, np.inf
-    elif len(draws) >= BOOTSTRAP:
-        low, high = percentiles(draws, np.inf if found.effective is None else found.effective[which], alpha)
-    else:
-        low, high = spread(draws, alpha)
-    return float(found.value[which] - found.value[logged]), float(low), float(high)
-
-
-def select(estimates: Sequence[Estimates], covered: np.ndarray | None = None) -> Choice:
-    """Chooses by the first of several estimates of the same policies; the others are evidence.
-
-    Policies whose weights rest on few episodes, or of whose actions the log covers few, come last. Among the others it takes
-    the one whose gain has the highest lower end (95 %, each for itself), because what the log says little about is high by
-    chance; where the interval comes from a few members, whose spread is itself a matter of chance, the highest gain. Whether to
-    deploy it is decided by an interval that holds for all policies at once.
-
-    Args:
-        estimates: of the same policies, with the log's own.
-        covered: (policies,) share of what each does that lies within what the log shows, from `coverage`; None: not known.
+    Both values are estimated by the same method from the same episodes, so what they share cancels. Where there is an influence
+    function the interval is a studentised maximum (`inference.simultaneous`). Otherwise it is the bootstrap's, or for the few
+    members of an ensemble Student's, with Bonferroni's correction for the number of policies.
 
     Raises:
-        UserError: no estimates, of different policies, or without the log's own policy.
+        UserError: the behaviour policy was not judged.
+    """
+    if LOGGED not in found.names or (found.redraws is None and found.influence is None):
+        raise UserError(f"{found.method} was not asked about the log's own policy; use Case(..., logged=True)")
+    logged = found.names.index(LOGGED)
+    if found.influence is not None:
+        middle, low, high = inference.gains(found.value, found.influence, logged, alpha)
+    else:
+        assert found.redraws is not None
+        middle = found.value - found.value[logged]
+        draws = found.redraws - found.redraws[:, [logged]]
+        each = alpha / max(len(found.names) - 1, 1)
+        ends = [
+            percentiles(own, np.inf if found.effective is None else found.effective[i], each)
+            if len(draws) >= BOOTSTRAP else spread(own, each)
+            for i, own in enumerate(draws.T)
+        ]  # fmt: skip
+        low, high = np.array([[float(low), float(high)] for low, high in ends]).T
+    if found.effective is not None:
+        low, high = (np.where(found.effective > 0, end, wide) for end, wide in ((low, -np.inf), (high, np.inf)))
+    out = np.stack([middle, low, high], 1)
+    out[logged] = 0.0
+    return out
+
+
+def select(
+    estimates: Sequence[Estimates],
+    support: Support | None = None,
+    *,
+    seen: Sequence[str | None] | None = None,
+    accept_model_based: bool = False,
+    alpha: float = ALPHA,
+    covered: np.ndarray | None = None,
+) -> Choice:
+    """Chooses by the first of several estimates of the same policies; the others are evidence.
+
+    Among the policies that nothing speaks against it takes the one whose gain has the highest lower end.
+
+    Args:
+        estimates: of the same policies, with the behaviour policy.
+        support: of the policies in the log; None: not known.
+        seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
+        accept_model_based: deploy also by estimates that no logged reward corrects.
+        alpha: share of logs for which one of the intervals may miss.
+        covered: (policies,) shares of `coverage`, instead of `support`.
+
+    Raises:
+        UserError: no estimates, of different policies, or without the behaviour policy.
     """
     if not estimates:
         raise UserError("no estimates to choose by")
     first = estimates[0]
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
-    shown = np.ones(len(first.names)) if covered is None else np.append(np.where(np.isnan(covered), 1.0, covered), 1.0)
-    if len(shown) != len(first.names):
-        raise UserError(f"covered must have a number for each of {len(first.names) - 1} policies, got {len(shown) - 1}")
-    best = _safest(first, shown)
-    name, (difference, low, high) = first.names[best], gain(first, best)
-    against = [each for each in estimates[1:] if _overlaps(each, best) and gain(each, best)[2] < 0]
-    unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] against the log's own policy by {first.method}"
-    if not _overlaps(first, best):
-        assert first.effective is not None
-        deploy, reason = False, f"{unit}, but its weights rest on {first.effective[best]:.1f} episodes"
-    elif shown[best] < MOSTLY:
-        deploy, reason = False, f"{unit}, but only {100 * shown[best]:.0f} % of what it does is covered by the log"
+    names = [name for name in first.names if name != LOGGED]
+    if covered is not None and len(covered) != len(names):
+        raise UserError(f"covered must have a number for each of {len(names)} policies, got {len(covered)}")
+    if seen is not None and len(seen) != len(names):
+        raise UserError(f"seen must have an entry for each of {len(names)} policies, got {len(seen)}")
+    found = [gains(each, alpha) for each in estimates]
+    every = found[0]
+    objections = []
+    for i in range(len(names)):
+        own = [] if seen is None or seen[i] is None else [str(seen[i])]
+        own += _against(first, i, accept_model_based, support)
+        own += [] if support is None else support.objections(i)
+        if covered is not None and covered[i] < MOSTLY:
+            own.append(f"only {100 * covered[i]:.0f} % of its actions lie within what the log shows")
+        own += [
+            f"{each.label} finds it worse" for each, told in zip(estimates[1:], found[1:]) if _speaks(each, i) and told[i, 2] < 0
+        ]
+        objections.append(tuple(own))
+    best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
+    name, (difference, low, high) = names[best], every[best]
+    level = f"{100 * (1 - alpha):.3g} %"
+    unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy by {first.label}"
+    if objections[best]:
+        deploy, reason = False, f"{name} has {unit}, but {'; '.join(objections[best])}"
     elif not np.isfinite(low):
-        deploy, reason = False, f"{unit}, without an interval: an estimator with redraws or members gives one"
-    elif against:
-        deploy, reason = False, f"{unit}, but {against[0].method} finds it worse"
+        deploy, reason = False, f"{name} has {unit}: the log says nothing certain about it"
     elif low > 0:
-        deploy, reason = True, f"{unit}, and the lower end is above zero"
+        deploy, reason = True, f"{unit}; the lower end is above zero"
     else:
-        deploy, reason = False, f"{unit}, which may be chance"
+        deploy, reason = False, f"{name} is best with {unit}, which may be chance"
     evidence = []
+    for each, told in zip(estimates[1:], found[1:]):
+        chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
+        agrees = "agrees that it is best" if chosen == best else f"would choose {names[chosen]}"
+        evidence.append(f"{each.label}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}], {agrees}")
+    warnings = list(first.warnings)
+    for i, own in enumerate(objections):
+        if i != best and own:
+            warnings.append(f"{names[i]}: {'; '.join(own)}")
     for each in estimates[1:]:
-        own = gain(each, best)
-        chosen = _safest(each, shown)
-        agrees = "agrees that it is best" if chosen == best else f"would choose {each.names[chosen]}"
-        evidence.append(f"{each.method}: {own[0]:+.2f} [{own[1]:+.2f}, {own[2]:+.2f}], {agrees}")
-    warnings = [*_uncovered(first.names, shown), *first.warnings]
-    if covered is not None and np.isnan(covered[best]):
-        warnings.append(f"the log is too short to tell how much of what {name} does it covers")
-    for each in estimates[1:]:
-        # What concerns the choice: the overlap of others' weights, where the first knows nothing of it.
         if not _overlaps(each, best):
             assert each.effective is not None
-            warnings.append(f"the weights of {name} in {each.method} rest on {each.effective[best]:.1f} episodes")
-        warnings += [f"{each.method}: {line}" for line in each.warnings if line not in warnings]
-    return Choice(name, deploy, difference, low, high, reason, tuple(evidence), tuple(warnings))
+            warnings.append(f"the weights of {name} in {each.label} rest on {each.effective[best]:.1f} episodes")
+        warnings += [f"{each.label}: {line}" for line in each.warnings if line not in warnings]
+    keep = [i for i, each in enumerate(first.names) if each != LOGGED]
+    return Choice(
+        name, deploy, float(difference), float(low), float(high), reason, tuple(evidence), tuple(warnings), every[keep],
+        tuple(objections), 1 - alpha,
+    )  # fmt: skip
+
+
+def _against(found: Estimates, which: int, accept_model_based: bool, support: Support | None) -> list[str]:
+    """What speaks against an estimate of a policy, a phrase each."""
+    own = []
+    if found.influence is not None and len(found.influence) < UNITS:
+        own.append(f"there are only {len(found.influence)} episodes or clusters to judge by, {UNITS} are needed")
+    if not _overlaps(found, which):
+        assert found.effective is not None
+        own.append(f"its weights rest on {found.effective[which]:.1f} episodes, {FEW:g} are needed")
+    k = found.diagnostics.get("pareto k")
+    if k is not None and k[which] > HEAVY:
+        own.append(f"its weights have too heavy a tail (Pareto k {k[which]:.2f}, at most {HEAVY:g})")
+    if found.diagnostics.get("settled", np.ones(which + 1))[which] < 1:
+        own.append("the fit of its estimate has not settled")
+    degenerate = support is not None and bool(support.degenerate[which])
+    if (not found.corrected or degenerate) and not accept_model_based:
+        own.append("its estimate is model-based only: nothing that was logged corrects an error of the model")
+    return own
 
 
 def _overlaps(found: Estimates, which: int) -> bool:
@@ -126,21 +194,13 @@ def _overlaps(found: Estimates, which: int) -> bool:
     return found.effective is None or bool(found.effective[which] >= FEW)
 
 
-def _uncovered(names: Sequence[str], shown: np.ndarray) -> list[str]:
-    """A warning where policies mostly do what the log does not show, else nothing."""
-    beyond = [f"{name} ({100 * shown[i]:.0f} %)" for i, name in enumerate(names) if shown[i] < MOSTLY]
-    if not beyond:
-        return []
-    return [f"the log covers less than half of what these do, and estimates of them are guesses: {', '.join(beyond)}"]
+def _speaks(found: Estimates, which: int) -> bool:
+    """Whether an estimate counts as evidence against a policy."""
+    return found.corrected and _overlaps(found, which)
 
 
-def _safest(found: Estimates, shown: np.ndarray) -> int:
-    """The policy to choose by these estimates alone; see `select`."""
-    bootstrap = found.redraws is not None and len(found.redraws) >= BOOTSTRAP
-
-    def standing(i: int) -> tuple[bool, int, float]:
-        difference, low, _ = gain(found, i, bonferroni=False)
-        sure = low if bootstrap and np.isfinite(low) else difference
-        return bool(np.isfinite(difference)), int(_overlaps(found, i)) + int(shown[i] >= MOSTLY), sure
-
-    return max((i for i, name in enumerate(found.names) if name != LOGGED), key=standing)
+def _standing(found: Estimates, told: np.ndarray) -> tuple[bool, float]:
+    """How a policy stands by its gain: by the lower end, or of a few members, whose spread is a matter of chance, by the gain."""
+    few = found.influence is None and (found.redraws is None or len(found.redraws) < BOOTSTRAP)
+    sure = told[0] if few or not np.isfinite(told[1]) else told[1]
+    return bool(np.isfinite(told[1])), float(sure) if np.isfinite(sure) else -np.inf

@@ -94,6 +94,13 @@ class Actor:
                 out[start : start + len(part), i] = found
         return out
 
+    @property
+    def tells(self) -> bool:
+        """Whether all policies tell how likely their actions are, or draw nothing."""
+        if self.spec.discrete:
+            return True
+        return all(self.greedy or draws_nothing(policy) or policy.has_log_prob for policy in self.policies)
+
     def act(self, which: int, observations: np.ndarray, t: int) -> np.ndarray:
         """What one policy does at raw observations (rows, *shape) at step `t` of made-up episodes.
 
@@ -125,7 +132,7 @@ class Actor:
                     chosen = self._probabilities(policy, seen, key)[np.arange(len(taken)), taken]
                     with np.errstate(divide="ignore"):
                         found = np.log(chosen)
-                elif self.greedy or _draws_nothing(policy):
+                elif self.greedy or draws_nothing(policy):
                     unit = self._actions(i, seen, key, 1)[:, 0]
                     z = (view.to_unit(taken) - unit) / NOISE
                     found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(NOISE * np.sqrt(2 * np.pi)) - view.log_scale
@@ -198,7 +205,7 @@ def _action_shape(policy: Deployed, observation_size: int) -> tuple[int, ...]:
     return eqx.filter_eval_shape(act).shape[1:]
 
 
-def _draws_nothing(policy: Any) -> bool:
+def draws_nothing(policy: Any) -> bool:
     """Whether a policy of ours has nothing random in it."""
     if not isinstance(policy, Deployed):
         return False

@@ -9,6 +9,7 @@ cut can reach, would be too many. With one weight for a whole episode, cut-off e
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -54,10 +55,13 @@ class Sums:
 
     def influence(self) -> np.ndarray:
         """(groups,) how far each pulls the estimate, to first order; their mean is zero, their sum over n^2 the variance."""
+        return self.influence_steps().sum(1)
+
+    def influence_steps(self) -> np.ndarray:
+        """(groups, steps) the same for what each step adds."""
         total = self.denominators.sum(0)
         ratio = _ratios(self.numerators.sum(0), total)
-        pulls = _ratios(self.numerators - ratio * self.denominators, total[None])
-        return len(pulls) * pulls.sum(1)
+        return len(self.numerators) * _ratios(self.numerators - ratio * self.denominators, total[None])
 
 
 def few(names: tuple[str, ...], effective: np.ndarray, episodes: int) -> list[str]:
@@ -86,7 +90,7 @@ def _accumulated(shape: tuple[int, ...], where: tuple[np.ndarray, ...], logs: np
 class Episodes:
     """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
 
-    def __init__(self, data: Dataset, discount: float, seed: int):
+    def __init__(self, data: Dataset, discount: float, seed: int, units: np.ndarray | None = None):
         if data.successors is not None:
             raise UserError(f"{data.name}: its rows do not follow each other, so ratios cannot be multiplied along them")
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
@@ -99,10 +103,24 @@ class Episodes:
         self.even = bool((self.ended | (self.lengths == self.steps)).all())
         self.kept = self._kept()
         self.log_kept = np.log(self.kept)[self.time]  # (rows,)
+        self.seed = seed
         rng = np.random.default_rng([seed, 2])
-        self.groups = min(self.count, GROUPS)
-        self.group = rng.permutation(np.arange(self.count) % self.groups)  # (episodes,)
-        self.counts = rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
+        if units is None:
+            units = rng.permutation(np.arange(self.count) % min(self.count, GROUPS))
+        self.group = units  # (episodes,)
+        self.groups = int(units.max()) + 1
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(redraws, groups) how often each group counts."""
+        rng = np.random.default_rng([self.seed, 3])
+        return rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
+
+    def means(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Mean of `x` (episodes,), its (groups,) influence function, and its (redraws,) redrawn means."""
+        total, size = (np.bincount(self.group, weights, self.groups) for weights in (x, None))
+        mean = float(x.mean())
+        return mean, self.groups * (total - mean * size) / self.count, (self.counts @ total) / (self.counts @ size)
 
     def _kept(self) -> np.ndarray:
         """(steps,) chance that an episode that does not end is still not cut off at each step, by Kaplan and Meier."""

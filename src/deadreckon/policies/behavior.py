@@ -58,6 +58,15 @@ def loss(
     return nll, {"behavior_nll": nll, "behavior_error": jnp.square(jnp.tanh(d.mean) - action).mean()}
 
 
+def log_prob(model: MLP | Clipped | Categorical, observation: Float[Array, "b o"], action: Array) -> Float[Array, "b"]:
+    """Log-probability of each row's action: of an index, or its density over [-1, 1]; of a `Clipped` as what was clipped."""
+    if isinstance(model, Categorical):
+        return model.log_prob(observation, action)
+    if isinstance(model, Clipped):
+        return _clipped(model).log_prob(observation, action)
+    return dist.log_prob(dist.gaussian_head(model(observation)), jnp.arctanh(action))
+
+
 def censored(
     model: Clipped, observation: Float[Array, "b o"], action: Array, key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], dict[str, Array]]:

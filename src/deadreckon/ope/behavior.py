@@ -1,0 +1,161 @@
+"""The policy that made the log, learned out of fold: propensities of rows come from models that have not seen their episode.
+
+A model that has seen a row takes its action for likelier than it is: weights shrink, and importance sampling with them. So each
+fold has a model of its own, which learns from the other folds and from all episodes that are not judged, and stops where its
+loss on a tenth of these, which do not teach it, is least. Its temperature is then set on that tenth too (Guo et al. 2017).
+All folds are lanes of one program.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
+
+from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.nets.mlp import ensemble
+from deadreckon.nets.optim import begin, descend
+from deadreckon.ope.critics import Best, in_blocks
+from deadreckon.ope.estimate import BehaviorModel, Case
+from deadreckon.policies import behavior as models
+from deadreckon.policies.policy import Categorical, create_actor
+from deadreckon.training.learner import static
+
+CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
+COLDEST, HOTTEST = 0.25, 4.0  # temperatures
+
+
+class State(NamedTuple):
+    """Models (folds, ...), their optimiser and the best copies so far."""
+
+    nets: Any
+    opt: Any
+    best: Best
+
+
+class Folds(eqx.Module):
+    """What is trained: a model for each fold, by maximum likelihood."""
+
+    hidden: tuple[int, ...] = static((64, 64))
+    lr: float = 3e-4
+    batch_size: int = static(256)
+    folds: int = static(5)
+    clipped: bool = static(False)
+
+    def needs(self, spec):
+        """Observations and actions, with the columns `weight` and `check` (folds,) beside them."""
+        return Needs(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
+
+    def init(self, spec, key):
+        """Fresh models."""
+        make = models.Clipped.create if self.clipped else create_actor
+        nets = ensemble(lambda k: make(spec, self.hidden, k), self.folds, key)
+        return State(nets, begin(nets), Best.begin(nets, (self.folds,)))
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step of maximum likelihood for every fold, on the rows that are not its own."""
+        assert batch.extra is not None
+        weight, check = batch.extra["weight"].T, batch.extra["check"].T
+
+        def loss(nets):
+            nll = -jax.vmap(lambda net: models.log_prob(net, batch.observation, batch.action))(nets)
+            checked = (nll * check).sum(-1) / jnp.maximum(check.sum(-1), 1e-6)
+            return (nll * weight).mean(-1).sum(), (checked, {"behavior_nll": checked.mean()})
+
+        grads, (checked, metrics) = jax.grad(loss, has_aux=True)(state.nets)
+        nets, opt = descend(state.nets, grads, state.opt, self.lr)
+        return State(nets, opt, state.best.look(nets, checked, step, 0.0)), metrics
+
+
+class Behavior(NamedTuple):
+    """The behaviour policy on the judged rows, by models that have not seen their episodes.
+
+    Attributes:
+        log_probs: (rows,) log-probabilities of the logged actions, or log-densities.
+        chances: (rows, actions) probabilities of all actions; None where they are continuous.
+        checked: mean negative log-likelihood on the rows that said when to stop.
+    """
+
+    log_probs: np.ndarray
+    chances: np.ndarray | None
+    checked: float
+
+
+def out_of_fold(case: Case, model: BehaviorModel, folds: int) -> Behavior:
+    """Propensities of a case's rows; made once.
+
+    Args:
+        case: log and policies.
+        model: size of the networks and of the fit.
+        folds: into which the judged episodes are parted.
+    """
+    return case.once(("propensities", model, folds), lambda: _fit(case, model, folds))
+
+
+def masks(case: Case, fold: np.ndarray, whole: Case) -> tuple[np.ndarray, np.ndarray]:
+    """(episodes of the whole log, folds) of 0 and 1: which episodes teach the model of a fold, and which tell it when to stop.
+
+    Clusters stay whole. With few of them there is none to spare: those that teach say when to stop, too.
+    """
+    count = int(fold.max()) + 1
+    of_all = np.full(whole.data.episodes, -1)
+    of_all[case.held] = fold
+    weight = (of_all[:, None] != np.arange(count)).astype(np.float32)
+    clusters = whole.clusters
+    some = np.random.default_rng([case.seed, 10]).random((int(clusters.max()) + 1, count))[clusters] < CHECKED
+    check = weight * some
+    alone = (check.sum(0) == 0) | (weight.sum(0) < 20)
+    return np.where(alone, weight, weight * ~some), np.where(alone, weight, check)
+
+
+def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
+    fold, whole = case.folds(folds), case.whole()
+    weight, check = masks(case, fold, whole)
+    learner = Folds(model.hidden, model.lr, model.batch_size, weight.shape[1], case.clips)
+    data = whole.data
+    extra = {"weight": weight[data.episode_of], "check": check[data.episode_of]}
+    rows = Rows(data, learner.needs(data.spec), extra)
+    state = case.train(learner, rows, model.steps, "behaviour by folds")
+    nets, view, own = state.best.params, rows.view, case.data
+    of_row = fold[own.episode_of]
+    checked = float(np.mean(np.asarray(state.best.loss)))
+    observe = lambda seen: view.observe(np.asarray(seen))  # noqa: E731
+    if not data.spec.discrete:
+        unit = np.asarray(view.to_unit(np.asarray(own.actions)))
+        told = in_blocks(lambda seen, act: _densities(nets, observe(seen), act), own.observations, unit)
+        return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - view.log_scale, None, checked)
+    logits = in_blocks(lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2), own.observations)  # (folds, n, rows)
+    logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
+    for k, rows_of in enumerate(check.T):
+        # On at most a few thousand of the rows that said when to stop.
+        some = np.flatnonzero(rows_of[data.episode_of])[:: max(1, int(rows_of[data.episode_of].sum()) // 4096)]
+        seen = in_blocks(lambda part: jnp.moveaxis(_logits(nets, observe(part)), 1, 2), np.asarray(data.observations[some]))[k].T
+        logits[of_row == k] /= temperature(seen.astype(np.float64), np.asarray(data.actions[some]))
+    log_chances = log_softmax(logits, axis=1)
+    return Behavior(log_chances[np.arange(len(own)), np.asarray(own.actions)], np.exp(log_chances), checked)
+
+
+def temperature(logits: np.ndarray, taken: np.ndarray) -> float:
+    """What (rows, actions) logits are divided by so that the (rows,) actions taken are likeliest (Guo et al. 2017)."""
+
+    def loss(log_temperature: float) -> float:
+        return -float(log_softmax(logits / np.exp(log_temperature), axis=1)[np.arange(len(taken)), taken].mean())
+
+    return float(np.exp(minimize_scalar(loss, bounds=(np.log(COLDEST), np.log(HOTTEST)), method="bounded").x))
+
+
+@jax.jit
+def _densities(nets: Any, observation: Any, action: Any) -> Any:
+    return jax.vmap(lambda net: models.log_prob(net, observation, action))(nets)
+
+
+@jax.jit
+def _logits(nets: Any, observation: Any) -> Any:
+    return jax.vmap(lambda net: _chances(net, observation))(nets)
+
+
+def _chances(net: Categorical, observation: Any) -> Any:
+    return net.log_chances(observation)

@@ -1,0 +1,117 @@
+"""Features of observations and actions in which linear critics are exact or close: a table, or random Fourier features.
+
+Where a discrete log has few different observations, a feature for each observation and action: every value function is linear in
+them. Else cosines of random projections (Rahimi and Recht 2007) at two length scales, beside the observation and the action
+themselves and, where these are few numbers, their products, in which linear-quadratic problems are exact.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.view import View
+
+TABLE = 400  # observations x actions up to which there is a feature for each
+PRODUCTS = 120  # products of two numbers, up to so many
+SCALES = (1.0, 3.0)  # length scales of the cosines, in units of a typical distance
+FAR = 5.0  # standard deviations from the mean beyond which an observation counts as so far
+
+
+class Features:
+    """Maps (rows, *) observations and actions to (rows, size) numbers.
+
+    Args:
+        log: whose observations and actions are meant; its rewards are not looked at.
+        cosines: how many random Fourier features.
+        seed: of these.
+    """
+
+    def __init__(self, log: Dataset, cosines: int, seed: int):
+        spec = log.spec
+        self.view, self.discrete = View.of(spec, standardise=True), spec.discrete
+        p, self.actions = spec.observation_size, spec.action_size
+        rng = np.random.default_rng([seed, 6])
+        self.table = self._distinct(log) if self.discrete else None
+        if self.table is not None:
+            self.size = len(self.table) * self.actions
+            return
+        inputs = p if self.discrete else p + self.actions
+        scale = np.repeat(SCALES, [cosines - cosines // 2, cosines // 2]) * np.sqrt(inputs)
+        self.frequencies = (rng.standard_normal((inputs, cosines)) / scale).astype(np.float32)
+        phases = rng.uniform(0, 2 * np.pi, (self.actions if self.discrete else 1, cosines)).astype(np.float32)
+        if self.discrete:  # a quarter of them does not depend on the action
+            phases[:, ::4] = phases[:1, ::4]
+        self.phase_cos, self.phase_sin = np.cos(phases), np.sin(phases)
+        self.amplitude = np.float32(np.sqrt(2.0 / cosines))
+        if self.discrete:
+            self.crossed = self.actions * p <= PRODUCTS
+            more = p + (self.actions if self.actions <= PRODUCTS else 0) + (self.actions * p if self.crossed else 0)
+        else:
+            self.pairs = np.triu_indices(inputs)
+            self.crossed = len(self.pairs[0]) <= PRODUCTS
+            more = inputs + (len(self.pairs[0]) if self.crossed else 0)
+        self.size = 1 + more + cosines
+
+    def _distinct(self, log: Dataset) -> np.ndarray | None:
+        most = TABLE // self.actions
+        some = np.unique(np.asarray(log.observations[:: max(1, len(log) // 2000)]), axis=0)
+        if len(some) > most:
+            return None
+        found = np.unique(np.concatenate([np.unique(np.asarray(log.observations), axis=0), log.final_observations]), axis=0)
+        return found if len(found) <= most else None
+
+    def _codes(self, observations: np.ndarray) -> np.ndarray:
+        """(rows,) index of each observation in the table."""
+        assert self.table is not None
+        both = np.concatenate([self.table, np.asarray(observations, self.table.dtype)])
+        _, inverse = np.unique(both, axis=0, return_inverse=True)
+        inverse = inverse.reshape(-1)
+        place = np.empty(inverse.max() + 1, int)
+        place[inverse[: len(self.table)]] = np.arange(len(self.table))
+        return place[inverse[len(self.table) :]]
+
+    def _seen(self, observations: Any) -> np.ndarray:
+        return np.clip(np.asarray(self.view.observe(np.asarray(observations)), np.float32), -FAR, FAR)
+
+    def taken(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """(rows, size) features of one action a row: the environment's."""
+        if self.discrete:
+            chances = np.eye(self.actions, dtype=np.float32)[np.asarray(actions)]
+            return self.expected(observations, chances[:, None])[:, 0]
+        unit = np.asarray(self.view.to_unit(np.asarray(actions)), np.float32)
+        return self._continuous(self._seen(observations), unit)
+
+    def expected(self, observations: np.ndarray, table: np.ndarray) -> np.ndarray:
+        """(rows, policies, size) mean features of what policies do, of a table as `Actor.table` gives it."""
+        rows, policies = table.shape[:2]
+        if not self.discrete:
+            samples = table.shape[2]
+            seen = np.repeat(self._seen(observations), policies * samples, 0)
+            found = self._continuous(seen, table.reshape(-1, table.shape[-1]))
+            return found.reshape(rows, policies, samples, self.size).mean(2)
+        if self.table is not None:
+            out = np.zeros((rows, policies, len(self.table), self.actions), np.float32)
+            out[np.arange(rows), :, self._codes(observations)] = table
+            return out.reshape(rows, policies, self.size)
+        seen = self._seen(observations)
+        angle = seen @ self.frequencies
+        cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        # cos(x + phase of the action), averaged over actions, by the addition theorem: no row-by-action array of cosines.
+        waves = self.amplitude * (cos * (table @ self.phase_cos) - sin * (table @ self.phase_sin))
+        shared = np.broadcast_to(seen[:, None], (rows, policies, seen.shape[1]))
+        parts = [np.ones((rows, policies, 1), np.float32), shared]
+        if self.actions <= PRODUCTS:
+            parts.append(table)
+        if self.crossed:
+            parts.append((table[..., None] * seen[:, None, None]).reshape(rows, policies, -1))
+        return np.concatenate([*parts, waves], -1)
+
+    def _continuous(self, seen: np.ndarray, unit: np.ndarray) -> np.ndarray:
+        inputs = np.concatenate([seen, unit], 1)
+        angle = inputs @ self.frequencies
+        waves = self.amplitude * (np.cos(angle) * self.phase_cos - np.sin(angle) * self.phase_sin)
+        parts = [np.ones((len(inputs), 1), np.float32), inputs]
+        if self.crossed:
+            parts.append(inputs[:, self.pairs[0]] * inputs[:, self.pairs[1]])
+        return np.concatenate([*parts, waves], 1)

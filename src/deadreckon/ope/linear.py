@@ -1,0 +1,353 @@
+"""Linear fitted Q evaluation: a critic that is linear in fixed features, solved exactly instead of by gradient descent.
+
+    theta = (Phi' Phi + ridge)^-1 Phi' (r + discount Phi_next theta)
+
+is its fixed point (LSTD-Q: Lagoudakis and Parr 2003; as fitted Q evaluation: Duan, Jia and Wang 2020). With a horizon it is
+iterated from zero as often as steps are left, so that there is a critic for each number of steps to go. The same sums of
+features solve it for every fold and every redraw of the log, so that critics out of fold, many redraws (Hao et al. 2021) and
+ratios of occupancies, which are linear in the same features, cost little more than one fit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from deadreckon.ope.critics import OutOfFold
+from deadreckon.ope.estimand import discounted_steps
+from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.features import Features
+from deadreckon.ope.intervals import percentiles
+from deadreckon.training.learner import static
+
+BLOCK = 4096  # rows at a time
+RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
+PILOT = 10.0
+SUMMED = ("gram", "next", "reward", "start", "rows", "episodes")
+DOUBLINGS = 16  # 2^16 steps are as good as endless
+GROWN = 1e6  # of the powers of the backup: it diverges
+PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-validation
+REDRAWS = 200
+GROUPS = 100  # of units that are redrawn
+ROOM = 1e9  # bytes of sums above which there are fewer groups
+
+
+class Critic(NamedTuple):
+    """Solved weights.
+
+    Attributes:
+        weights: (steps, size) of the value with 1, 2, ... steps to go, or (1, size) without a horizon.
+        ratios: (steps, size) of the ratio of the policy's occupancy of step 0, 1, ... over the log's rows, or (1, size) of its
+            discounted occupancy.
+        ridge: that it was solved with.
+        settled: whether the backup does not diverge.
+    """
+
+    weights: np.ndarray
+    ratios: np.ndarray
+    ridge: float
+    settled: bool
+
+
+@dataclass
+class Sums:
+    """Sums over the rows of each of several groups of episodes, in float64.
+
+    Attributes:
+        gram: (groups, d, d) of phi phi'.
+        next: (groups, policies, d, d) of phi phi_next', zero after terminals.
+        reward: (groups, d) of phi r.
+        start: (groups, policies, d) of features at initial observations.
+        rows, episodes: (groups,) counts.
+        low, high: least and greatest reward.
+    """
+
+    gram: np.ndarray
+    next: np.ndarray
+    reward: np.ndarray
+    start: np.ndarray
+    rows: np.ndarray
+    episodes: np.ndarray
+    low: float
+    high: float
+
+    def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight` times."""
+        add = lambda x: np.tensordot(weight, x, 1)  # noqa: E731
+        start = add(self.start[:, policy]) / max(float(weight @ self.episodes), 1.0)
+        return add(self.gram), add(self.next[:, policy]), add(self.reward), start, float(weight @ self.rows)
+
+
+class LinearFQE(Estimator):
+    """Fitted Q evaluation that is linear in features of observation and action."""
+
+    cosines: int = static(256)  # random Fourier features, where the log has more than a few different observations
+    samples: int = static(10)  # actions sampled at each observation of continuous actions
+    redraws: int = static(REDRAWS)  # resamples of the log for the interval
+    ridge: float | None = static(None)  # strength of the ridge penalty, in rows; None: by cross-validation
+
+    takes_horizon = True
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "FQE-linear"
+
+    def solve(self, case: Case) -> Estimates:
+        """Mean value of the initial observations; intervals by redrawing the log and solving again."""
+        fit = Fit(self, case)
+        rng = np.random.default_rng([case.seed, 7])
+        units = case.units
+        count = int(units.max()) + 1
+        most = max(20, min(GROUPS, int(ROOM / (8 * case.count * fit.features.size**2))))
+        group = rng.permutation(np.arange(count) % min(count, most))[units]
+        groups = int(group.max()) + 1
+        sums = fit.sums(case, group, groups)
+        once = np.ones(groups)
+        ridges = [fit.ridge(sums, i, None) for i in range(case.count)]
+        counts = rng.multinomial(groups, np.full(groups, 1 / groups), self.redraws).astype(float)
+        values, redraws, warnings = np.empty(case.count), np.empty((self.redraws, case.count)), []
+        for i in range(case.count):
+            critic = fit.critic(sums, once, i, ridges[i])
+            if not critic.settled:
+                warnings.append(f"{self.label}: the backup of {case.names[i]} diverges on this log's features")
+            values[i] = sums.start[:, i].sum(0) @ critic.weights[-1] / sums.episodes.sum() * fit.std
+            for b, weight in enumerate(counts):
+                redraws[b, i] = fit.value(sums, weight, i, critic.ridge)
+        low, high = np.array([percentiles(each, groups) for each in redraws.T]).T
+        return Estimates(
+            self.label, case.names, values, low, high, case.estimand, redraws=redraws,
+            warnings=(*warnings, "its interval knows the variance of the log and not the bias of the features"),
+        )  # fmt: skip
+
+
+def blocks(rows: np.ndarray) -> list[np.ndarray]:
+    """Rows, a block at a time."""
+    return [rows[i : i + BLOCK] for i in range(0, len(rows), BLOCK)]
+
+
+class Fit:
+    """Critics of a case's policies by folds: what the estimator and doubly robust ones share.
+
+    Args:
+        estimator: settings.
+        case: log and policies.
+    """
+
+    def __init__(self, estimator: LinearFQE, case: Case):
+        self.case = case
+        self.given = estimator.ridge
+        self.samples = estimator.samples
+        self.features = case.once(
+            ("features", estimator.cosines), lambda: Features(case.log, estimator.cosines, case.seed)
+        )
+        self.std = float(case.log.spec.reward.std) or 1.0
+        self.horizon = case.estimand.horizon
+
+    # ---- sums ---------------------------------------------------------------------------------------------------------
+
+    def sums(self, case: Case, group: np.ndarray, groups: int) -> Sums:
+        """Of the episodes of `case.data`, by their (episodes,) group."""
+        data, d, count = case.data, self.features.size, case.count
+        out = Sums(
+            np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
+            np.zeros(groups), np.bincount(group, minlength=groups).astype(float),
+            float(data.spec.reward.min) / self.std, float(data.spec.reward.max) / self.std,
+        )  # fmt: skip
+        after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
+        of_row = group[data.episode_of]
+        for g in range(groups):
+            rows = np.flatnonzero((of_row == g) & case.followed)
+            out.rows[g] = len(rows)
+            for part in blocks(rows):
+                phi = self.features.taken(data.observations[part], data.actions[part])
+                out.gram[g] += phi.T @ phi
+                out.reward[g] += phi.T @ (np.asarray(data.rewards[part], np.float32) / np.float32(self.std))
+                goes_on = ~case.ended[part]
+                if goes_on.any() and case.discount > 0 and self.horizon != 1:
+                    own = part[goes_on]
+                    follows = self.features.expected(data.next_observations_at(own), after[own])
+                    for i in range(count):
+                        out.next[g, i] += phi[goes_on].T @ follows[:, i]
+            for part in blocks(np.flatnonzero(group == g)):
+                seen = data.observations[data.starts[part]]
+                out.start[g] += self.features.expected(seen, first[part]).sum(0, dtype=np.float64)
+        return out
+
+    # ---- solving ------------------------------------------------------------------------------------------------------
+
+    def ridge(self, sums: Sums, policy: int, groups: Sequence[int] | None) -> float:
+        """The ridge under which one backup of a pilot's values is predicted best, by cross-validation among groups of rows."""
+        if self.given is not None:
+            return self.given
+        groups = range(len(sums.rows)) if groups is None else groups
+        parts = [part for part in np.array_split(np.asarray(groups), min(PARTS, len(groups))) if len(part)]
+        if len(parts) < 2:
+            return PILOT
+        weight = np.zeros(len(sums.rows))
+        weight[list(groups)] = 1.0
+        pilot = self.critic(sums, weight, policy, PILOT).weights[-1]
+        gram, following, reward = (np.tensordot(weight, x, 1) for x in (sums.gram, sums.next[:, policy], sums.reward))
+        target = reward + self.case.discount * following @ pilot
+        errors = np.zeros(len(RIDGES))
+        for part in parts:
+            own_gram = sums.gram[part].sum(0)
+            own = sums.reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
+            for j, ridge in enumerate(RIDGES):
+                theta = cho_solve(cho_factor(self._penalised(gram - own_gram, ridge)), target - own)
+                errors[j] += theta @ own_gram @ theta - 2 * theta @ own
+        return float(RIDGES[int(np.argmin(errors))])
+
+    def critic(self, sums: Sums, weight: np.ndarray, policy: int, ridge: float) -> Critic:
+        """Solves for one policy on groups that count `weight` times each; a ridge under which it diverges is made stronger."""
+        gram, following, reward, start, rows = sums.of(weight, policy)
+        while True:
+            factor = cho_factor(self._penalised(gram, ridge))
+            base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
+            if self.horizon is not None:
+                found = self._steps(factor, following, base, backup, start, rows, ridge)
+            else:
+                found = self._endless(factor, base, backup, start, rows, ridge)
+            if found.settled or ridge > RIDGES[-1] or self.given is not None:
+                return found
+            ridge *= 10.0
+
+    def value(self, sums: Sums, weight: np.ndarray, policy: int, ridge: float) -> float:
+        """The value alone, for redraws: one solution of the linear system."""
+        gram, following, reward, start, _ = sums.of(weight, policy)
+        penalised = self._penalised(gram, ridge)
+        if self.horizon is None:
+            theta = np.linalg.solve(penalised - self.case.discount * following, reward)
+        else:
+            factor, theta = cho_factor(penalised), np.zeros_like(reward)
+            for _ in range(self.horizon):
+                theta = cho_solve(factor, reward + self.case.discount * following @ theta)
+        return float(start @ theta) * self.std
+
+    def _steps(self, factor, following, base, backup, start, rows, ridge) -> Critic:
+        assert self.horizon is not None
+        theta, weights = np.zeros_like(base), []
+        occupancy, ratios, fade = start, [], 1.0
+        for _ in range(self.horizon):
+            theta = base + backup @ theta
+            weights.append(theta)
+            projected = cho_solve(factor, occupancy)
+            ratios.append(rows * fade * projected)
+            occupancy = following.T @ projected
+            fade *= self.case.discount
+        found = np.stack(weights), np.stack(ratios)
+        bound = 10.0 * self.horizon * max(1.0, float(np.abs(base).max()))
+        return Critic(*found, ridge, bool(np.isfinite(found[0]).all() and np.abs(found[0]).max() < GROWN * bound))
+
+    def _endless(self, factor, base, backup, start, rows, ridge) -> Critic:
+        theta, occupancy, power = base, start, backup
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(DOUBLINGS):
+                theta = theta + power @ theta
+                occupancy = occupancy + power.T @ occupancy
+                power = power @ power
+                size = np.abs(power).max()
+                if not size < GROWN or size < 1e-12:
+                    break
+        settled = bool(size < 1e-3) if self.case.discount < 1.0 else bool(size < GROWN)
+        ratios = rows * cho_solve(factor, occupancy)
+        return Critic(theta[None], ratios[None], ridge, settled and bool(np.isfinite(theta).all()))
+
+    # ---- out of fold --------------------------------------------------------------------------------------------------
+
+    def out_of_fold(self, folds: int, *, marginal: bool) -> OutOfFold:
+        """What critics that have not seen an episode say of it.
+
+        Args:
+            folds: into which the judged episodes are parted; the critics of one learn from the others and from all episodes
+                that are not judged.
+            marginal: the ratios of occupancies too, of the same folds.
+        """
+        case = self.case
+        fold, teach = case.folds(folds), case.teaching()
+        folds = int(fold.max()) + 1
+        judged = self.sums(case, fold, folds)
+        if teach is not None:
+            part = np.random.default_rng([case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
+            more = self.sums(teach, part, PARTS)
+            judged = Sums(*(np.concatenate([getattr(judged, n), getattr(more, n)]) for n in SUMMED),
+                          min(judged.low, more.low), max(judged.high, more.high))  # fmt: skip
+        taught = range(folds, len(judged.rows))  # groups that are not judged, if any
+        data, count = case.data, case.count
+        out = OutOfFold.empty(count, data.episodes, len(data), marginal)
+        after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
+        of_row = fold[data.episode_of]
+        ridges: dict[tuple[int, int], float] = {}
+        for k in range(folds):
+            weight = np.ones(len(judged.rows))
+            weight[k] = 0.0
+            others = [g for g in range(folds) if g != k]
+            critics = []
+            for i in range(count):
+                key = (i, -1 if taught else k)
+                if key not in ridges:
+                    ridges[key] = self.ridge(judged, i, taught or others)
+                critics.append(self.critic(judged, weight, i, ridges[key]))
+            out.settled &= [critic.settled for critic in critics]
+            for part in blocks(np.flatnonzero(fold == k)):
+                phi = self.features.expected(data.observations[data.starts[part]], first[part])
+                for i, critic in enumerate(critics):
+                    out.begins[i, part] = self._value(phi[:, i] @ critic.weights[-1], self.horizon, judged)
+            for part in blocks(np.flatnonzero(of_row == k)):
+                phi = self.features.taken(data.observations[part], data.actions[part])
+                follows = self.features.expected(data.next_observations_at(part), after[part])
+                for i, critic in enumerate(critics):
+                    found = self._errors(part, phi, follows[:, i], critic, judged, marginal)
+                    for name, values in found.items():
+                        getattr(out, name)[i, part] = values
+        return out
+
+    def _value(self, x: np.ndarray, steps: int | None, sums: Sums) -> np.ndarray:
+        """Values cut at what a return of so many steps can be, in units of the reward."""
+        if steps == 0:
+            return np.zeros_like(x)
+        span = self.case.span if steps is None else discounted_steps(self.case.discount, steps)
+        low, high = min(sums.low, 0.0) * span, max(sums.high, 0.0) * span
+        if self.case.discount == 1.0 and steps is None:  # an episode may be longer than any that was seen
+            return x * self.std
+        return np.clip(x, low, high) * self.std
+
+    def _errors(
+        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray, critic: Critic, sums: Sums, marginal: bool
+    ) -> dict[str, np.ndarray]:
+        """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies."""
+        case, discount = self.case, self.case.discount
+        rewards = np.asarray(case.data.rewards[part], np.float64)
+        known, goes_on = case.followed[part], ~case.ended[part]
+        q, following = phi @ critic.weights.T, follows @ critic.weights.T  # (rows, steps)
+        weight = phi @ critic.ratios.T
+        if self.horizon is None:
+            v = self._value(following[:, 0], None, sums) * goes_on
+            error = np.where(known, rewards + discount * v - self._value(q[:, 0], None, sums), 0.0)
+            found = {"errors": error}
+            if marginal:
+                found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.span}
+            return found
+        time, rows, last = case.time[part], np.arange(len(part)), self.horizon - 1
+        steps = np.arange(self.horizon)
+        every_q = np.stack([self._value(q[:, h], h + 1, sums) for h in steps], 1)  # with h + 1 steps to go
+        every_v = np.stack([np.zeros(len(part)), *(self._value(following[:, h], h + 1, sums) for h in steps[:-1])], 1)
+        every_v *= goes_on[:, None]
+        # Where the horizon ends an episode, nothing that follows counts, whether it is known or not.
+        left = last - time
+        error = rewards + discount * every_v[rows, left] - every_q[rows, left]
+        found = {"errors": np.where(known | (left == 0), error, 0.0)}
+        if marginal:
+            every = rewards[:, None] + discount * every_v - every_q  # by steps to go
+            total = (weight * every[:, ::-1]).sum(1)
+            found |= {"weighted": np.where(known, total, 0.0), "weights": weight.sum(1) / case.span}
+        return found
+
+    def _penalised(self, gram: np.ndarray, ridge: float) -> np.ndarray:
+        out = gram + ridge * np.eye(len(gram))
+        if self.features.table is None:
+            out[0, 0] += 1e-6 - ridge  # the mean is not drawn towards zero
+        return out
+

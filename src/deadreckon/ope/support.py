@@ -1,0 +1,88 @@
+"""Whether the log can speak for a policy at all: checks of its support that look at no reward.
+
+Importance weights correct for how often an action was taken, not for actions that were never taken: without logged support the
+weights of what was logged average less than one, and the rewards of what is missing are simply not there.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deadreckon.ope import inference
+from deadreckon.ope.behavior import out_of_fold
+from deadreckon.ope.coverage import LEVEL, coverage
+from deadreckon.ope.estimate import BehaviorModel, Case
+from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.tables import draws_nothing
+
+RARE = 0.1  # of the probability of a uniform choice: actions below that have no support
+MISSING = 0.10  # of a policy's mass without support is too much
+SHORT = 0.95  # what the mean weight of one step must be able to be
+SURE = 0.01  # error rate of that test, for each policy
+
+
+class Support(NamedTuple):
+    """How much of what each policy does the log supports; (policies,) without the log's own, NaN where it cannot be told.
+
+    Attributes:
+        missing: share of the policy's actions, in states of the log, without logged support: discrete actions that the behaviour
+            policy takes less than a tenth as often as a uniform choice would; continuous ones outside what 99 % of the log's own
+            actions lie within.
+        ratio: mean weight of one step, pi(a|s) / beta(a|s) of the logged action, which is one where there is support.
+        ratio_high: upper end of its one-sided 99 % interval.
+        degenerate: whether the weights mean nothing, because the actions are continuous and the policy is deterministic.
+    """
+
+    missing: np.ndarray
+    ratio: np.ndarray
+    ratio_high: np.ndarray
+    degenerate: np.ndarray
+
+    def objections(self, which: int) -> list[str]:
+        """Why the log cannot speak for a policy, a phrase each."""
+        found = []
+        if self.missing[which] > MISSING:
+            found.append(f"{100 * self.missing[which]:.0f} % of its actions have no support in the log")
+        if self.ratio_high[which] < SHORT:
+            found.append(
+                f"its importance weights average {self.ratio[which]:.2f} a step instead of 1 (at most "
+                f"{self.ratio_high[which]:.2f} with 99 % confidence): it takes actions that the log does not show"
+            )
+        return found
+
+
+def support(case: Case, model: BehaviorModel, folds: int = 5) -> Support:
+    """Checks a case's policies; the models of the behaviour policy are those of its estimators.
+
+    Args:
+        case: log and policies.
+        model: how the behaviour policy is learned.
+        folds: into which the judged episodes are parted.
+    """
+    return case.once(("support", model, folds), lambda: _support(case, model, folds))
+
+
+def _support(case: Case, model: BehaviorModel, folds: int) -> Support:
+    count, discrete = len(case.policies), case.data.spec.discrete
+    nothing = np.full(count, np.nan)
+    degenerate = np.array([not discrete and (case.greedy or draws_nothing(policy)) for policy in case.policies])
+    if discrete:
+        chances = out_of_fold(case, model, folds).chances
+        assert chances is not None
+        table = case.current_actions(1)[:, :count]
+        rare = chances < RARE / chances.shape[1]
+        missing = (table * rare[:, None]).sum(-1).mean(0).astype(float)
+    else:
+        missing = 1.0 - (coverage(case, model) / LEVEL).clip(max=1.0)
+    if degenerate.all() or not case.tells:
+        return Support(missing, nothing, nothing, degenerate)
+    ratios = np.exp(np.minimum(log_ratios(case, "auto", model, None, folds)[:count], 50.0))
+    of_row = case.units[case.data.episode_of]
+    units = int(of_row.max()) + 1
+    rows = np.bincount(of_row, minlength=units)
+    mean = ratios.mean(1)
+    totals = np.stack([np.bincount(of_row, row, units) for row in ratios], 1)
+    influence = units * (totals - mean * rows[:, None]) / len(of_row)
+    high = inference.student(mean, influence, 2 * SURE)[1]
+    blank = lambda x: np.where(degenerate, np.nan, x)  # noqa: E731
+    return Support(missing, blank(mean), blank(high), degenerate)
