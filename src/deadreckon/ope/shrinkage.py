@@ -1,9 +1,9 @@
 """Doubly robust estimates with shrunk weights (Su, Dimakopoulou, Krishnamurthy and Dudik 2020).
 
-Optimistic shrinkage takes w_lambda = lambda w / (w^2 + lambda), which minimises lambda (w' - w)^2 + w^2 w'^2 over w' and with it
-a bound of the squared error (their section 4.1): it grows up to sqrt(lambda) / 2 at w = sqrt(lambda) and falls beyond.
-Pessimistic shrinkage clips: min(w, lambda). Both are plain weights for an endless lambda, and the critic alone for zero. For
-sequences the weight up to each decision is shrunk, which the paper, of one step, does not consider.
+Optimistic shrinkage takes w_lambda = lambda w / (w^2 + lambda), which minimises lambda (w' - w)^2 + w^2 w'^2 over w' and with
+it a bound of the squared error: it grows up to sqrt(lambda) / 2 at w = sqrt(lambda) and falls beyond. Pessimistic shrinkage
+clips: min(w, lambda). Both are plain weights for an endless lambda, and the critic alone for zero. For sequences the weight up
+to each decision is shrunk, which the paper, of one step, does not consider.
 """
 
 from typing import Literal

@@ -1,7 +1,6 @@
 """SWITCH: doubly robust where weights are small, the critic alone where they are large (Wang, Agarwal and Dudik 2017).
 
-For one step this is their SWITCH-DR, equation 7 with the doubly robust part in place of the importance-weighted one:
-V(s) + w 1[w <= tau] (r - Q(s, a)). For sequences the same holds at each decision, with the weight up to there:
+For one step this is their SWITCH-DR: V(s) + w 1[w <= tau] (r - Q(s, a)). For sequences the same holds at each decision, with the weight up to there:
 
     V(s_0) + sum_t discount^t rho_{0:t} 1[rho_{0:t} <= tau] (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
 
@@ -46,8 +45,8 @@ def switch_bias(
 ) -> np.ndarray:
     """(thresholds,) upper bounds of the bias: `span` times the discounted share of the policy's time beyond the threshold.
 
-    Wang et al. 2017, section 4, bound the critic's error by the range of the rewards; the share they take as an expectation
-    over all actions, here it is the mean of rho_{0:t} 1[rho_{0:t} > tau] over the log, which needs no more than the logged ones.
+    Wang et al. 2017, where they tune tau, bound the critic's error by the range of the rewards; the share they take as an
+    expectation over all actions, here it is the mean of rho_{0:t} 1[rho_{0:t} > tau], which needs no more than the logged ones.
 
     Args:
         log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.

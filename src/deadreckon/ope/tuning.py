@@ -17,10 +17,11 @@ from deadreckon.ope.intervals import ALPHA
 def slope(values: np.ndarray, widths: np.ndarray, factor: float = 2.0) -> int:
     """Index of the estimate that SLOPE chooses: the narrowest whose interval still meets those of all wider ones.
 
-    Su, Srinath and Krishnamurthy 2020, algorithm 1: with the estimates sorted from the widest to the narrowest, so from the least
-    bias to the most, it is the last i for which the intervals value_j +- factor width_j of all j <= i have a point in common.
-    If the widths hold for all at once, its error is at most 6 (1 + 1 / kappa) times the least sum of bias and width on the grid,
-    where kappa is the least ratio of a width to the one before (their theorem 3), and bias must not fall as widths do.
+    Su, Srinath and Krishnamurthy 2020, algorithm 1: with the estimates sorted from the widest to the narrowest, so from the
+    least bias to the most, it is the last i for which the intervals value_j +- factor width_j of all j <= i share a point.
+    If the widths hold for all at once and bias does not fall as they do, its error is at most 6 (1 + 1 / kappa) times the least
+    sum of bias and width on the grid, where kappa is the least ratio of a width to the one before (their theorem). A bias is
+    seen only where it exceeds the widths of both intervals, so with few episodes the narrowest estimate is chosen.
 
     Args:
         values: (grid,) estimates.
@@ -55,7 +56,7 @@ def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np
 
         |mean(full - scores)| + sqrt(2 s^2 log(2 / alpha) / n) + 2 max|full - scores| log(2 / alpha) / (3 n)
 
-    Bernstein's inequality, as in Su, Dimakopoulou, Krishnamurthy and Dudik 2020, section 4.3. They have the second moment and
+    Bernstein's inequality, as in Su, Dimakopoulou, Krishnamurthy and Dudik 2020. They have the second moment and
     the largest of the weights; here they are those of the difference itself, which is what the inequality is about, and which
     vanish where nothing is changed. Moments of the sample stand in for the true ones, so it holds for many episodes.
 
@@ -70,7 +71,7 @@ def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np
 
 
 def least_bound(scores: np.ndarray, biases: np.ndarray) -> int:
-    """Index of the least s^2 / n + bias^2 (Wang, Agarwal and Dudik 2017, section 4; Su et al. 2020, equation 11).
+    """Index of the least s^2 / n + bias^2 (Wang, Agarwal and Dudik 2017; Su, Dimakopoulou et al. 2020).
 
     Args:
         scores: (grid, episodes).
