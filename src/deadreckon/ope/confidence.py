@@ -1,13 +1,13 @@
 """Bounds of a mean that hold for any number of episodes, by betting (Waudby-Smith and Ramdas 2024).
 
 Whoever thinks that the mean is m offers fair bets on X - m. A capital that starts at one and is multiplied by
-1 + lambda_i (X_i - m) with each episode, lambda_i in [0, 1 / m) chosen before X_i is seen, is a nonnegative martingale if that is
-true: it ever reaches 1 / alpha with a chance of at most alpha (Ville). The lower bound is the least m that it does not refute.
+1 + lambda_i (X_i - m) with each episode, lambda_i in [0, 1 / m) chosen before X_i is seen, is a nonnegative martingale if that
+is true: it ever reaches 1 / alpha with a chance of at most alpha (Ville). The lower bound is the least m that is not refuted.
 Nothing is asked of X but that it is not negative, that the episodes are independent or at least E[X_i | earlier ones] = mu,
 and for what is bounded above also that bound.
 
-That importance-weighted returns may be clipped, and that a lower bound of nonnegative ones needs no largest weight at all, is in
-Karampatziakis, Mineiro and Ramdas 2021.
+That importance-weighted returns may be clipped, and that a lower bound of nonnegative ones needs no largest weight at all, is
+in Karampatziakis, Mineiro and Ramdas 2021.
 
 All functions take (..., n) samples, n in the order of the log, and bound the mean of each row.
 """
@@ -61,8 +61,8 @@ def interval(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(...,) bounds from both sides, each failing with a chance of at most `alpha` / 2, for samples in [least, most].
 
-    With hedged bets this is the paper's hedged capital interval with theta = 1/2: the larger half of a capital reaches 1 / alpha
-    where either, on its own, reaches 2 / alpha.
+    With hedged bets this is the paper's hedged capital interval with theta = 1/2: the larger half of a capital reaches
+    1 / alpha where either, on its own, reaches 2 / alpha.
     """
     x = np.asarray(x, float)
     span = most - least

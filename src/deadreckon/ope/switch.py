@@ -1,6 +1,7 @@
 """SWITCH: doubly robust where weights are small, the critic alone where they are large (Wang, Agarwal and Dudik 2017).
 
-For one step this is their SWITCH-DR: V(s) + w 1[w <= tau] (r - Q(s, a)). For sequences the same holds at each decision, with the weight up to there:
+For one step this is their SWITCH-DR: V(s) + w 1[w <= tau] (r - Q(s, a)). For sequences the same holds at each decision, with
+the weight up to there:
 
     V(s_0) + sum_t discount^t rho_{0:t} 1[rho_{0:t} <= tau] (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
 
