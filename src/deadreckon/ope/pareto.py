@@ -1,0 +1,57 @@
+"""Whether importance weights can be averaged: the shape of their tail (Vehtari, Simpson, Gelman, Yao and Gabry 2024).
+
+The largest weights follow a generalised Pareto distribution of shape k, and moments of weights are finite up to order 1 / k:
+beyond 1/2 there is no variance, beyond 0.7 averages of any practical number of episodes are off by unknown amounts, beyond 1
+there is no mean.
+"""
+
+import numpy as np
+
+from deadreckon.errors import UserError
+
+LEAST = 5  # weights above a threshold that a tail is fitted to
+
+
+def pareto_k(log_weights: np.ndarray) -> float:
+    """The shape k of the tail of importance weights, by the fit of PSIS to the largest of them.
+
+    The tail is the largest fifth of the weights, or 3 sqrt(n) of more than 225 (Vehtari et al. 2024, appendix), without those
+    that equal the weight below it: a threshold is exceeded, not met. Weights of zero have no tail and are left out.
+
+    Args:
+        log_weights: (n,) logarithms; minus infinity is a weight of zero.
+
+    Returns:
+        k; minus infinity where the largest weights are all the same, which is no tail at all; NaN where nobody can tell: fewer
+        than 25 weights above zero, or fewer than five that exceed the rest.
+
+    Raises:
+        UserError: logarithms that are NaN or infinite.
+    """
+    logs = np.asarray(log_weights, float)
+    if np.isnan(logs).any() or np.isposinf(logs).any():
+        raise UserError("weights must be finite, their logarithms numbers or minus infinity")
+    logs = np.sort(logs[logs > -np.inf])
+    n = len(logs)
+    if n < 5 * LEAST:
+        return float("nan")
+    size = int(3 * np.sqrt(n)) if n > 225 else n // 5
+    # Logarithms that differ by rounding are those of one weight.
+    cutoff = logs[n - size - 1]
+    above = logs[logs > cutoff + 1e-9]
+    if np.ptp(logs[n - size - 1 :]) < 1e-9:
+        return -np.inf
+    if len(above) < LEAST:
+        return float("nan")
+    from arviz_stats.base import array_stats  # a second, for this alone
+
+    # Its tail is a function of the number of weights: so many copies of the threshold that it is what exceeds this.
+    tail = len(above)
+    padding = 5 * tail - tail if tail <= 45 else -(-tail * tail // 9) - tail
+    # It takes log-likelihoods, whose negatives are the weights' logarithms.
+    return float(array_stats.psislw(-np.concatenate([np.full(padding, cutoff), above]))[1])
+
+
+def k_limit(n: int) -> float:
+    """The k above which an average of n weights is not to be trusted, min(1 - 1 / log10(n), 0.7): the paper's, for its size."""
+    return float(min(1.0 - 1.0 / np.log10(n), 0.7)) if n > 10 else 0.0

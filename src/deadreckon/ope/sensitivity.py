@@ -1,0 +1,193 @@
+"""What unmeasured confounding could do to an estimate: the marginal sensitivity model (Tan 2006).
+
+Whoever made the log may have seen what it does not hold. The model lets the true odds of each logged action differ from those
+that are taken for true by a factor between 1 / Gamma and Gamma. With beta the action's nominal probability and w = pi / beta
+its weight, the true weight then lies in
+
+    [w (beta + (1 - beta) / Gamma), w (beta + (1 - beta) Gamma)],
+
+and the self-normalised estimate between its least and its largest value over that box (Zhao, Small and Bhattacharya 2019).
+That is a fractional linear program, whose solution takes one end of the box for all outcomes above a threshold and the other
+below, so sorting solves it. For densities there are no odds; there the weight itself is off by up to Gamma, which is the limit
+of beta = 0. For sequences a whole episode's weight lies in the product of its steps' boxes (Kallus and Zhou 2020 treat the
+stationary case, which is not this one).
+
+These bounds are sharp for the box, but a box knows nothing else: that true weights must have mean one at every state, which
+would tighten them (Dorn and Guo 2023), is not used beyond the normalisation.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope.intervals import ALPHA
+from deadreckon.ope.sequences import cumulate, starts_of
+
+CELLS = 4_000_000  # of redraws by episodes that are held at a time
+
+
+def weight_box(
+    log_ratios: np.ndarray, gamma: float, log_behavior: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rows,) logarithms of the least and the largest weight that each logged action may have.
+
+    Sums of them over an episode are the box of the episode's weight.
+
+    Args:
+        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
+        gamma: Gamma, how much odds may be off by; 1 is no confounding.
+        log_behavior: (rows,) log beta(a|s), for discrete actions; None for densities.
+
+    Raises:
+        UserError: a Gamma below one, or probabilities above one.
+    """
+    if not 1.0 <= gamma < np.inf:
+        raise UserError(f"Gamma, a ratio of odds, must be 1 or more, got {gamma:g}")
+    beta = np.zeros_like(log_ratios) if log_behavior is None else np.exp(log_behavior)
+    if (beta > 1 + 1e-6).any():
+        raise UserError(f"{beta.max():.4g} is no probability of an action; densities are not for odds, leave them out")
+    beta = np.minimum(beta, 1.0)
+    return log_ratios + np.log(beta + (1 - beta) / gamma), log_ratios + np.log(beta + (1 - beta) * gamma)
+
+
+def bounds(
+    outcomes: np.ndarray,
+    log_low: np.ndarray,
+    log_high: np.ndarray,
+    baseline: np.ndarray | float = 0.0,
+    counts: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) least and largest of mean(baseline) + sum w y / sum w over weights within the box.
+
+    With returns as outcomes these are the bounds of a value, and with a baseline of minus the logged return of each episode,
+    which confounding does not touch, those of the gain over the log. With the errors r - Q(s, a) as outcomes and V(s) as
+    baseline they are doubly robust: only what the critic does not explain is uncertain. That stays valid for any critic, as
+    true weights carry Q to V.
+
+    Args:
+        outcomes: (episodes,) y, in units of the return.
+        log_low: (episodes,) logarithms of the least weights; minus infinity is a weight of zero.
+        log_high: (episodes,) those of the largest.
+        baseline: (episodes,), or one number for all.
+        counts: (n, episodes) how often each episode counts in each redrawn log; None takes each once, and n is one.
+
+    Raises:
+        UserError: no episode with a weight.
+    """
+    y, base = np.asarray(outcomes, float), np.broadcast_to(np.asarray(baseline, float), np.shape(outcomes))
+    top = np.max(log_high, initial=-np.inf)
+    if not np.isfinite(top):
+        raise UserError("no episode has a weight: the policy does nothing that is in the log")
+    order = np.argsort(y, kind="stable")
+    y, low, high = y[order], np.exp(log_low - top)[order], np.exp(log_high - top)[order]
+    counts = np.ones((1, len(y))) if counts is None else counts
+    found = []
+    for part in np.array_split(counts, max(1, -(-counts.size // CELLS))):
+        drawn = part[:, order].astype(float)
+        begin = (part @ base) / part.sum(1)
+        found.append([begin + _extreme(y, drawn, low, high, np.min), begin + _extreme(y, drawn, high, low, np.max)])
+    return tuple(np.concatenate(found, axis=1))
+
+
+def _extreme(
+    y: np.ndarray, counts: np.ndarray, below: np.ndarray, above: np.ndarray, pick: Callable[..., np.ndarray]
+) -> np.ndarray:
+    """(n,) the extreme ratio over all thresholds in ascending y: where weights are `above` up to it and `below` beyond.
+
+    The least ratio has the large weights at the small outcomes, so `above` is then the upper end of the box, and inversely.
+    """
+    numerator = _steps(counts * (below * y), counts * (above * y))
+    denominator = _steps(counts * below, counts * above)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = numerator / denominator
+    fallback = np.inf if pick is np.min else -np.inf
+    found = pick(np.where(denominator > 0, ratio, fallback), axis=1)
+    return np.where(np.isfinite(found), found, np.nan)  # a redrawn log in which nothing has a weight
+
+
+def _steps(beyond: np.ndarray, until: np.ndarray) -> np.ndarray:
+    """(n, episodes + 1) sums of `until` up to each threshold and of `beyond` after it."""
+    zero = np.zeros((len(beyond), 1))
+    after = np.concatenate([np.cumsum(beyond[:, ::-1], 1)[:, ::-1], zero], 1)  # no differences, which would lose digits
+    return after + np.concatenate([zero, np.cumsum(until, 1)], 1)
+
+
+def stepwise_bounds(
+    x: np.ndarray,
+    log_low: np.ndarray,
+    log_high: np.ndarray,
+    lengths: np.ndarray,
+    ended: np.ndarray,
+    discount: float,
+    baseline: np.ndarray | float = 0.0,
+    counts: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) least and largest self-normalised sum per decision, sum_t discount^t sum_i w_t x_t / sum_i w_t.
+
+    Each step has the extreme weights of its own box. As true weights of later steps contain those of earlier ones, these are
+    bounds, but not the sharpest; those of whole episodes (`bounds` of returns) are.
+
+    Args:
+        x: (rows,) rewards, or errors of a critic.
+        log_low: (rows,) logarithms of the least weights of each row's own action; here they are summed over the episode so far.
+        log_high: (rows,) those of the largest.
+        lengths: (episodes,) rows of each episode.
+        ended: (episodes,) whether it ended, and so keeps its last weight and earns nothing, or was cut off and is left out.
+        discount: per step.
+        baseline: (episodes,), or one number for all.
+        counts: (n, episodes) how often each episode counts in each redrawn log; None takes each once.
+    """
+    low, high = cumulate(log_low, lengths), cumulate(log_high, lengths)
+    first, alive_until = starts_of(lengths), np.asarray(lengths)
+    base = np.broadcast_to(np.asarray(baseline, float), alive_until.shape)
+    counts = np.ones((1, len(base))) if counts is None else counts
+    least = most = (counts @ base) / counts.sum(1)
+    for t in range(int(alive_until.max())):
+        inside = np.flatnonzero((alive_until > t) | ended)
+        row = first[inside] + np.minimum(t, alive_until[inside] - 1)
+        y = np.where(alive_until[inside] > t, x[row], 0.0)
+        if not np.isfinite(high[row].max()):
+            break  # no episode with a weight has come this far
+        down, up = bounds(y, low[row], high[row], counts=counts[:, inside])
+        least, most = least + discount**t * np.nan_to_num(down), most + discount**t * np.nan_to_num(up)
+    return least, most
+
+
+def interval(least: np.ndarray, most: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
+    """From the alpha / 2 percentile of redrawn least values to the 1 - alpha / 2 percentile of the largest ones.
+
+    Zhao, Small and Bhattacharya 2019, theorem 1: whatever the true weights in the box are, the bootstrap's percentiles of their
+    estimate lie within.
+
+    Args:
+        least: (n,) lower bounds of redrawn logs; those without any weight, NaN, are left out.
+        most: (n,) upper bounds of the same.
+        alpha: chance that the interval fails.
+    """
+    return float(np.nanquantile(least, alpha / 2)), float(np.nanquantile(most, 1 - alpha / 2))
+
+
+def tipping(lower: Callable[[float], float], most: float = 100.0, digits: int = 3) -> float:
+    """The largest Gamma at which `lower(Gamma)`, a lower bound of a gain that falls with it, stays above zero.
+
+    Args:
+        lower: of Gamma, from one on.
+        most: where the search ends.
+        digits: after the point, to which the answer is rounded down.
+
+    Returns:
+        Gamma; NaN where the gain is not above zero even at 1; infinity where it is still above zero at `most`.
+    """
+    if not lower(1.0) > 0:
+        return float("nan")
+    if lower(most) > 0:
+        return float("inf")
+    holds, fails = 1.0, most
+    while fails - holds > 10.0**-digits / 2:
+        middle = float(np.sqrt(holds * fails))
+        if lower(middle) > 0:
+            holds = middle
+        else:
+            fails = middle
+    return float(np.floor(holds * 10**digits) / 10**digits)

@@ -1,0 +1,69 @@
+"""SWITCH: doubly robust where weights are small, the critic alone where they are large (Wang, Agarwal and Dudik 2017).
+
+For one step this is their SWITCH-DR: V(s) + w 1[w <= tau] (r - Q(s, a)). For sequences the same holds at each decision, with
+the weight up to there:
+
+    V(s_0) + sum_t discount^t rho_{0:t} 1[rho_{0:t} <= tau] (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
+
+An endless tau is plain doubly robust estimation, a tau of zero the critic alone. It has no bias where the critic has none.
+"""
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope.sequences import corrected, cumulate, times, totals
+
+
+def switch_scores(
+    begin: np.ndarray,
+    log_ratios: np.ndarray,
+    errors: np.ndarray,
+    lengths: np.ndarray,
+    discount: float,
+    thresholds: np.ndarray,
+) -> np.ndarray:
+    """(thresholds, episodes) scores, whose means over the episodes are the estimates.
+
+    Args:
+        begin: (episodes,) V at the initial states.
+        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
+        errors: (rows,) r + discount V(s') - Q(s, a), with V(s') zero after terminals; in units of the reward.
+        lengths: (episodes,) rows of each episode.
+        discount: per step.
+        thresholds: (thresholds,) largest weights that are trusted; may be infinite.
+
+    Raises:
+        UserError: a threshold that is negative or no number.
+    """
+    log_rho, limits = cumulate(log_ratios, lengths), _logs(thresholds)
+    scores = [corrected(begin, np.exp(np.where(log_rho <= limit, log_rho, -np.inf)), errors, lengths, discount)
+              for limit in limits]  # fmt: skip
+    return np.stack(scores)
+
+
+def switch_bias(
+    log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray, span: float
+) -> np.ndarray:
+    """(thresholds,) upper bounds of the bias: `span` times the discounted share of the policy's time beyond the threshold.
+
+    Wang et al. 2017, where they tune tau, bound the critic's error by the range of the rewards; the share they take as an
+    expectation over all actions, here it is the mean of rho_{0:t} 1[rho_{0:t} > tau], which needs no more than the logged ones.
+
+    Args:
+        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
+        lengths: (episodes,) rows of each episode.
+        discount: per step.
+        thresholds: (thresholds,) as for the scores.
+        span: bound of the critic's expected error of one step, |E[r + discount V(s') - Q(s, a)]|, in units of the reward.
+    """
+    log_rho, fade = cumulate(log_ratios, lengths), discount ** times(lengths)
+    beyond = [totals(np.exp(np.where(log_rho > limit, log_rho, -np.inf)) * fade, lengths).mean() for limit in _logs(thresholds)]
+    return span * np.asarray(beyond)
+
+
+def _logs(thresholds: np.ndarray) -> np.ndarray:
+    thresholds = np.asarray(thresholds, float)
+    if not (thresholds >= 0).all():
+        raise UserError(f"thresholds of weights must be 0 or more, got {thresholds.min():g}")
+    with np.errstate(divide="ignore"):
+        return np.log(thresholds)

@@ -1,0 +1,80 @@
+"""How bad a policy's bad episodes are: the lower tail of its return, by importance weights of whole episodes.
+
+The conditional value at risk at a share alpha is the mean return of the worst alpha of episodes (Rockafellar and Uryasev 2002),
+
+    CVaR = max over q of q - E[(q - G)+] / alpha,
+
+where the alpha-quantile of G attains the maximum. The distribution of G under the policy is that of the log's episodes, each
+with its weight over the sum of weights (Chandak et al. 2021; Huang, Leqi, Lipton and Azizzadenesheli 2021).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.errors import UserError
+
+FEW = 10.0  # episodes that the tail's weights must amount to
+
+
+@dataclass(frozen=True)
+class Tail:
+    """The lower tail of one policy's return.
+
+    Attributes:
+        value: CVaR, in units of the return.
+        quantile: the return that the worst share of episodes does not exceed.
+        influence: (episodes,) how far each pulls the value, to first order; their mean is zero, their variance over n that of
+            the value.
+        effective: episodes that the weights of the tail amount to, (sum w)^2 / sum w^2.
+    """
+
+    value: float
+    quantile: float
+    influence: np.ndarray
+    effective: float
+
+    @property
+    def error(self) -> float:
+        """Standard error of the value."""
+        return float(self.influence.std(ddof=1) / np.sqrt(len(self.influence)))
+
+
+def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least: float = FEW) -> Tail:
+    """The mean return of the worst `share` of a policy's episodes.
+
+    The influence of an episode is w (q - (q - G)+ / share - CVaR) over the mean weight: the quantile has none of its own,
+    because it is where the maximum is.
+
+    Args:
+        log_weights: (episodes,) logarithms of whole episodes' weights; minus infinity is a weight of zero.
+        returns: (episodes,) discounted returns.
+        share: alpha, of the episodes, above 0 and up to 1, where the value is the self-normalised mean.
+        least: effective episodes in the tail below which there is no answer.
+
+    Raises:
+        UserError: a share that is none, no weight at all, or a tail of too few episodes.
+    """
+    if not 0.0 < share <= 1.0:
+        raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {share:g}")
+    logs, returns = np.asarray(log_weights, float), np.asarray(returns, float)
+    top = logs.max(initial=-np.inf)
+    if not np.isfinite(top):
+        raise UserError("no episode has a weight: the policy does nothing that is in the log")
+    weights = np.exp(logs - top)
+    weights /= weights.mean()
+    order = np.argsort(returns, kind="stable")
+    total = np.cumsum(weights[order])
+    # Rounding must not move a quantile that falls on an edge to the next return.
+    last = min(int(np.searchsorted(total, share * total[-1] * (1 - 1e-12))), len(order) - 1)
+    quantile = float(returns[order[last]])
+    within = weights[returns <= quantile]
+    effective = float(within.sum() ** 2 / np.square(within).sum())
+    if effective < least:
+        raise UserError(
+            f"the worst {100 * share:g} % of episodes rest on {effective:.1f} of {len(returns):,} in the log, fewer than the "
+            f"{least:g} that an estimate needs; ask for a larger share or bring more episodes"
+        )
+    each = quantile - np.maximum(quantile - returns, 0.0) / share
+    value = float((weights * each).mean())
+    return Tail(value, quantile, weights * (each - value), effective)

@@ -1,0 +1,108 @@
+"""Which value of a parameter that trades bias for variance: by SLOPE, or by an upper bound of the squared error.
+
+Estimates are given as scores (grid, episodes), one row a value of the parameter, whose means over the episodes are the
+estimates. A choice looks at the scores that it gets; `cross_fitted` hands it only those of other folds, so that what an episode
+adds is never scaled by a parameter that was chosen with it.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import special
+
+from deadreckon.errors import UserError
+from deadreckon.ope.intervals import ALPHA
+
+
+def slope(values: np.ndarray, widths: np.ndarray, factor: float = 2.0) -> int:
+    """Index of the estimate that SLOPE chooses: the narrowest whose interval still meets those of all wider ones.
+
+    Su, Srinath and Krishnamurthy 2020, algorithm 1: with the estimates sorted from the widest to the narrowest, so from the
+    least bias to the most, it is the last i for which the intervals value_j +- factor width_j of all j <= i share a point.
+    If the widths hold for all at once and bias does not fall as they do, its error is at most 6 (1 + 1 / kappa) times the least
+    sum of bias and width on the grid, where kappa is the least ratio of a width to the one before (their theorem). A bias is
+    seen only where it exceeds the widths of both intervals, so with few episodes the narrowest estimate is chosen.
+
+    Args:
+        values: (grid,) estimates.
+        widths: (grid,) half-widths of intervals around each estimate's own mean, without its bias; may be infinite.
+        factor: of the widths; 2 in the paper.
+
+    Raises:
+        UserError: no estimates, or widths that are no widths.
+    """
+    values, widths = np.asarray(values, float), np.asarray(widths, float)
+    if values.ndim != 1 or values.shape != widths.shape or not len(values):
+        raise UserError(f"SLOPE needs as many widths as estimates, at least one; got {values.shape} and {widths.shape}")
+    if not (np.isfinite(values).all() and (widths >= 0).all()):
+        raise UserError("SLOPE needs finite estimates and widths that are not negative")
+    order = np.argsort(-widths, kind="stable")
+    low = np.maximum.accumulate(values[order] - factor * widths[order])
+    high = np.minimum.accumulate(values[order] + factor * widths[order])
+    # Once empty, an intersection stays empty; the first interval meets itself.
+    return int(order[np.count_nonzero(low <= high) - 1])
+
+
+def half_widths(scores: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
+    """(grid,) half-widths t s / sqrt(n) of the mean scores, that hold for the whole grid at once (Bonferroni)."""
+    grid, n = scores.shape
+    if n < 2:
+        return np.full(grid, np.inf)
+    return special.stdtrit(n - 1, 1 - alpha / (2 * grid)) * scores.std(1, ddof=1) / np.sqrt(n)
+
+
+def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
+    """(grid,) upper bound of each estimate's bias, from its distance to one without bias.
+
+        |mean(full - scores)| + sqrt(2 s^2 log(2 / alpha) / n) + 2 max|full - scores| log(2 / alpha) / (3 n)
+
+    Bernstein's inequality, as in Su, Dimakopoulou, Krishnamurthy and Dudik 2020. They have the second moment and
+    the largest of the weights; here they are those of the difference itself, which is what the inequality is about, and which
+    vanish where nothing is changed. Moments of the sample stand in for the true ones, so it holds for many episodes.
+
+    Args:
+        scores: (grid, episodes).
+        full: (episodes,) scores of an estimate without bias.
+        alpha: chance that one bound fails.
+    """
+    n = scores.shape[1]
+    gap, term = full - scores, np.log(2 / alpha)
+    return np.abs(gap.mean(1)) + np.sqrt(2 * gap.var(1) * term / n) + 2 * np.abs(gap).max(1) * term / (3 * n)
+
+
+def least_bound(scores: np.ndarray, biases: np.ndarray) -> int:
+    """Index of the least s^2 / n + bias^2 (Wang, Agarwal and Dudik 2017; Su, Dimakopoulou et al. 2020).
+
+    Args:
+        scores: (grid, episodes).
+        biases: (grid,) upper bounds of their means' biases.
+
+    Raises:
+        UserError: fewer than two episodes, of which no variance is known.
+    """
+    if scores.shape[1] < 2:
+        raise UserError(f"a parameter cannot be chosen by the variance of {scores.shape[1]} episode")
+    return int(np.argmin(scores.var(1, ddof=1) / scores.shape[1] + np.square(biases)))
+
+
+def cross_fitted(
+    scores: np.ndarray, folds: np.ndarray, choose: Callable[[np.ndarray], int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The scores with a parameter that was chosen without them.
+
+    Args:
+        scores: (grid, episodes).
+        folds: (episodes,) number of each episode's fold.
+        choose: gets the (n,) episodes outside a fold, gives the index of the parameter.
+
+    Returns:
+        (episodes,) scores, and (folds,) the index chosen for each fold, in ascending order of the folds' numbers.
+
+    Raises:
+        UserError: a single fold, outside of which there is nothing.
+    """
+    names = np.unique(folds)
+    if len(names) < 2:
+        raise UserError("a parameter is chosen outside each fold, so there must be at least two folds")
+    chosen = np.array([choose(np.flatnonzero(folds != name)) for name in names])
+    return scores[chosen[np.searchsorted(names, folds)], np.arange(scores.shape[1])], chosen

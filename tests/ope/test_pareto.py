@@ -1,0 +1,55 @@
+"""The shape of tails: known ones are found, and what has none is told apart from what nobody can tell."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from deadreckon.errors import UserError
+from deadreckon.ope.pareto import k_limit, pareto_k
+
+
+@pytest.mark.parametrize("k", [0.0, 0.3, 0.7, 1.2])
+def test_known_shapes_are_found(k):
+    """On average over 60 samples within 0.08 of the truth, and no one far off."""
+    rng = np.random.default_rng(0)
+    found = [pareto_k(np.log(stats.genpareto.rvs(k, size=10_000, random_state=rng))) for _ in range(60)]
+    assert np.mean(found) == pytest.approx(k, abs=0.08)
+    assert np.std(found) < 0.15  # (1 + k) / sqrt(300) by theory
+
+
+def test_unit_order_and_zeros_do_not_matter():
+    logs = np.log(stats.genpareto.rvs(0.5, size=2000, random_state=0))
+    k = pareto_k(logs)
+    assert pareto_k(logs + 500.0) == pytest.approx(k)
+    assert pareto_k(logs[::-1]) == k
+    assert pareto_k(np.concatenate([np.full(700, -np.inf), logs])) == k
+
+
+def test_it_is_that_of_psis_where_nothing_is_tied():
+    from arviz_stats.base import array_stats
+
+    for n in (30, 226, 1000, 5000):
+        logs = np.random.default_rng(n).standard_normal(n) * 2
+        assert pareto_k(logs) == pytest.approx(float(array_stats.psislw(-logs)[1]), abs=1e-9)
+
+
+def test_what_has_no_tail():
+    assert pareto_k(np.zeros(1000)) == -np.inf
+    rng = np.random.default_rng(0)
+    assert pareto_k(np.log(rng.choice([0.5, 1.5], 1000))) == -np.inf  # a policy that doubles one of two actions
+    assert pareto_k(np.log(rng.choice([0.5, 1.5], 1000) * (1 + 1e-13 * rng.standard_normal(1000)))) == -np.inf
+    assert np.isnan(pareto_k(np.full(1000, -np.inf)))
+    assert np.isnan(pareto_k(np.zeros(24)))
+    assert np.isnan(pareto_k(np.log([1.0] * 1000 + [50.0, 60.0, 70.0])))
+    # Products of ties: few values, yet a tail.
+    steps = rng.choice([0.5, 1.5], (2000, 30))
+    assert 0.0 < pareto_k(np.log(steps).sum(1)) < 2.0
+    for bad in (np.nan, np.inf):
+        with pytest.raises(UserError, match="finite"):
+            pareto_k(np.array([0.0, bad]))
+
+
+def test_the_limit():
+    assert k_limit(100) == pytest.approx(0.5)
+    assert k_limit(10**6) == 0.7
+    assert k_limit(5) == 0.0
