@@ -215,6 +215,9 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     assert bad[0].method == "FQE-L2"
     mixed = dope.markdown([results[0], dataclasses.replace(results[0], log="other"), bad[0]], "regret")
     assert mixed.endswith("|  |")
+    # A log's name is whatever its file says, and leads nowhere.
+    dope.evaluate_log(dataclasses.replace(data, name="../../x"), "hopper", [TINY], **options)
+    assert sorted(p.name for p in (tmp_path / "dope").iterdir()) == ["..-..-x", "little"]
     other = dataclasses.replace(results[1], settings="another width")
     with pytest.raises(UserError, match="FQE-L2 on little has results of several settings"):
         dope.markdown([*results, other], "regret")

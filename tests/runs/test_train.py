@@ -166,6 +166,34 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("x/../../../RUN", "td3_bc-x-..-..-..-RUN"),
+        ("/abs/x", "td3_bc--abs-x"),
+        ("C:\\x", "td3_bc-C--x"),
+        ("mujoco/hopper/medium-v0", "td3_bc-mujoco-hopper-medium-v0"),
+        ("maze2d-umaze-v1@dr1", "td3_bc-maze2d-umaze-v1@dr1"),
+        ("n" * 300, "td3_bc-" + "n" * 193),
+    ],
+)
+def test_a_run_named_after_its_log_lies_in_runs_whatever_the_log_is_called(log, tmp_path, monkeypatch, name, folder):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "a" / "b")
+
+    class Begun(Exception):
+        pass
+
+    def watch(progress, steps):
+        raise Begun
+
+    with pytest.raises(Begun):
+        dr.train(agent(), log.select(range(3), name), watch=watch, **SETTINGS)
+    assert [path.name for path in tmp_path.iterdir() if path.name != "home"] == ["a"]
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["runs"]
+    assert [path.name for path in (tmp_path / "a" / "b" / "runs").iterdir()] == [folder]
+
+
 def test_a_kill_while_the_first_file_is_written_can_be_resumed(log, tmp_path):
     (tmp_path / "r").mkdir()
     (tmp_path / "r" / ".run.json.abc.tmp").write_text("half")

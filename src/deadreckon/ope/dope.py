@@ -19,7 +19,7 @@ import numpy as np
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.files import digest, read_json, write_json
+from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.ope.estimate import Case, Estimates, Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
 from deadreckon.ope.registry import Function, as_estimator
@@ -113,13 +113,13 @@ def evaluate_log(
         found = as_estimator(given)
         asked = {"settings": str(found), "seed": seed, "log": data.fingerprint, "truth": truth.tolist()}
         # What a function does is not in its name, so its results are not kept.
-        folder = None if out is None or isinstance(found, Function) else Path(out) / data.name
+        folder = None if out is None or isinstance(found, Function) else Path(out) / file_part(data.name)
         path = None if folder is None else folder / f"{type(found).__name__}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
             result = _kept(path)
         else:
             if case is None:
-                fits = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
+                fits = None if out is None else Path(out) / file_part(data.name) / f"fits-seed{seed}"
                 policies, behavior = [s.policy() for s in snapshots], float(np.mean(data.returns(discount)))
                 case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
             try:
