@@ -171,10 +171,12 @@ class Cell(NamedTuple):
     """A metric of one method on one log.
 
     Attributes:
-        mean, spread: over redrawn policies, of the mean over seeds; NaN where nothing finite was estimated.
+        value: on the policies as they are; like the next two a mean over seeds, and NaN where nothing finite was estimated.
+        mean, spread: over redrawn policies, which is what thesis E.2 prints.
         printed: mean and spread in thesis E.2 for the original log and policies, where it prints one on this scale.
     """
 
+    value: float
     mean: float
     spread: float
     printed: tuple[float, float] | None
@@ -198,12 +200,12 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
             if len({r.settings for r in own}) > 1:
                 raise UserError(f"{method} on {log} has results of several settings; keep each in a folder of its own")
             good = [r.metrics(**options) for r in own if np.isfinite(r.estimates).all()]
-            pair = np.mean([getattr(m, metric) for m in good], 0) if good else (math.nan, math.nan)
+            measured = np.mean([getattr(m, metric) for m in good], 0) if good else np.full(3, np.nan)
             if own:
                 # E.2 prints errors in returns, and regret of one choice in ranges.
                 same = options.get("normalised", True) == (metric != "absolute_error") and options.get("k", 1) == 1
                 theirs = printed(metric, log, method) if same else None
-                found.setdefault(log, {})[method] = Cell(float(pair[0]), float(pair[1]), theirs)
+                found.setdefault(log, {})[method] = Cell(*(float(x) for x in measured), printed=theirs)
     return found
 
 
@@ -215,7 +217,10 @@ def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
 
 
 def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
-    """A table of one metric: a row a log, below it what thesis E.2 prints, a column an estimator; medians last.
+    """A table of one metric: a row a log, a column an estimator; medians last.
+
+    Cells are the metric itself ± its deviation over redrawn policies. Where thesis E.2 prints the log, two rows follow that can
+    be compared with each other: the mean over redrawn policies ± the same deviation, and what E.2 prints, which is that.
 
     Arguments and errors are those of `cells`.
     """
@@ -224,16 +229,18 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
     lines = ["| log | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
     pair = lambda mean, spread: f"{mean:{form}} ± {spread:{form}}" if math.isfinite(mean) else ""  # noqa: E731
     for log, row in found.items():
-        form = ".2f" if max((abs(c.mean) for c in row.values() if math.isfinite(c.mean)), default=0.0) < 100 else ",.0f"
-        shown = [pair(row[m].mean, row[m].spread) if m in row else "" for m in methods]
+        form = ".2f" if max((abs(c.value) for c in row.values() if math.isfinite(c.value)), default=0.0) < 100 else ",.0f"
+        shown = [pair(row[m].value, row[m].spread) if m in row else "" for m in methods]
         lines.append(f"| {log} | " + " | ".join(shown) + " |")
         printed = [row[m].printed if m in row else None for m in methods]
         if any(printed):
+            redrawn = [pair(row[m].mean, row[m].spread) if p else "" for m, p in zip(methods, printed)]
+            lines.append("| over redrawn policies | " + " | ".join(redrawn) + " |")
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
     # Of all logs or of none: a median of those that a method can do would flatter it.
-    means = {m: [row[m].mean if m in row else math.nan for row in found.values()] for m in methods}
-    form = ".2f" if max((abs(m) for v in means.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
-    medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in means.values()]
+    values = {m: [row[m].value if m in row else math.nan for row in found.values()] for m in methods}
+    form = ".2f" if max((abs(m) for v in values.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
+    medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in values.values()]
     return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
 
 
