@@ -261,6 +261,21 @@ def test_interval_of_a_mean_by_hand():
     assert np.isnan(one.low)
 
 
+@pytest.mark.parametrize(
+    ("policies", "episodes", "between", "starts"),
+    [(2, 5, 3, 0), (2, 20, 1, 0), (2, 100, 0.3, 0), (3, 5, 0, 0), (3, 20, 1, 1), (3, 100, 0.3, 0), (3, 100, 0, 1),
+     (5, 20, 0.3, 0), (5, 5, 0, 1), (10, 5, 0, 1), (10, 100, 0.3, 0.3)],
+)  # fmt: skip
+def test_interval_of_a_mean_covers(policies, episodes, between, starts):
+    """Whether seeds, starts, both or neither differ, by normal deviations beside the rest's 1; 2,000 times each."""
+    rng, hits, times = np.random.default_rng(0), 0, 2000
+    for _ in range(times):
+        rest = rng.normal(0, 1, (policies, episodes))
+        found = mean_interval(rest + rng.normal(0, between, (policies, 1)) + rng.normal(0, starts, episodes))
+        hits += found.low <= 0 <= found.high
+    assert 0.935 <= hits / times <= 0.998  # a standard error is 0.005 at 0.95
+
+
 def test_logged_value_of_whole_episodes_and_of_cut_ones(log):
     cut = logged_value(log, task("maze2d-umaze"))
     np.testing.assert_allclose(cut["mean"], log.rewards.mean() * 300, rtol=1e-6)
