@@ -9,14 +9,17 @@ import shutil
 import sys
 import tempfile
 import time
+import unicodedata
 import warnings
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+
+LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind it
 
 
 def home() -> Path:
@@ -56,6 +59,47 @@ def replacing(path: Path | str) -> Iterator[Path]:
             for folder in made:  # innermost first; one that others have filled meanwhile stays
                 with contextlib.suppress(OSError):
                     folder.rmdir()
+
+
+def safe_name(name: str, what: str) -> str:
+    """`name`, which came from outside and becomes the name of a file: refused where that would not lie where it is made.
+
+    Args:
+        name: without an ending.
+        what: has that name, for the error.
+
+    Raises:
+        UserError: it is empty or too long, leads to another folder on some system, or holds control characters.
+    """
+    if not name:
+        why = "is empty"
+    elif name == ".." or PureWindowsPath(name).name != name:  # Windows knows every separator, and drives
+        why = "would lead to another folder"
+    elif any(_is_control(c) for c in name):
+        why = "has control characters"
+    elif len(name.encode()) > LONGEST:
+        why = f"is longer than {LONGEST} bytes"
+    else:
+        return name
+    shown = repr(name) if len(name) <= 60 else f"{name[:57]!r}..."
+    raise UserError(f"{what} {shown} {why}, so no file can be called that; rename it")
+
+
+def file_part(name: str) -> str:
+    """`name` as the name of a file: itself where it can be one, else with dashes for what cannot, and cut to its length.
+
+    For folders that are called after what is in them; names that become the same here share a folder.
+    """
+    try:
+        return safe_name(name, "")
+    except UserError:
+        plain = "".join("-" if c in "/\\:" or _is_control(c) else c for c in name)
+        plain = plain.encode()[:LONGEST].decode(errors="ignore")
+        return plain if plain.strip(".") else "-"
+
+
+def _is_control(c: str) -> bool:
+    return unicodedata.category(c) in ("Cc", "Cs")  # and halves of characters, which no encoding has
 
 
 def reserve(path: Path, size: int) -> None:

@@ -27,7 +27,8 @@ def test_from_files_to_a_decision(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--discount", "0.9", *SMALL]
     assert main([*common, "--estimators", "fqe,is", "--select", "--out", str(made / "ope")]) == 0
     out = capsys.readouterr().out
-    assert "FQE-L2, discounted return (0.9) with 95 % intervals" in out
+    for title in ("fqe (FQE-L2)", "is (WPDIS)"):
+        assert f"{title}, discounted return (0.9) with 95 % intervals" in out
     assert "bc seed 1" in out
     assert "the log" in out
     assert "effective episodes" in out

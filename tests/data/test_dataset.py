@@ -171,3 +171,36 @@ def test_strict_refuses_actions_out_of_the_logs_own_bounds():
         log.with_action_space(log.action_space, strict=True)
     fine = make_log()
     assert fine.with_action_space(fine.action_space, strict=True) is fine
+
+
+def test_probabilities_are_not_taken_for_their_logarithms(tmp_path):
+    from deadreckon.data.io import convert, read
+
+    rows = 13
+    sure = np.zeros(rows)
+    sure[4] = 9e-7  # rounding
+    make_log(discrete=True, behavior_log_probs=sure)
+    make_log(behavior_log_probs=np.full(rows, 2.5))  # a density may be above one
+    like = "all values lie in 0 .. 1 and look like probabilities, give their logarithms"
+    words = "^small: column behavior_log_probs has 0.25 in row 0, a log-probability of a discrete action is <= 0"
+    with pytest.raises(UserError, match=f"{words}; {like}$"):
+        make_log(discrete=True, behavior_log_probs=np.linspace(0.25, 1, rows))
+    mixed = np.where(np.arange(rows) == 7, 0.5, -1.0)
+    for column in (mixed, mixed[:, None]):
+        with pytest.raises(UserError, match=r"has 0.5 in row 7, a log-probability of a discrete action is <= 0$"):
+            make_log(discrete=True, behavior_log_probs=column)
+    for value in (np.nan, np.inf, -np.inf):
+        for discrete in (True, False):
+            never = ", as if the logged action had had no probability" if value == -np.inf else ""
+            with pytest.raises(UserError, match=f"column behavior_log_probs has {value} in row 7{never}$"):
+                make_log(discrete=discrete, behavior_log_probs=np.where(np.arange(rows) == 7, value, -1.0))
+    # Files come through the same door.
+    log = make_log(discrete=True)
+    columns = {"observations": log.observations, "actions": log.actions, "rewards": log.rewards}
+    np.savez(tmp_path / "log.npz", **columns, behavior_log_probs=np.full(rows, 0.5))
+    with pytest.raises(UserError, match=like):
+        read(tmp_path / "log.npz")
+    with pytest.raises(UserError, match=like):
+        convert(tmp_path / "log.npz", tmp_path / "out")
+    table = {"action": [0, 1, 0], "reward": [0.0] * 3, "x": [0.0] * 3, "p": [0.5, 0.25, 0.5]}
+    assert Dataset.from_frame(table, action="action", reward="reward", propensity="p").extras["behavior_log_probs"].max() < 0

@@ -92,6 +92,38 @@ def test_episodes_follow_one_another_in_time():
     assert log.observations[:, 0].tolist() == [3, 4, 1, 2]
 
 
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ([[0, 1, 2, 3], [0, 1], [0, 1, 2]], []),
+        ([[0, 1, 3, 4], [0, 1], [0, 1, 2]], ["1 of 6 steps skip values of t; their rows are taken as following one another"]),
+        ([[0, 1, 2, 3], [5, 6], [0, 1, 2]], ["1 of 3 episodes start after t 0, where most do; their first rows"]),
+        ([[1, 2], [2, 3, 9], [1, 2, 3]], ["1 of 5 steps skip", "1 of 3 episodes start after t 1, where most do"]),
+        ([[0, 1, 2], [7, 8, 9], [20, 21, 22]], []),  # a clock that runs on: no start is usual
+        ([[0, 10, 20, 30], [0, 10], [5, 15, 16]], []),  # most rows are not one apart, so these are no steps
+        ([[0.0, 0.5, 1.5], [0.0, 1.0], [0.0, 1.0, 3.0]], []),
+    ],
+)
+@pytest.mark.parametrize("dates", [False, True])
+def test_rows_that_are_missing_by_their_time_are_told(times, words, dates):
+    moments = [t for episode in times for t in episode]
+    rows, start = len(moments), dt.date(2026, 1, 1)
+    table = {"e": [e for e, episode in enumerate(times) for _ in episode], "x": [0.0] * rows, "a": [0] * rows, "r": [0] * rows,
+             "t": [start + dt.timedelta(days=t) for t in moments] if dates else moments}  # fmt: skip
+    order = np.random.default_rng(0).permutation(rows)
+    shuffled = {key: [column[i] for i in order] for key, column in table.items()}
+    told = from_frame(shuffled, episode="e", time="t", action="a", reward="r").warnings
+    told = [text for text in told if "skip" in text or "start" in text]
+    assert len(told) == (0 if dates else len(words))
+    assert all(word in text for word, text in zip(words, told))
+
+
+def test_a_gap_behind_an_end_is_none():
+    table = {"t": [0, 1, 2, 8, 9], "end": [0, 0, 1, 0, 0], "x": [0.0] * 5, "a": [0] * 5, "r": [0] * 5}
+    log = from_frame(table, time="t", terminal="end", action="a", reward="r")
+    assert not [text for text in log.warnings if "skip" in text or "start" in text]
+
+
 def test_without_time_rows_of_an_episode_keep_their_order():
     log = from_frame({"e": ["z", "a", "z", "a"], "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
                      episode="e", action="a", reward="r")  # fmt: skip

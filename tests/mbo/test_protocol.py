@@ -1,5 +1,7 @@
 """The protocol: percentiles over seeds, kept results, tables."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -26,6 +28,12 @@ def test_results_are_kept(branin, tmp_path, monkeypatch):
     monkeypatch.setattr(Random, "solve", broken)
     again = judge(branin, asked[1:], 16, seeds=range(4), out=tmp_path)
     np.testing.assert_array_equal(again[0].true, first[1].true)
+    assert len(list(tmp_path.rglob("*.json"))) == 2
+    strange = dataclasses.replace(branin, name="../../x")
+    judge(strange, [("../../best", designer("best"))], 16, seeds=range(4), out=tmp_path / "out")
+    [path] = (tmp_path / "out").rglob("*.json")
+    assert path.parent.name == "..-..-x"
+    assert path.name.startswith("..-..-best-")
     with pytest.raises(AssertionError, match="asked again"):  # other seeds are another question
         judge(branin, asked[1:], 16, seeds=range(5), out=tmp_path)
 

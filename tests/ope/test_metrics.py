@@ -45,8 +45,11 @@ def test_clipping_makes_ties_of_overestimates():
     truth = np.array([0.0, 1.0, 0.5])
     estimates = np.array([0.0, 2.5, 3.0])
     plain, clipped = (m.compare(estimates, truth, clip=clip) for clip in (None, m.PUBLIC_CLIP))
-    assert clipped.regret[0] < plain.regret[0]
-    assert clipped.absolute_error[0] < plain.absolute_error[0]
+    assert clipped.regret.mean < plain.regret.mean
+    assert clipped.absolute_error.mean < plain.absolute_error.mean
+    # In the set as it is: the two are a tie of the best and the middle one, and stand 1 and 1.5 off.
+    assert (plain.regret.value, clipped.regret.value) == (0.5, 0.25)
+    assert (plain.absolute_error.value, clipped.absolute_error.value) == pytest.approx((4 / 3, 2.5 / 3))
 
 
 def test_bootstrap_over_policies():
@@ -54,10 +57,28 @@ def test_bootstrap_over_policies():
     truth = rng.standard_normal(11)
     found = m.compare(truth + 0.1 * rng.standard_normal(11), truth)
     assert found.count == 11
-    assert 0.9 < found.rank_correlation[0] <= 1.0
-    assert 0.0 <= found.regret[0] < 0.1
-    assert 0.0 < found.absolute_error[1] < found.absolute_error[0]
+    assert 0.9 < found.rank_correlation.mean <= 1.0
+    assert 0.0 <= found.regret.mean < 0.1
+    assert 0.0 < found.absolute_error.spread < found.absolute_error.mean
     assert found == m.compare(truth + 0.1 * np.random.default_rng(0).standard_normal(22)[11:], truth)
+
+
+def test_the_metric_itself_stands_beside_its_mean_over_redrawn_policies():
+    """Two policies, the worse estimated higher: regret 1. Of the four draws with replacement two are of one policy alone."""
+    truth, estimates = np.array([0.0, 1.0]), np.array([5.0, 4.0])
+    found = m.compare(estimates, truth, normalised=False)
+    assert found.regret == (1.0, 1.0, 0.0)  # draws of one policy have no ranks and are left out
+    assert found.rank_correlation == pytest.approx((-1.0, -1.0, 0.0))
+    assert found.absolute_error == pytest.approx((4.0, 4.0, 0.0))
+    # The best of ten is estimated best, so the regret is 0; the others are in reverse, and where it is not drawn, as in
+    # 0.9^10 of all draws, the worst of those drawn is chosen. The greatest of ten draws of 0 .. 8 is on average:
+    greatest = 8 - sum((j / 9) ** 10 for j in range(1, 9))
+    truth = np.arange(10.0)
+    found = m.compare(np.append(-truth[:9], 1.0), truth, normalised=False, resamples=4000)
+    assert found.regret.value == 0.0
+    assert found.regret.mean == pytest.approx(0.9**10 * (2 * greatest - 8), abs=0.2)
+    assert found.regret.spread > 1
+    assert found.rank_correlation.value == pytest.approx(m.rank_correlation(np.append(-truth[:9], 1.0), truth))
 
 
 def test_refusals():

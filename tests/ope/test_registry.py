@@ -6,7 +6,7 @@ import pytest
 
 from deadreckon.cli.ope import Fits, estimators
 from deadreckon.errors import UserError
-from deadreckon.ope.registry import CPU_BUDGET, ESTIMATORS, estimator
+from deadreckon.ope.registry import CPU_BUDGET, ESTIMATORS, estimator, titled
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -18,6 +18,14 @@ def test_the_budget_of_a_cpu_changes_fields_that_are_there(name):
         assert (own if not isinstance(value, dict) else {inner: vars(own)[inner] for inner in value}) == value
     fitted = "steps" in {field.name for field in dataclasses.fields(found)} or hasattr(found, "fqe")
     assert (name in CPU_BUDGET) == fitted
+
+
+def test_a_label_tells_the_name_that_was_asked_for():
+    labels = {name: estimator(name).label for name in ESTIMATORS}
+    assert len(set(labels.values())) == len(labels)
+    shown = [titled(labels[name]) for name in ("is", "dr", "plain-dr", "fqe", "vpm")]
+    assert shown == ["is (WPDIS)", "dr (WDR)", "plain-dr (DR)", "fqe (FQE-L2)", "VPM"]
+    assert titled("mine") == "mine"  # a function's
 
 
 def test_what_is_asked_for_goes_before_the_budget():

@@ -13,6 +13,8 @@ from deadreckon.ope.estimate import BehaviorModel, Estimates
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
 from deadreckon.policies import BlackBoxPolicy, library
+from deadreckon.report.dope import write_bench
+from deadreckon.report.text import number
 from deadreckon.theory import garnet
 from deadreckon.theory.tabular import softmax
 from tests.ope.test_case import TINY, linear, lqr, riccati
@@ -197,9 +199,9 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     options = {"out": tmp_path / "dope"}
     results = dope.evaluate_log(data, "hopper", [perfect, TINY], **options)
     assert [r.method for r in results] == ["perfect", "FQE-L2"]
-    assert results[0].metrics().absolute_error[0] == 0.0
-    assert results[0].metrics().rank_correlation[0] == pytest.approx(1.0)
-    assert results[0].metrics().regret[0] == pytest.approx(0.0, abs=1e-12)
+    assert results[0].metrics().absolute_error == (0.0, 0.0, 0.0)
+    assert results[0].metrics().rank_correlation.value == pytest.approx(1.0)
+    assert results[0].metrics().regret.value == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(results[1].truth, truth)
     again = dope.evaluate_log(data, "hopper", [perfect, TINY], **options)
     assert calls == [0.995, 0.995]  # what a function does is not in its name
@@ -215,6 +217,9 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     assert bad[0].method == "FQE-L2"
     mixed = dope.markdown([results[0], dataclasses.replace(results[0], log="other"), bad[0]], "regret")
     assert mixed.endswith("|  |")
+    # A log's name is whatever its file says, and leads nowhere.
+    dope.evaluate_log(dataclasses.replace(data, name="../../x"), "hopper", [TINY], **options)
+    assert sorted(p.name for p in (tmp_path / "dope").iterdir()) == ["..-..-x", "little"]
     other = dataclasses.replace(results[1], settings="another width")
     with pytest.raises(UserError, match="FQE-L2 on little has results of several settings"):
         dope.markdown([*results, other], "regret")
@@ -222,15 +227,29 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
         dope.evaluate_log(data, "hopper", [lambda data, policies, discount: [1.0]])
 
 
-def test_published_values_stand_below_ours():
+def test_published_values_stand_below_ours(tmp_path):
     """Rank correlations and regrets of thesis E.2 by name; absolute errors only in returns, which is what it prints."""
     truth = np.linspace(0.0, 3000.0, 11)
     names = tuple(f"snapshot-{i}" for i in range(11))
     made = dope.Result("hopper-medium-v2@dr1", "WDR", names, 1500.0, truth, truth * 0, truth[::-1], truth, truth, 1.0, (), "")
     cell = dope.cells([made], "rank_correlation")["hopper-medium-v2@dr1"]["WDR"]
-    assert cell.mean == pytest.approx(-1.0)
+    assert cell.value == cell.mean == pytest.approx(-1.0)
     assert cell.printed == tuple(published()["rank_correlation"]["d4rl"]["hopper-medium"]["DR"])
-    assert "| thesis E.2 |" in dope.markdown([made], "regret")
+    # The one that seems best is the worst: a regret of the whole range, which redrawn sets that lack the extremes do not have.
+    cell = dope.cells([made], "regret")["hopper-medium-v2@dr1"]["WDR"]
+    assert cell.value == 1.0
+    assert cell.mean < 0.95
+    rows = [line.split("|")[1:3] for line in dope.markdown([made], "regret").splitlines()]
+    assert rows[2:5] == [
+        [" hopper-medium-v2@dr1 ", f" 1.00 ± {cell.spread:.2f} "],
+        [" over redrawn policies ", f" {cell.mean:.2f} ± {cell.spread:.2f} "],
+        [" thesis E.2 ", " {:.2f} ± {:.2f} ".format(*cell.printed)],
+    ]
+    page = write_bench([made], tmp_path / "page.html").read_text()
+    own = [number(x) for x in (cell.value, cell.spread, cell.mean)]
+    shown = "<b>{}</b><small>±{}</small><small>redrawn {}</small><small>thesis ".format(*own)
+    assert shown in page
+    assert "The thesis (E.2) prints means over redrawn policies" in page
     assert "| thesis E.2 |" not in dope.markdown([made], "absolute_error")
     raw = dope.markdown([made], "absolute_error", normalised=False)
     assert "| thesis E.2 |" in raw
@@ -239,4 +258,4 @@ def test_published_values_stand_below_ours():
     np.testing.assert_allclose(made.risks(), (best / truth[:5].std(), 1.0, 5 / 6))
     assert f"| WDR | {best / truth[:5].std():.2f} | 1.00 | 0.83 |" in dope.risks([made])
     lost = dataclasses.replace(made, estimates=np.full(11, np.nan))
-    assert np.isnan(dope.cells([lost], "regret")["hopper-medium-v2@dr1"]["WDR"].mean)
+    assert np.isnan(dope.cells([lost], "regret")["hopper-medium-v2@dr1"]["WDR"].value)

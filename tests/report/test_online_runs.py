@@ -64,7 +64,8 @@ def test_nothing_is_said_to_be_better_than_a_log_that_is_not_there(tmp_path):
 
 
 def test_beside_runs_on_a_log_it_is_shown_and_not_chosen(tmp_path):
-    runs = [write_run(tmp_path / agent, agent, level, task="halfcheetah") for agent, level in (("bc", 20.0), ("sac", 40.0))]
+    levels = {"bc": 20.0, "sac": 40.0}
+    runs = [write_run(tmp_path / agent, agent, levels[agent], task="halfcheetah", seeds=4) for agent in levels]
     runs.append(online(tmp_path / "run"))
     page = read(runs)
     assert [e.label for e in page.entries] == ["BC", "SAC", "SAC online"]

@@ -105,7 +105,7 @@ def test_what_cannot_share_a_program_is_refused_and_nothing_is_written(log, tmp_
     out = tmp_path / "r"
     with pytest.raises(dr.UserError, match=r"TD3BC.hidden shapes the program"):
         dr.train_together({"a": td3_bc(), "b": td3_bc(hidden=(8,))}, log, out=out, **SETTINGS)
-    for name in ("", ".", "..", "a/b", "checkpoints"):
+    for name in ("", ".", "..", "a/b", "a\\b", "/a", "a\0", "a" * 300, "checkpoints"):
         with pytest.raises(dr.UserError, match="agents are named as folders are"):
             dr.train_together({name: td3_bc()}, log, out=out, **SETTINGS)
     with pytest.raises(dr.UserError, match=r"MOBILE.floor shapes the program"):

@@ -166,6 +166,34 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("x/../../../RUN", "td3_bc-x-..-..-..-RUN"),
+        ("/abs/x", "td3_bc--abs-x"),
+        ("C:\\x", "td3_bc-C--x"),
+        ("mujoco/hopper/medium-v0", "td3_bc-mujoco-hopper-medium-v0"),
+        ("maze2d-umaze-v1@dr1", "td3_bc-maze2d-umaze-v1@dr1"),
+        ("n" * 300, "td3_bc-" + "n" * 193),
+    ],
+)
+def test_a_run_named_after_its_log_lies_in_runs_whatever_the_log_is_called(log, tmp_path, monkeypatch, name, folder):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "a" / "b")
+
+    class Begun(Exception):
+        pass
+
+    def watch(progress, steps):
+        raise Begun
+
+    with pytest.raises(Begun):
+        dr.train(agent(), log.select(range(3), name), watch=watch, **SETTINGS)
+    assert [path.name for path in tmp_path.iterdir() if path.name != "home"] == ["a"]
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["runs"]
+    assert [path.name for path in (tmp_path / "a" / "b" / "runs").iterdir()] == [folder]
+
+
 def test_a_kill_while_the_first_file_is_written_can_be_resumed(log, tmp_path):
     (tmp_path / "r").mkdir()
     (tmp_path / "r" / ".run.json.abc.tmp").write_text("half")
@@ -231,6 +259,21 @@ def test_interval_of_a_mean_by_hand():
     one = mean_interval(np.array([[7.0]]))
     assert one.mean == 7.0
     assert np.isnan(one.low)
+
+
+@pytest.mark.parametrize(
+    ("policies", "episodes", "between", "starts"),
+    [(2, 5, 3, 0), (2, 20, 1, 0), (2, 100, 0.3, 0), (3, 5, 0, 0), (3, 20, 1, 1), (3, 100, 0.3, 0), (3, 100, 0, 1),
+     (5, 20, 0.3, 0), (5, 5, 0, 1), (10, 5, 0, 1), (10, 100, 0.3, 0.3)],
+)  # fmt: skip
+def test_interval_of_a_mean_covers(policies, episodes, between, starts):
+    """Whether seeds, starts, both or neither differ, by normal deviations beside the rest's 1; 2,000 times each."""
+    rng, hits, times = np.random.default_rng(0), 0, 2000
+    for _ in range(times):
+        rest = rng.normal(0, 1, (policies, episodes))
+        found = mean_interval(rest + rng.normal(0, between, (policies, 1)) + rng.normal(0, starts, episodes))
+        hits += found.low <= 0 <= found.high
+    assert 0.935 <= hits / times <= 0.998  # a standard error is 0.005 at 0.95
 
 
 def test_logged_value_of_whole_episodes_and_of_cut_ones(log):

@@ -225,10 +225,14 @@ def choosing(epsilon, discount):
     return *found, least
 
 
-@pytest.mark.parametrize(("discount", "fails"), [(0.1, True), (0.4, True), (0.6, False)])
-def test_a_counter_example_to_the_printed_theorem(discount, fails):
-    """C(Π) = 1 / ε against 1 + γ / (1 - γ) (1 - ε) / ε: too little for γ < 1/2."""
+@pytest.mark.parametrize(
+    ("discount", "printed"), [(0.05, 1.47), (0.1, 2.0), (0.4, 7.0), (0.499, 9.96), (0.501, 10.04), (0.6, 14.5), (0.9, 82.0)]
+)
+def test_a_counter_example_to_the_printed_theorem(discount, printed):
+    """C(Π) = 1 / ε against 1 + γ / (1 - γ) (1 - ε) / ε: too little for γ < 1/2, and for no other γ."""
     wide, own, least = choosing(0.1, discount)
+    fails = discount < 0.5
+    assert con.printed_support_bound(own, least, 0.1, discount) == pytest.approx(printed, abs=0.005)
     assert (wide, own, least) == (pytest.approx(10.0, abs=1e-5), pytest.approx(1.0, abs=1e-6), 0.1)
     assert (wide > con.printed_support_bound(own, least, 0.1, discount) + 1e-6) == fails
     assert wide <= con.support_bound(own, least, 0.1, discount)

@@ -27,7 +27,7 @@ from deadreckon.ope.registry import estimator
 SOURCES = {
     "learn": "Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator",
     "design": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges",
-    "ope": "appendix E.2, on D4RL's logs and DOPE's policies: not the same data, not the same policies",
+    "ope": "appendix E.2, on D4RL's logs and DOPE's policies, means over redrawn ones: neither the same data nor policies",
 }
 SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
 FORMATS = ("text", "markdown", "csv", "latex")

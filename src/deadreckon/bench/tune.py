@@ -90,7 +90,7 @@ class Tuned:
             chance = np.mean([max(t.scores.mean() for t in self.trials) - trial.scores.mean() for trial in self.trials])
             lines.append(f"the choice loses {self.lost:.1f} points of score{share}; a choice by chance would lose {chance:.1f}")
         if self.truth is not None:
-            lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation[0]:.2f}")
+            lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation.value:.2f}")
         return "\n".join(lines)
 
     def _standing(self, trial: Trial) -> float:

@@ -157,7 +157,7 @@ def _ope(job: Job, folder: Path, watch: Watch) -> Found:
     for seed in job.seeds:
         [result] = evaluate_log(log, task.name, [estimator_of(job)], seed=seed, out=shared, watch=told)
         sound = bool(np.isfinite(result.estimates).all())
-        found = {name: getattr(result.metrics(), name)[0] if sound else None for name in METRICS}
+        found = {name: getattr(result.metrics(), name).value if sound else None for name in METRICS}
         rows.append(
             {
                 "seed": seed, "score": found["rank_correlation"], "raw": None, "steps": 0, "seconds": result.seconds,

@@ -12,6 +12,7 @@ import tyro
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
+from deadreckon.files import file_part
 
 USUAL = "ensemble"  # the method where none is named
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
@@ -77,7 +78,7 @@ def _propose(name: str, method: Any, options: Design) -> None:
         data = problem.visible
     else:
         data = _designs(options)
-    out = Path(options.out or f"runs/design/{name}-{data.name}")
+    out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
     with Watch() as watch:
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch)
     scores = None if problem is None else problem.score(made)

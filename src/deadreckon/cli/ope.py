@@ -78,7 +78,7 @@ def ope(args: Sequence[str]) -> None:
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
     from deadreckon.ope.coverage import MODEL
-    from deadreckon.ope.registry import with_fields
+    from deadreckon.ope.registry import titled, with_fields
     from deadreckon.runs.offline import checked, coverages, judge
 
     found = estimators(options.estimators, options.fits)
@@ -92,8 +92,8 @@ def ope(args: Sequence[str]) -> None:
             options.policies, data, found, out=options.out, discount=options.discount, greedy=options.greedy, task=options.task,
             seed=options.seed, model=with_fields(MODEL, options.fits.given), watch=watch,
         )  # fmt: skip
-    for each in judged.estimates:
-        print(f"{each}\n")
+    for each in judged.estimates:  # under the names that were asked for: what `dr` gives is labelled WDR, and DR is another
+        print(f"{dataclasses.replace(each, method=titled(each.method))}\n")
     print(f"{coverages(judged.told)}\n")
     if options.select:
         print(judged.choice)
@@ -107,7 +107,7 @@ def bench(args: Sequence[str]) -> None:
     options = parse(Bench, args, "ope bench")
     from deadreckon.ope import dope
     from deadreckon.ope.metrics import PUBLIC_CLIP
-    from deadreckon.ope.registry import CPU_BUDGET, PUBLIC, with_fields
+    from deadreckon.ope.registry import CPU_BUDGET, PUBLIC, titled, with_fields
     from deadreckon.report.dope import write_bench
     from deadreckon.runs import dope as protocol
 
@@ -116,7 +116,7 @@ def bench(args: Sequence[str]) -> None:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
     tasks, kinds = ([name.strip() for name in names.split(",")] for names in (options.tasks, options.kinds))
     logs = [name.strip() for name in options.logs.split(",")] if options.logs else ()
-    told = lambda r: print(f"{r.log} {r.method}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
+    told = lambda r: print(f"{r.log} {titled(r.method)}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
     with Watch() as watch:
         results = protocol.dope(
             found, tasks, kinds, logs=logs, log_steps=options.log_steps, seeds=options.seeds, seed=options.seed,

@@ -11,6 +11,8 @@ import numpy as np
 from deadreckon.data.spec import Box, Discrete, Spec, Statistics
 from deadreckon.errors import UserError
 
+LOG_PROBS = "behavior_log_probs"  # the column of the logging policy's log-probabilities
+SLACK = 1e-6  # that a logarithm of a probability may lie above 0 by rounding
 _BLOCK = 262_144  # rows looked at together, so that checks never load a memory-mapped column whole
 
 
@@ -100,7 +102,8 @@ class Dataset:
             name: of the log.
             provenance: where the columns come from.
             strict: refuse actions out of bounds instead of warning.
-            **extras: further columns with `rows` rows.
+            **extras: further columns with `rows` rows; `behavior_log_probs` are the logging policy's log-probabilities of the
+                logged actions, at most 0 where actions are discrete (of continuous ones they are log-densities).
 
         Raises:
             UserError: one line that names the column and the row.
@@ -121,6 +124,8 @@ class Dataset:
 
         observations = _observation_column(name, "observations", observations)
         actions, space = _action_column(name, actions, action_space)
+        if isinstance(space, Discrete) and LOG_PROBS in extras:
+            _check_log_probabilities(name, np.asanyarray(extras[LOG_PROBS]))
         rewards = _flat(name, "rewards", rewards, np.float32)
         terminals = np.zeros(rows, bool) if terminals is None else _flag(name, "terminals", terminals)
         if next_observations is not None:
@@ -370,7 +375,24 @@ def _check_numbers(log: str, key: str, column: np.ndarray) -> None:
         if bad.any():
             where = np.argwhere(bad)[0]
             value = column[start + where[0]][tuple(where[1:])]
-            raise UserError(f"{log}: column {key} has {value} in row {start + where[0]}")
+            never = ", as if the logged action had had no probability" if key == LOG_PROBS and value == -np.inf else ""
+            raise UserError(f"{log}: column {key} has {value} in row {start + where[0]}{never}")
+
+
+def _check_log_probabilities(log: str, column: np.ndarray) -> None:
+    """Refuses probabilities given as their logarithms: every weight made of them would be wrong, and none would show it."""
+    row, value, low, high = -1, 0.0, np.inf, -np.inf
+    for start in _blocks(column):
+        part = column[start : start + _BLOCK]
+        low, high = min(low, float(part.min())), max(high, float(part.max()))
+        if row < 0 and high > SLACK:
+            first = np.argwhere(part > SLACK)[0]
+            row, value = start + int(first[0]), float(part[tuple(first)])
+    if row < 0:
+        return
+    like = "; all values lie in 0 .. 1 and look like probabilities, give their logarithms" if low >= 0 and high <= 1 else ""
+    found = f"column {LOG_PROBS} has {value:g} in row {row}"
+    raise UserError(f"{log}: {found}, a log-probability of a discrete action is <= 0{like}")
 
 
 def _observation_column(log: str, key: str, column: np.ndarray) -> np.ndarray:

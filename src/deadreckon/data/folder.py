@@ -13,6 +13,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.layout import build, columns_of, damaged, header_of, parse_header, reading
 from deadreckon.errors import UserError
+from deadreckon.files import safe_name
 
 HEADER = "log.json"
 
@@ -26,17 +27,20 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
         force: replace what is there; it goes only when the new log is complete.
 
     Raises:
-        UserError: `path` exists, or cannot be written. Nothing is left behind, and what was there stays.
+        UserError: `path` exists, a column's name can be no file's, or it cannot be written. Nothing is left behind, and
+            what was there stays.
     """
     path = Path(path)
     if path.exists() and not force:
         raise UserError(f"{path} exists already")
+    columns = columns_of(log)
+    for key in columns:  # named by whoever made the log
+        safe_name(key, f"{path}: column")
     made = [folder for folder in path.absolute().parents if not folder.exists()]
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
-        columns = columns_of(log)
         for key, column in columns.items():
             with open(temporary / f"{key}.npy", "wb") as file:
                 np.save(file, column, allow_pickle=False)

@@ -92,9 +92,12 @@ def from_frame(
         columns["behavior_log_probs"] = _log_probabilities(name, table, propensity)
     if episode is None and time is None and terminal is None and timeout is None:
         columns["terminals"][:] = True
-    order, ends = _order(encoder, episode, time)
+    order, ends, moments = _order(encoder, episode, time)
     if order is not None:
         columns = {key: column[order] for key, column in columns.items()}
+    if time is not None and moments is not None:
+        stops = ends | columns["terminals"] | columns["timeouts"]
+        encoder.warnings += _missing_steps(time, moments, stops, ends if episode is not None else None)
     early = int((columns["terminals"] & ~ends).sum()) if episode is not None else 0
     if early:
         encoder.warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
@@ -191,13 +194,20 @@ def _log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
     return np.log(values).astype(np.float32)
 
 
-def _order(encoder: Encoder, episode: str | None, time: str | None) -> tuple[np.ndarray | None, np.ndarray]:
-    """The order of rows (None: as they are) and (rows,) whether each, in that order, is its episode's last."""
+def _order(
+    encoder: Encoder, episode: str | None, time: str | None
+) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None]:
+    """How rows are put into episodes.
+
+    Returns:
+        The order of rows (None: as they are); (rows,) whether each, in that order, is its episode's last; and (rows,) their
+        moments in that order, None where there are none or they are dates.
+    """
     rows = encoder.table.num_rows
     last = np.zeros(rows, bool)
     last[-1] = True
     if episode is None and time is None:
-        return None, last
+        return None, last, None
     moments = np.zeros(rows) if time is None else _moments(encoder, time)
     codes = np.zeros(rows, np.int64) if episode is None else _episodes(encoder, episode, ordered=time is not None)
     # Episodes follow one another by their first moment, so that a split by time is one; equal ones by their names.
@@ -209,7 +219,34 @@ def _order(encoder: Encoder, episode: str | None, time: str | None) -> tuple[np.
     last[:-1] = ~same
     if time is not None and (ties := int((same & (moments[1:] == moments[:-1])).sum())):
         encoder.warnings.append(f"{ties} rows have the {time} of the row before them; they stay in the table's order")
-    return order, last
+    dated = time is None or pa.types.is_temporal(encoder.complete(time).type)
+    return order, last, None if dated else moments
+
+
+def _missing_steps(time: str, moments: np.ndarray, stops: np.ndarray, ends: np.ndarray | None) -> list[str]:
+    """What to say of rows that seem to be missing, where `time` counts steps: whole numbers that mostly grow by one.
+
+    Args:
+        time: the column.
+        moments: (rows,) of it, sorted.
+        stops: (rows,) bool, after which a gap is none.
+        ends: (rows,) bool, the last rows of episodes that a column tells apart; None where no column does.
+    """
+    steps = np.diff(moments)[~stops[:-1]]
+    if not len(steps) or (moments != np.floor(moments)).any() or 2 * int((steps == 1).sum()) <= len(steps):
+        return []
+    told = []
+    if gaps := int((steps > 1).sum()):
+        told.append(f"{gaps} of {len(steps)} steps skip values of {time}; their rows are taken as following one another")
+    if ends is not None:
+        starts = moments[np.append(0, np.flatnonzero(ends)[:-1] + 1)]
+        values, counts = np.unique(starts, return_counts=True)
+        usual = values[np.argmax(counts)]
+        # Where time runs on through all episodes, no start is usual, and none is late.
+        if 2 * counts.max() > len(starts) and (late := int((starts > usual).sum())):
+            text = f"{late} of {len(starts)} episodes start after {time} {usual:g}, where most do"
+            told.append(f"{text}; their first rows are taken as starts")
+    return told
 
 
 def _episodes(encoder: Encoder, column: str, ordered: bool) -> np.ndarray:

@@ -19,13 +19,14 @@ from deadreckon.data.layout import (
     extra_name,
     header,
     header_of,
+    naming,
     parse_header,
     reading,
     refuse_mmap,
 )
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.files import replacing, reserve
+from deadreckon.files import digest, replacing, reserve, safe_name
 
 _BLOCK = 262_144  # rows copied at a time
 _HEADER = "deadreckon"  # attribute that holds the header as JSON
@@ -79,7 +80,9 @@ def read_hdf5(
                 left_out.append(key)
             elif key not in COLUMNS and dataset.shape[:1] == (rows,):
                 extra = _RENAMED.get(key) if about is None else None
-                columns[extra or extra_name(key, columns)] = _load(path, key, dataset, mmap, scratch)
+                with naming(path, ""):
+                    extra = extra or extra_name(key, columns)
+                columns[extra] = _load(path, key, dataset, mmap, scratch)
     found = {"metadata": metadata, "left_out": left_out}
     extra = {key: value for key, value in found.items() if value}
     return build(path, columns, about, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon)
@@ -89,7 +92,7 @@ def write_hdf5(log: Dataset, path: Path | str) -> None:
     """Writes `log` so that `read_hdf5` gives it back exactly, also memory-mapped. Atomic.
 
     Raises:
-        UserError: the file cannot be written.
+        UserError: a column's name would be a path in the file, or the file cannot be written.
     """
     columns = columns_of(log)
     finals = columns.pop("final_observations"), columns.pop("final_known")
@@ -169,8 +172,11 @@ def create(
         episodes: how many there will be, for the space that their final observations take; `rows` at most.
 
     Raises:
-        UserError: the file cannot be written, or the number of final observations is wrong.
+        UserError: a column's name would be a path in the file, the file cannot be written, or the number of final
+            observations is wrong.
     """
+    for key in columns:
+        safe_name(key, f"{path}: column")
     about = about or header(name, action_space, provenance or Provenance())
     sizes = {key: math.prod(shape) * np.dtype(dtype).itemsize for key, (shape, dtype) in columns.items()}
     finals = (rows if episodes is None else episodes) * (sizes.get("observations", 0) + 1)
@@ -226,7 +232,7 @@ def _load(path: Path | str, key: str, dataset: h5py.Dataset, mmap: bool, scratch
     if obstacle:
         if dataset.ndim == 0 or dataset.size == 0:
             return dataset[()]
-        return _copied(dataset, Path(scratch or "") / key.replace("/", "_"), key in COLUMNS)
+        return _copied(dataset, Path(scratch or "") / digest(key, 16), key in COLUMNS)  # a key is a path in the file
     offset = dataset.id.get_offset()
     if offset is None:  # never written: h5py gives no place for columns without bytes
         return dataset[()]

@@ -202,10 +202,17 @@ def stem(path: Path | str) -> str:
 
 
 def extra_name(key: str, taken: Mapping[str, Any]) -> str:
-    """The name of an extra column for a path such as `infos/goal`: `goal`, or `infos_goal` where that is taken."""
+    """The name of an extra column for a path such as `infos/goal`: `goal`, or `infos_goal` where that is taken.
+
+    Raises:
+        UserError: that is taken too, so one of the two would be lost.
+    """
     parts = key.split("/")
     short = "_".join(parts[1:] if parts[0] == "infos" and len(parts) > 1 else parts)
-    return "_".join(parts) if short in RESERVED or short in taken else short
+    found = "_".join(parts) if short in RESERVED or short in taken else short
+    if found in taken:
+        raise UserError(f"two columns would be called {found}, {key} and another; rename one")
+    return found
 
 
 def refuse_mmap(path: Path | str, why: str) -> UserError:

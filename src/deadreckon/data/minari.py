@@ -15,7 +15,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.layout import build, checked_header, extra_name, header_of, naming, reading
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_json
+from deadreckon.files import read_json, safe_name
 
 PREFIX = "minari:"
 _METADATA = "metadata.json"
@@ -74,13 +74,15 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
         force: replace a data set of this id.
 
     Raises:
-        UserError: the id is not one, or exists; or the log has next observations of its own.
+        UserError: the id is not one, or exists; a column's name would be a path; or the log has next observations of its own.
     """
     from minari import create_dataset_from_buffers
 
     dataset_id = _checked_id(dataset_id.removeprefix(PREFIX))
     if log.successors is not None:
         raise UserError(f"{log.name}: its next observations are not the following rows; Minari cannot store it, write .hdf5")
+    for key in log.extras:
+        safe_name(key, f"{PREFIX}{dataset_id}: column")
     target = _root() / dataset_id
     if target.exists() and not force:
         raise UserError(f"{target} exists already; --force replaces it")

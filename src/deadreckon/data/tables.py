@@ -21,7 +21,7 @@ from deadreckon.data.encode import numbers
 from deadreckon.data.frame import from_frame, numbered
 from deadreckon.data.layout import build, columns_of, damaged, header_of, naming, parse_header, reading, stem
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import replacing
+from deadreckon.files import replacing, safe_name
 
 _HEADER = "deadreckon"
 # Our name in a table for each column of a log.
@@ -106,10 +106,22 @@ def write_csv(log: Dataset, path: Path | str) -> None:
 
 
 def write_npz(log: Dataset, path: Path | str) -> None:
-    """Writes `log` as a compressed npz that `read_npz` gives back exactly. Atomic."""
-    columns: dict[str, Any] = {**columns_of(log), _HEADER: np.array(json.dumps(header_of(log)))}
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **columns)
+    """Writes `log` as a compressed npz that `read_npz` gives back exactly. Atomic.
+
+    Raises:
+        UserError: a column's name can be no file's, as which whatever unpacks the archive takes it; or the file cannot be
+            written.
+    """
+    columns = columns_of(log)
+    for key in columns:
+        safe_name(key, f"{path}: column")
+    if _HEADER in columns:
+        raise UserError(f"{path}: column {_HEADER} has the name of the header in an npz file; rename it")
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        # Not by `savez_compressed`, to which columns called file or allow_pickle would be arguments.
+        for key, column in {**columns, _HEADER: np.array(json.dumps(header_of(log)))}.items():
+            with archive.open(f"{key}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(column), allow_pickle=False)
 
 
 def to_table(log: Dataset) -> pa.Table:

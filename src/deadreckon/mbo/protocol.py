@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.files import digest, read_json, write_json
+from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.mbo.designer import Designer, Watcher
 from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.mbo.reach import reach
@@ -130,8 +130,8 @@ def judge(
     for name, designer in designers:
         settings = designer.asked(visible)
         asked = {"name": name, "settings": settings, "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
-        folder = None if out is None else Path(out) / problem.name
-        path = None if folder is None else folder / f"{name.replace('/', '-')}-{digest(asked, 4)}.json"
+        folder = None if out is None else Path(out) / file_part(problem.name)
+        path = None if folder is None else folder / f"{file_part(name)}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
             result = _from_json(read_json(path)["result"])
         else:

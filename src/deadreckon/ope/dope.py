@@ -19,7 +19,7 @@ import numpy as np
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.files import digest, read_json, write_json
+from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimate import Case, Estimates, Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
@@ -114,13 +114,13 @@ def evaluate_log(
         found = as_estimator(given)
         asked = {"settings": str(found), "seed": seed, "log": data.fingerprint, "truth": truth.tolist()}
         # What a function does is not in its name, so its results are not kept.
-        folder = None if out is None or isinstance(found, Function) else Path(out) / data.name
+        folder = None if out is None or isinstance(found, Function) else Path(out) / file_part(data.name)
         path = None if folder is None else folder / f"{type(found).__name__}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
             result = _kept(path)
         else:
             if case is None:
-                fits = None if out is None else Path(out) / data.name / f"fits-seed{seed}"
+                fits = None if out is None else Path(out) / file_part(data.name) / f"fits-seed{seed}"
                 policies, behavior = [s.policy() for s in snapshots], float(np.mean(data.returns(discount)))
                 case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
             try:
@@ -172,10 +172,12 @@ class Cell(NamedTuple):
     """A metric of one method on one log.
 
     Attributes:
-        mean, spread: over redrawn policies, of the mean over seeds; NaN where nothing finite was estimated.
+        value: on the policies as they are; like the next two a mean over seeds, and NaN where nothing finite was estimated.
+        mean, spread: over redrawn policies, which is what thesis E.2 prints.
         printed: mean and spread in thesis E.2 for the original log and policies, where it prints one on this scale.
     """
 
+    value: float
     mean: float
     spread: float
     printed: tuple[float, float] | None
@@ -199,12 +201,12 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
             if len({r.settings for r in own}) > 1:
                 raise UserError(f"{method} on {log} has results of several settings; keep each in a folder of its own")
             good = [r.metrics(**options) for r in own if np.isfinite(r.estimates).all()]
-            pair = np.mean([getattr(m, metric) for m in good], 0) if good else (math.nan, math.nan)
+            measured = np.mean([getattr(m, metric) for m in good], 0) if good else np.full(3, np.nan)
             if own:
                 # E.2 prints errors in returns, and regret of one choice in ranges.
                 same = options.get("normalised", True) == (metric != "absolute_error") and options.get("k", 1) == 1
                 theirs = printed(metric, log, method) if same else None
-                found.setdefault(log, {})[method] = Cell(float(pair[0]), float(pair[1]), theirs)
+                found.setdefault(log, {})[method] = Cell(*(float(x) for x in measured), printed=theirs)
     return found
 
 
@@ -216,7 +218,10 @@ def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
 
 
 def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
-    """A table of one metric: a row a log, below it what thesis E.2 prints, a column an estimator; medians last.
+    """A table of one metric: a row a log, a column an estimator; medians last.
+
+    Cells are the metric itself ± its deviation over redrawn policies. Where thesis E.2 prints the log, two rows follow that can
+    be compared with each other: the mean over redrawn policies ± the same deviation, and what E.2 prints, which is that.
 
     Arguments and errors are those of `cells`.
     """
@@ -225,16 +230,18 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
     lines = ["| log | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
     pair = lambda mean, spread: f"{mean:{form}} ± {spread:{form}}" if math.isfinite(mean) else ""  # noqa: E731
     for log, row in found.items():
-        form = ".2f" if max((abs(c.mean) for c in row.values() if math.isfinite(c.mean)), default=0.0) < 100 else ",.0f"
-        shown = [pair(row[m].mean, row[m].spread) if m in row else "" for m in methods]
+        form = ".2f" if max((abs(c.value) for c in row.values() if math.isfinite(c.value)), default=0.0) < 100 else ",.0f"
+        shown = [pair(row[m].value, row[m].spread) if m in row else "" for m in methods]
         lines.append(f"| {log} | " + " | ".join(shown) + " |")
         printed = [row[m].printed if m in row else None for m in methods]
         if any(printed):
+            redrawn = [pair(row[m].mean, row[m].spread) if p else "" for m, p in zip(methods, printed)]
+            lines.append("| over redrawn policies | " + " | ".join(redrawn) + " |")
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
     # Of all logs or of none: a median of those that a method can do would flatter it.
-    means = {m: [row[m].mean if m in row else math.nan for row in found.values()] for m in methods}
-    form = ".2f" if max((abs(m) for v in means.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
-    medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in means.values()]
+    values = {m: [row[m].value if m in row else math.nan for row in found.values()] for m in methods}
+    form = ".2f" if max((abs(m) for v in values.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
+    medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in values.values()]
     return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
 
 

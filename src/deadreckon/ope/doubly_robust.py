@@ -24,6 +24,7 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.intervals import spread
 from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.ope.pareto import pareto_k
 from deadreckon.ope.weights import Episodes, Sums, few
 from deadreckon.training.learner import static
 
@@ -49,7 +50,8 @@ class DoublyRobust(Estimator):
     @property
     def label(self) -> str:
         """What tables call it."""
-        return {"dr": "DR", "wdr": "WDR", "magic": "MAGIC", "marginal": "DRL"}[self.kind]
+        name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC", "marginal": "DRL"}[self.kind]
+        return f"{name}-linear" if self.kind != "marginal" and isinstance(self.fqe, LinearFQE) else name
 
     def solve(self, case: Case) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
@@ -59,7 +61,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, begins = self._nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, lows, highs, effective, redraws, influence = [], [], [], [], [], []
+        values, lows, highs, effective, redraws, influence, tails = [], [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             sums = episodes.sums(log_rho, errors[i], normalised=self.kind != "dr", alive_only=self.alive_only)
@@ -88,12 +90,13 @@ class DoublyRobust(Estimator):
             lows.append(low)
             highs.append(high)
             effective.append(sums.effective)
+            tails.append(pareto_k(log_rho[case.data.ends]))
         effective = np.asarray(effective)
         warnings = [*episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances)]
         return Estimates(
             self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.estimand,
             redraws=np.stack(redraws, 1), influence=np.stack(influence, 1), effective=effective, corrected=True,
-            warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances),
+            warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails)},
         )  # fmt: skip
 
     def _nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
@@ -119,14 +122,16 @@ class DoublyRobust(Estimator):
 
     def _unsettled(self, case: Case, nuisances: OutOfFold) -> list[str]:
         found = [f"the critics of {name} diverge" for name, settled in zip(case.names, nuisances.settled) if not settled]
-        if isinstance(self.fqe, FQE):
-            found += self.fqe.unsettled(case, "fqe by folds" if self.folds > 1 else "fqe")
-        return found
+        return found + self._network_unsettled(case)
 
     def _diagnostics(self, case: Case, nuisances: OutOfFold) -> dict[str, np.ndarray]:
         """Root mean square of what the critics leave unexplained, out of fold, in standard deviations of the reward."""
         scale = float(case.data.spec.reward.std) or 1.0
-        return {"residual": np.sqrt(np.square(nuisances.errors).mean(1)) / scale}
+        settled = nuisances.settled & (not self._network_unsettled(case))
+        return {"residual": np.sqrt(np.square(nuisances.errors).mean(1)) / scale, "settled": settled.astype(float)}
+
+    def _network_unsettled(self, case: Case) -> list[str]:
+        return self.fqe.unsettled(case, "fqe by folds" if self.folds > 1 else "fqe") if isinstance(self.fqe, FQE) else []
 
     def _marginal(self, case: Case) -> Estimates:
         """By ratios of occupancies. Where all episodes are whole the log's own policy has its mean return, exactly."""

@@ -57,7 +57,6 @@ class Estimates:
             it is model-based: an error of the fitted model is not corrected by anything.
         warnings: why not to trust it, one line each.
         seconds: it took, without what was there already for another estimator.
-        asked: the name that it was asked by.
         diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
     """
 
@@ -73,7 +72,6 @@ class Estimates:
     corrected: bool = False
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
-    asked: str = ""
     diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -90,11 +88,6 @@ class Estimates:
         return self.estimand.discount
 
     @property
-    def label(self) -> str:
-        """The name that it was asked by, with the method where that says more."""
-        return self.method if self.asked in ("", self.method) else f"{self.asked} ({self.method})"
-
-    @property
     def average(self) -> np.ndarray:
         """(policies,) discounted average reward, (1 - discount) times the value."""
         return (1.0 - self.discount) * self.value
@@ -107,7 +100,7 @@ class Estimates:
     def __str__(self) -> str:
         width = max(map(len, self.names))
         model = "" if self.corrected else ", model-based"
-        lines = [f"{self.label}{model}: {self.estimand}; 95 % intervals"]
+        lines = [f"{self.method}{model}: {self.estimand}; 95 % intervals"]
         for i, name in enumerate(self.names):
             weight = "" if self.effective is None else f"   effective sample size {self.effective[i]:,.1f} episodes"
             lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")

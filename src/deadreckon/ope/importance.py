@@ -11,6 +11,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope import intervals
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.pareto import pareto_k
 from deadreckon.ope.weights import Episodes
 from deadreckon.training.learner import static
 
@@ -39,7 +40,7 @@ class ImportanceSampling(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
         bounds = self._bounds(episodes, rewards)
-        values, lows, highs, effective, redraws, influence = [], [], [], [], [], []
+        values, lows, highs, effective, redraws, influence, tails = [], [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
             if self.kind == "trajectory":
@@ -59,6 +60,7 @@ class ImportanceSampling(Estimator):
             lows.append(low)
             highs.append(high)
             effective.append(sums.effective)
+            tails.append(pareto_k(log_rho[case.data.ends]))
         effective, values = np.asarray(effective), np.asarray(values)
         warnings = episodes.warnings(case.names, effective, whole=self.kind == "trajectory")
         if not np.isfinite(values).all():
@@ -66,6 +68,7 @@ class ImportanceSampling(Estimator):
         return Estimates(
             self.label, case.names, values, np.asarray(lows), np.asarray(highs), case.estimand, redraws=np.stack(redraws, 1),
             influence=np.stack(influence, 1), effective=effective, corrected=True, warnings=tuple(warnings),
+            diagnostics={"pareto k": np.array(tails)},
         )  # fmt: skip
 
     @property

@@ -3,9 +3,9 @@
 import json
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,25 @@ RESAMPLES = 1000  # of the policies
 PUBLIC_CLIP = 2.0  # what the public notebook cuts normalised estimates at, which makes ties of overestimates
 
 
+class Measured(NamedTuple):
+    """A metric on a set of policies, and what becomes of it where the set is redrawn with replacement (the bootstrap).
+
+    Thesis E.2 prints `mean` ± `spread`; compare those with it. Of `regret` the mean differs from the value: a redrawn set often
+    lacks the best policy, or the one that was chosen.
+
+    Attributes:
+        value: on the set as it is.
+        mean, spread: mean and standard deviation over redrawn sets.
+    """
+
+    value: float
+    mean: float
+    spread: float
+
+
 @dataclass(frozen=True)
 class Metrics:
-    """Of one estimator on one set of policies. Each pair is a mean and a standard deviation over redrawn policies.
+    """Of one estimator on one set of policies.
 
     Attributes:
         absolute_error: mean |estimate - truth| (E.1), on the scale that was asked for.
@@ -27,9 +43,9 @@ class Metrics:
         count: policies.
     """
 
-    absolute_error: tuple[float, float]
-    rank_correlation: tuple[float, float]
-    regret: tuple[float, float]
+    absolute_error: Measured
+    rank_correlation: Measured
+    regret: Measured
     k: int
     count: int
 
@@ -88,7 +104,7 @@ def compare(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Metrics:
-    """All three, with a bootstrap over policies.
+    """All three on the policies as they are, each with its mean and standard deviation over redrawn ones (`Measured`).
 
     Args:
         estimates: (policies,).
@@ -117,10 +133,10 @@ def compare(
     # A set of one policy, drawn over and over, has no ranks.
     draws = draws[(draws != draws[:, :1]).any(1)]
     found = {}
-    for name, of in (("absolute_error", absolute_error), ("rank_correlation", rank_correlation)):
-        found[name] = _mean_and_spread([of(estimates[d], truth[d]) for d in draws])
-    regrets = [regret(estimates[d], truth[d], k) for d in draws]
-    return Metrics(**found, regret=_mean_and_spread(regrets), k=k, count=len(truth))
+    of_all = {"absolute_error": absolute_error, "rank_correlation": rank_correlation, "regret": partial(regret, k=k)}
+    for name, of in of_all.items():
+        found[name] = Measured(of(estimates, truth), *_mean_and_spread([of(estimates[d], truth[d]) for d in draws]))
+    return Metrics(**found, k=k, count=len(truth))
 
 
 def _mean_and_spread(values: list[float]) -> tuple[float, float]:

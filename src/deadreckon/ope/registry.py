@@ -89,6 +89,13 @@ def estimator(name: str, **changes: Any) -> Estimator:
     return with_fields(ESTIMATORS[name][0](), changes)
 
 
+def titled(label: str) -> str:
+    """A label with the name that asks for it, such as `is (WPDIS)`; the label alone where they are one, or nobody's name is."""
+    names = {make().label: name for name, (make, _) in ESTIMATORS.items()}
+    name = names.get(label, label)
+    return label if name.lower() == label.lower() else f"{name} ({label})"
+
+
 def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
     """The estimator with those fields changed that it, or what it fits inside, has; a mapping changes an inner one alone."""
     own = {f.name for f in dataclasses.fields(found)}

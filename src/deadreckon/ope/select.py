@@ -134,13 +134,13 @@ def select(
         if covered is not None and covered[i] < MOSTLY:
             own.append(f"only {100 * covered[i]:.0f} % of its actions lie within what the log shows")
         own += [
-            f"{each.label} finds it worse" for each, told in zip(estimates[1:], found[1:]) if _speaks(each, i) and told[i, 2] < 0
+            f"{each.method} finds it worse" for each, told in zip(estimates[1:], found[1:]) if _speaks(each, i) and told[i, 2] < 0
         ]
         objections.append(tuple(own))
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]
     level = f"{100 * (1 - alpha):.3g} %"
-    unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy by {first.label}"
+    unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy by {first.method}"
     if objections[best]:
         deploy, reason = False, f"{name} has {unit}, but {'; '.join(objections[best])}"
     elif not np.isfinite(low):
@@ -153,7 +153,7 @@ def select(
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
         agrees = "agrees that it is best" if chosen == best else f"would choose {names[chosen]}"
-        evidence.append(f"{each.label}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}], {agrees}")
+        evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}], {agrees}")
     warnings = list(first.warnings)
     for i, own in enumerate(objections):
         if i != best and own:
@@ -161,8 +161,8 @@ def select(
     for each in estimates[1:]:
         if not _overlaps(each, best):
             assert each.effective is not None
-            warnings.append(f"the weights of {name} in {each.label} rest on {each.effective[best]:.1f} episodes")
-        warnings += [f"{each.label}: {line}" for line in each.warnings if line not in warnings]
+            warnings.append(f"the weights of {name} in {each.method} rest on {each.effective[best]:.1f} episodes")
+        warnings += [f"{each.method}: {line}" for line in each.warnings if line not in warnings]
     keep = [i for i, each in enumerate(first.names) if each != LOGGED]
     return Choice(
         name, deploy, float(difference), float(low), float(high), reason, tuple(evidence), tuple(warnings), every[keep],

@@ -16,6 +16,10 @@ from deadreckon.report.text import number, words
 from deadreckon.runs.evaluate import Interval
 
 SLOTS = 8  # colours there are
+REDRAWN = (
+    "Each number is of the policies as they are, ± its standard deviation over redrawn ones (a bootstrap). The thesis (E.2) "
+    "prints means over redrawn policies: ours (redrawn) stand above them."
+)
 
 
 def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | None = None) -> Path:
@@ -35,7 +39,7 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
     tables = {metric: cells(results, metric, clip=clip) for metric in METRICS}
     sections: list[tuple[str, str, Markup | None]] = [
         ("metrics", "How good the estimates are", _metrics(tables, slots)),
-        ("tables", "Log by log", join(*(_table(METRICS[m], found, methods) for m, found in tables.items()))),
+        ("tables", "Log by log", join(*(_table(METRICS[m], found, methods) for m, found in tables.items()), note(REDRAWN))),
         *((f"log-{i}", log, _scatters([r for r in results if r.log == log], slots)) for i, log in enumerate(logs)),
         ("risks", "What choosing by them risks", _risks(results)),
         ("settings", "Settings", _settings(results)),
@@ -51,7 +55,7 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
 
 def _means(found: dict[str, dict[str, Cell]], method: str) -> Interval:
     """Mean over logs, with the least and the greatest; nothing where a log is missing, for a mean of the easy ones misleads."""
-    values = [row[method].mean if method in row else math.nan for row in found.values()]
+    values = [row[method].value if method in row else math.nan for row in found.values()]
     if not np.isfinite(values).all():
         return Interval(math.nan, math.nan, math.nan)
     return Interval(float(np.mean(values)), min(values), max(values))
@@ -84,7 +88,8 @@ def _metrics(tables: dict[str, dict[str, dict[str, Cell]]], slots: dict[str, int
         drawn.append(figure(charts.bars(rows, METRICS[metric]), METRICS[metric]))
     text = "Means over logs; whiskers reach from the least to the greatest. No bar: no finite estimates on some log."
     if ticks:
-        text += " Upright ticks: the thesis's mean (E.2) of the original logs and policies of the same names."
+        text += " Upright ticks: the thesis's mean (E.2) of the original logs and policies of the same names, "
+        text += "which is one over redrawn policies; the bars are of the policies as they are."
     return join(tag("div", drawn, class_="charts two"), note(text))
 
 
@@ -96,8 +101,10 @@ def _table(heading: str, found: dict[str, dict[str, Cell]], methods: list[str]) 
             cell = row.get(method)
             printed = cell.printed if cell else None
             small = [f"±{number(cell.spread)}"] if cell and math.isfinite(cell.spread) else []
-            small += [f"thesis {number(printed[0])} ±{number(printed[1])}"] if printed else []
-            tds.append(tag("td", tag("b", number(cell.mean if cell else None)), [tag("small", line) for line in small]))
+            if cell and printed:  # which is over redrawn policies, so ours over redrawn ones stands above it
+                small += [f"redrawn {number(cell.mean)}"] if math.isfinite(cell.mean) else []
+                small += [f"thesis {number(printed[0])} ±{number(printed[1])}"]
+            tds.append(tag("td", tag("b", number(cell.value if cell else None)), [tag("small", line) for line in small]))
         rows.append(tag("tr", tds))
     head = heads_of(("log", *methods))
     return join(tag("h3", heading), scroll(tag("table", head, tag("tbody", rows))))

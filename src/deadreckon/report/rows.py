@@ -85,7 +85,8 @@ def paired(a: np.ndarray, b: np.ndarray) -> Interval:
     sources = [effects.sources[0] for effects, values in ((mine, a), (theirs, b)) if len(values) > 1]
     if episodes > 1:
         sources.append((float((a.mean(0) - b.mean(0)).var(ddof=1)) / episodes, episodes - 1.0))
-    return Effects(tuple(sources), mine.twice + theirs.twice).interval(a.mean() - b.mean())
+    twice = mine.twice[0] + theirs.twice[0], min(mine.twice[1], theirs.twice[1])
+    return Effects(tuple(sources), twice).interval(a.mean() - b.mean())
 
 
 def against(values: np.ndarray, other: Interval) -> Interval:

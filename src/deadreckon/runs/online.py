@@ -14,7 +14,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import file_part, read_json
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
 from deadreckon.runs.train import Run, agents_of, check_plan, fields_of, lanes_of, load
@@ -70,7 +70,7 @@ def train_online(
     updates = settings.updates(steps)
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
-    folder = Folder(Path(out) if out is not None else Path("runs") / f"{name}-{task.name}-online")
+    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{name}-{task.name}-online"))
     every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
     if evaluate_every is None:
         every = folder.period(resume) or every

@@ -15,7 +15,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import file_part, read_json, safe_name
 from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
 from deadreckon.runs.diagnostics import logged_value
@@ -91,7 +91,7 @@ def train(
         seeds: how many: `seed` .. `seed + seeds - 1`.
         seed: the first.
         task: the simulator to evaluate in; None takes that of a known log, and none for others.
-        out: run folder; None is `runs/AGENT-LOG`.
+        out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
         evaluate_every: updates between evaluations; None is a tenth of the run. The last update is always evaluated.
         episodes: an evaluation.
         chunk: updates between checkpoints, which is also what a kill can lose.
@@ -106,7 +106,7 @@ def train(
     check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
     lanes = lanes_of(agent, seeds)
-    path = Path(out) if out is not None else Path("runs") / f"{agent_name(lanes[0])}-{log.name}"
+    path = Path(out) if out is not None else Path("runs") / file_part(f"{agent_name(lanes[0])}-{log.name}")
     [run] = _train(
         {path: lanes}, path, log, steps=steps, seed=seed, task=task, evaluate_every=evaluate_every, episodes=episodes,
         chunk=chunk, resume=resume, stream=stream, strict=strict, watch=watch,
@@ -157,8 +157,9 @@ def train_together(
     check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
     out = Path(out)
     for name in agents:
-        if (out / name).parent != out or name in ("..", Folder(out).checkpoints.name):
-            raise UserError(f"agents are named as folders are, got {name!r}")
+        safe_name(name, "agents are named as folders are, and")
+        if name == Folder(out).checkpoints.name:
+            raise UserError(f"agents are named as folders are, and {name!r} is that of the checkpoints; rename it")
     if not agents:
         raise UserError("no agent to train")
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
