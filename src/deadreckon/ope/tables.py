@@ -95,6 +95,11 @@ class Actor:
         return out
 
     @property
+    def deterministic(self) -> list[bool]:
+        """For each policy whether it is one of ours that has nothing random in it."""
+        return [draws_nothing(policy) for policy in self.policies]
+
+    @property
     def tells(self) -> bool:
         """Whether all policies tell how likely their actions are, or draw nothing."""
         if self.spec.discrete:
