@@ -1,0 +1,58 @@
+"""Fitted Q evaluation of the package, small, for many logs: batches are fetched, so that no log is compiled for."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.batch import redrawn
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
+from deadreckon.data.view import View
+from deadreckon.ope.fqe import Critics
+from deadreckon.training.fit import Fit
+
+from decision_study.learn import SharedRows
+
+MEMBERS, STEPS, BATCH, HIDDEN = 3, 800, 64, (32,)
+
+
+def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np.ndarray:
+    """(members, policies + 1) estimates of the policies and, last, of the log's own, each member on redrawn episodes."""
+    rng, starts = np.random.default_rng([seed, 9]), log.starts
+    reward = log.rewards.astype(float)
+    std = float(reward.std()) or 1.0
+    low, high = reward.min() / std, reward.max() / std
+    if log.terminals.any():
+        low, high = min(low, 0.0), max(high, 0.0)
+    after = np.where(log.terminals | log.timeouts, np.arange(len(log)), np.arange(len(log)) + 1)
+    weight = redrawn(log.episodes, MEMBERS, seed)
+    names = MEMBERS, len(policies) + 1
+    learner = Critics(1e-3, 1e-5, 0.02, discount, std, float(low), float(high), *names, HIDDEN, BATCH)
+    extra = {"policy": _table(log, log.next_observations, policies, after, rng), "weight": weight[log.episode_of]}
+    rows = SharedRows(log, learner.needs(log.spec), extra)
+    fit = Fit([learner], rows, [seed], STEPS, chunk=STEPS, stream=True)
+    for _ in fit.chunks():
+        pass
+    targets = fit.states.targets
+    seen = np.asarray(rows.view.observe(log.observations[starts]))
+    table = _table(log, log.observations[starts], policies, starts, rng)
+    values = np.stack([[_value(targets, m, p, seen, table[:, p]) for p in range(names[1])] for m in range(MEMBERS)])
+    return std / (1.0 - discount) * np.einsum("mpn,nm->mp", values, weight / weight.sum(0))
+
+
+def _value(targets: Any, m: int, p: int, seen: np.ndarray, own: np.ndarray) -> np.ndarray:
+    inputs = seen if own.ndim == 2 else np.concatenate([seen, own[:, 0]], 1)
+    for i, (w, b) in enumerate(zip(targets.weights, targets.biases)):
+        inputs = (np.maximum(inputs, 0.0) if i else inputs) @ np.asarray(w[0, m, p]) + np.asarray(b[0, m, p])
+    return (inputs * own).sum(1) if own.ndim == 2 else inputs[:, 0]
+
+
+def _table(log: Dataset, seen: np.ndarray, policies: Sequence[Any], rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """What the policies and, last, the log itself do: probabilities, or one action each."""
+    if isinstance(log.action_space, Discrete):
+        told = [policy.probs(seen) for policy in policies]
+        return np.stack([*told, np.eye(log.action_space.n)[log.actions[rows]]], 1).astype(np.float32)
+    view = View.of(log.spec)
+    drawn = [policy.fn(seen, rng) for policy in policies]
+    return np.stack([view.to_unit(np.asarray(each)) for each in (*drawn, log.actions[rows])], 1)[:, :, None].astype(np.float32)

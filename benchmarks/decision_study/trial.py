@@ -1,0 +1,87 @@
+"""One log from its seed to what each rule said and what was true, as plain numbers."""
+
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.files import read_json, write_json
+
+from decision_study import FAMILIES
+from decision_study.learn import learned
+from decision_study.problem import Family
+from decision_study.rules import RULES, Task, Verdict, units
+
+TENTH = 0.1  # of the held-out standard error, which the truth's may be
+CONFIRM = 1_000_000  # the first seed that nobody has looked at
+
+
+def seeds(split: str, trials: int) -> range:
+    """Of a part of the study."""
+    first = 0 if split == "development" else CONFIRM
+    return range(first, first + trials)
+
+
+def prepared(family: Family, seed: int, rows: int | None = None) -> Task:
+    """A log, its parts, and the policies that are judged."""
+    problem = family.log(seed, rows)
+    learning, held = problem.parts(seed)
+    part = problem.part(learning)[0]
+    out, hidden = problem.part(held)
+    policies = {**learned(part, problem.estimand.discount, seed), **problem.candidates}
+    return Task(problem, policies, part, out, hidden, seed)
+
+
+def trial(family: str, seed: int, rules: Sequence[str], path: Path, rows: int | None = None) -> dict[str, Any]:
+    """What is found of a log, kept in a file; what the file has already is not done again, except `rules` that it lacks."""
+    known = read_json(path) if path.exists() else {}
+    wanted = [rule for rule in rules if rule not in known.get("rules", {})]
+    if known and not wanted:
+        return known
+    began = time.perf_counter()
+    task = prepared(FAMILIES[family], seed, rows)
+    learned_in = time.perf_counter() - began
+    found = known or {"family": family, "seed": seed, **_facts(task), "rules": {}, "seconds": {"learn": learned_in}}
+    found["seconds"]["truth"] = found["seconds"].get("truth", time.perf_counter() - began - learned_in)
+    for rule in wanted:
+        start = time.perf_counter()
+        try:
+            found["rules"][rule] = _plain(RULES[rule](task))
+        except NotImplementedError:
+            continue
+        found["seconds"][rule] = time.perf_counter() - start
+    write_json(path, found)
+    return found
+
+
+def _facts(task: Task) -> dict[str, Any]:
+    """Of a log, with the truth."""
+    problem, policies = task.problem, list(task.policies.values())
+    scores = np.stack([problem.world.scores(policy, task.held, task.hidden) for policy in policies])
+    each = units(task, scores)
+    error = each.std(1, ddof=1) / math.sqrt(each.shape[1]) if each.shape[1] > 1 else np.full(len(each), np.inf)
+    plain = task.held.returns(problem.estimand.discount).std() / math.sqrt(task.held.episodes)
+    # What is known for certain of a policy that draws nothing is no measure of what a log tells of it.
+    error = np.where([policy.draws for policy in policies], error, plain)
+    gains, wrong, own = problem.world.gains(policies, TENTH * error)
+    if problem.null:
+        gains, wrong = np.zeros(len(gains)), np.zeros(len(gains))
+    return {
+        "log": problem.log.name, "rows": len(problem.log), "episodes": problem.log.episodes, "held": task.held.episodes,
+        "clusters": each.shape[1] if problem.cluster else None, "discount": problem.estimand.discount,
+        "horizon": problem.estimand.horizon, "known": problem.known, "supported": problem.supported, "null": problem.null,
+        "policies": list(task.policies), "gains": gains.tolist(), "errors": wrong.tolist(), "behavior": own,
+        "ratio": float(np.max(wrong / np.maximum(error, 1e-12))),
+    }  # fmt: skip
+
+
+def _plain(verdict: Verdict) -> dict[str, Any]:
+    """Infinite ends are null: JSON has no infinity."""
+    numbers = lambda x: [float(v) if np.isfinite(v) else None for v in np.asarray(x, float)]  # noqa: E731
+    return {
+        "choice": None if verdict.choice is None else int(verdict.choice), "gain": numbers(verdict.gain),
+        "low": numbers(verdict.low), "high": numbers(verdict.high), "why": verdict.why,
+    }  # fmt: skip
