@@ -16,12 +16,15 @@ from scipy import special
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
+from deadreckon.ope import Case
+from deadreckon.ope.decide import decide
 from deadreckon.ope.intervals import student
 
 from decision_study.fqe import fqe
 from decision_study.problem import Problem
 
 ALPHA = 0.05
+FIRST_LOOK = 0.025  # of it that the package spends when a split is looked at for the first time
 FEW, MOSTLY, LEVEL = 10.0, 0.5, 0.99  # episodes that weights rest on; share of actions that are shown; what counts as shown
 
 
@@ -210,7 +213,16 @@ def argmax_wis(task: Task) -> Verdict:
 
 def new(task: Task) -> Verdict:
     """The package's decision card, on the held-out part."""
-    raise NotImplementedError
+    problem, estimand = task.problem, task.problem.estimand
+    held = np.flatnonzero(np.isin(np.arange(problem.log.episodes), problem.parts(task.seed)[1]))
+    clusters = None if problem.cluster is None else problem.log.extras[problem.cluster][problem.log.starts]
+    case = Case(
+        problem.log, list(task.policies.values()), discount=estimand.discount, horizon=estimand.horizon, greedy=estimand.greedy,
+        names=list(task.policies), logged=True, held=held, clusters=clusters, seed=task.seed % 2**32, noise=None,
+    )  # fmt: skip
+    choice = decide(case, alpha=FIRST_LOOK).choice
+    index = list(task.policies).index(choice.name) if choice.deploy else None
+    return Verdict(index, *choice.gains.T, why=choice.reason)
 
 
 RULES: dict[str, Callable[[Task], Verdict]] = {

@@ -12,7 +12,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
 from deadreckon.data.batch import Batch, Needs, Rows
@@ -20,12 +19,12 @@ from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.critics import Best, in_blocks
 from deadreckon.ope.estimate import BehaviorModel, Case
+from deadreckon.ope.propensities import temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Categorical, create_actor
 from deadreckon.training.learner import static
 
 CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
-COLDEST, HOTTEST = 0.25, 4.0  # temperatures
 
 
 class State(NamedTuple):
@@ -38,6 +37,8 @@ class State(NamedTuple):
 
 class Folds(eqx.Module):
     """What is trained: a model for each fold, by maximum likelihood."""
+
+    init_by_shape = True
 
     hidden: tuple[int, ...] = static((64, 64))
     lr: float = 3e-4
@@ -136,15 +137,6 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
         logits[of_row == k] /= temperature(seen.astype(np.float64), np.asarray(data.actions[some]))
     log_chances = log_softmax(logits, axis=1)
     return Behavior(log_chances[np.arange(len(own)), np.asarray(own.actions)], np.exp(log_chances), checked)
-
-
-def temperature(logits: np.ndarray, taken: np.ndarray) -> float:
-    """What (rows, actions) logits are divided by so that the (rows,) actions taken are likeliest (Guo et al. 2017)."""
-
-    def loss(log_temperature: float) -> float:
-        return -float(log_softmax(logits / np.exp(log_temperature), axis=1)[np.arange(len(taken)), taken].mean())
-
-    return float(np.exp(minimize_scalar(loss, bounds=(np.log(COLDEST), np.log(HOTTEST)), method="bounded").x))
 
 
 @jax.jit

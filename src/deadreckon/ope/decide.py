@@ -51,18 +51,18 @@ def decide(
         alpha: share of logs for which one of the intervals may miss.
         model: how the behaviour policy is learned, for the checks and, where propensities were not logged, by "auto".
     """
-    found = automatic(case, model) if isinstance(estimators, str) and estimators == "auto" else estimators
+    found = automatic(case, model, accept_model_based) if isinstance(estimators, str) and estimators == "auto" else estimators
     found = [found] if isinstance(found, str) else found
     checked = support(case, model)
     results = [as_estimator(each).on(case) for each in found]
     return Decision(results, checked, select(results, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha))
 
 
-def automatic(case: Case, model: BehaviorModel = PROPENSITIES) -> list[Estimator]:
+def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:
     """Estimators for a case, the first to decide by; chosen by its design alone and never by a reward.
 
-    - Continuous actions of deterministic policies, or policies that do not tell their probabilities: weights are degenerate or
-      not known, and what is left is model-based (`fqe`).
+    - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
+      known, and what is left is model-based (`fqe`).
     - One step, or weights of whole episodes that for every policy amount to a tenth of the episodes or more: doubly robust with
       linear critics (`dr-linear`).
     - Else, where the rows of the log follow each other: doubly robust by ratios of occupancies (`drl`), whose variance does not
@@ -71,11 +71,11 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES) -> list[Estimator
     Args:
         case: log and policies.
         model: how the behaviour policy is learned where propensities were not logged.
+        accept_model_based: whether policies may be deployed by model-based estimates; then these come first where weights of any
+            policy are degenerate.
     """
-    model_based = case.data.spec.discrete is False and all(
-        case.greedy or draws_nothing for draws_nothing in case.actor.deterministic
-    )
-    if model_based or not case.tells:
+    degenerate = case.actor.degenerate
+    if degenerate.all() or (accept_model_based and degenerate.any()):
         return [FQE()]
     weighted = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model)
     if case.data.successors is not None:
@@ -84,7 +84,7 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES) -> list[Estimator
         return [weighted, ImportanceSampling(model=model)]
     episodes = case.episodes
     ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
-    last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios])
+    last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios[~degenerate]])
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
     effective = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
     marginal = DoublyRobust(kind="marginal", fqe=LinearFQE())

@@ -22,7 +22,7 @@ from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope import inference
 from deadreckon.ope.estimand import Estimand
-from deadreckon.ope.tables import Actor
+from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy, create_actor
@@ -157,6 +157,7 @@ class Case:
             taught the policies, only help to fit what doubly robust estimators need.
         clusters: (episodes of `data`,) integers that are equal for episodes of one cluster, such as a user; None: each episode
             is one. Clusters are redrawn as one wherever intervals are made.
+        noise: given to deterministic policies where weights need a density; None: their weights are zero; see `Actor`.
 
     Attributes:
         log: all episodes, cut to the horizon.
@@ -182,6 +183,7 @@ class Case:
         horizon: int | Literal["auto"] | None = None,
         held: np.ndarray | None = None,
         clusters: np.ndarray | None = None,
+        noise: float | None = NOISE,
     ):
         self.estimand = Estimand.of(data, discount, horizon, greedy)
         if not 0 <= seed < 2**32:
@@ -207,7 +209,7 @@ class Case:
         self.out, self.watch = None if out is None else Path(out), watch
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
-        self.actor = Actor(self.policies, self.names, data.spec, greedy, seed)
+        self.actor = Actor(self.policies, self.names, data.spec, greedy, seed, noise)
         self.logged = logged
         if logged:
             self.names = (*self.names, LOGGED)
@@ -281,7 +283,7 @@ class Case:
         return Case(
             self._given, self.policies, discount=self.discount, horizon=self.estimand.horizon, seed=self.seed,
             greedy=self.greedy, names=self.names[: len(self.policies)], logged=self.logged, out=self.out, watch=self.watch,
-            held=held, clusters=self.clusters,
+            held=held, clusters=self.clusters, noise=self.actor.noise,
         )  # fmt: skip
 
     @cached_property
@@ -352,11 +354,6 @@ class Case:
 
     def _learned(self, model: BehaviorModel) -> np.ndarray:
         return self.behavior(model).log_probs(self.data.observations, self.data.actions)[0]
-
-    @property
-    def tells(self) -> bool:
-        """Whether all policies tell how likely their actions are, as importance weights need."""
-        return self.actor.tells
 
     @property
     def clips(self) -> bool:

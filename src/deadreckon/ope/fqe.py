@@ -74,6 +74,8 @@ class Critics(eqx.Module):
         members, policies, hidden, batch_size: shapes.
     """
 
+    init_by_shape = True
+
     lr: float
     decay: float
     target_rate: float

@@ -61,7 +61,7 @@ def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0, red
 
 
 def gains(
-    value: np.ndarray, influence: np.ndarray, against: int, alpha: float = ALPHA, seed: int = 0
+    value: np.ndarray, influence: np.ndarray, against: int, alpha: float = ALPHA, known: np.ndarray | None = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Differences of estimates from one of them, paired unit by unit, with intervals that hold for all at once.
 
@@ -70,6 +70,7 @@ def gains(
         influence: (units, policies) of these.
         against: index of the one that is subtracted.
         alpha: share of logs for which one of the intervals may miss.
+        known: (policies,) whether anything is known of an estimate; the intervals of the others are endless. None: of all.
         seed: of the redraws.
 
     Returns:
@@ -78,9 +79,10 @@ def gains(
     difference = value - value[against]
     paired = influence - influence[:, [against]]
     error = errors(paired)
-    others = np.arange(len(value)) != against
+    known = np.ones(len(value), bool) if known is None else known
+    others = known & (np.arange(len(value)) != against)
     factor = simultaneous(paired[:, others], alpha, seed)
     with np.errstate(invalid="ignore"):
-        half = np.where(error > 0, factor * error, 0.0)
+        half = np.where(known, np.where(error > 0, factor * error, 0.0), np.inf)
     half[against] = 0.0
     return difference, difference - half, difference + half

@@ -71,7 +71,8 @@ def gains(found: Estimates, alpha: float = ALPHA) -> np.ndarray:
         raise UserError(f"{found.method} was not asked about the log's own policy; use Case(..., logged=True)")
     logged = found.names.index(LOGGED)
     if found.influence is not None:
-        middle, low, high = inference.gains(found.value, found.influence, logged, alpha)
+        known = None if found.effective is None else found.effective > 0
+        middle, low, high = inference.gains(found.value, found.influence, logged, alpha, known)
     else:
         assert found.redraws is not None
         middle = found.value - found.value[logged]

@@ -13,7 +13,6 @@ from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.coverage import LEVEL, coverage
 from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.ope.importance import log_ratios
-from deadreckon.ope.tables import draws_nothing
 
 RARE = 0.1  # of the probability of a uniform choice: actions below that have no support
 MISSING = 0.10  # of a policy's mass without support is too much
@@ -30,7 +29,7 @@ class Support(NamedTuple):
             actions lie within.
         ratio: mean weight of one step, pi(a|s) / beta(a|s) of the logged action, which is one where there is support.
         ratio_high: upper end of its one-sided 99 % interval.
-        degenerate: whether the weights mean nothing, because the actions are continuous and the policy is deterministic.
+        degenerate: whether the weights mean nothing; see `Actor.degenerate`.
     """
 
     missing: np.ndarray
@@ -65,7 +64,7 @@ def support(case: Case, model: BehaviorModel, folds: int = 5) -> Support:
 def _support(case: Case, model: BehaviorModel, folds: int) -> Support:
     count, discrete = len(case.policies), case.data.spec.discrete
     nothing = np.full(count, np.nan)
-    degenerate = np.array([not discrete and (case.greedy or draws_nothing(policy)) for policy in case.policies])
+    degenerate = case.actor.degenerate
     if discrete:
         chances = out_of_fold(case, model, folds).chances
         assert chances is not None
@@ -74,7 +73,7 @@ def _support(case: Case, model: BehaviorModel, folds: int) -> Support:
         missing = (table * rare[:, None]).sum(-1).mean(0).astype(float)
     else:
         missing = 1.0 - (coverage(case, model) / LEVEL).clip(max=1.0)
-    if degenerate.all() or not case.tells:
+    if degenerate.all():
         return Support(missing, nothing, nothing, degenerate)
     ratios = np.exp(np.minimum(log_ratios(case, "auto", model, None, folds)[:count], 50.0))
     of_row = case.units[case.data.episode_of]

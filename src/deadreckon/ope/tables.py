@@ -35,6 +35,9 @@ class Actor:
         spec: of the log.
         greedy: each policy's best guess instead of draws.
         seed: of all draws; row `i` of a table is drawn alike whatever is asked for besides it.
+        noise: standard deviation, on the scale where actions are in [-1, 1], that deterministic policies of continuous actions are
+            given where weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have those
+            of policies that do not tell how likely their actions are.
     """
 
     policies: Sequence[Any]
@@ -42,6 +45,7 @@ class Actor:
     spec: Spec
     greedy: bool
     seed: int
+    noise: float | None = NOISE
 
     def __post_init__(self):
         for policy, name in zip(self.policies, self.names):
@@ -95,16 +99,12 @@ class Actor:
         return out
 
     @property
-    def deterministic(self) -> list[bool]:
-        """For each policy whether it is one of ours that has nothing random in it."""
-        return [draws_nothing(policy) for policy in self.policies]
-
-    @property
-    def tells(self) -> bool:
-        """Whether all policies tell how likely their actions are, or draw nothing."""
+    def degenerate(self) -> np.ndarray:
+        """(policies,) whether importance weights mean nothing: actions are continuous, and the policy is deterministic or does not
+        tell how likely its actions are."""
         if self.spec.discrete:
-            return True
-        return all(self.greedy or draws_nothing(policy) or policy.has_log_prob for policy in self.policies)
+            return np.zeros(len(self.policies), bool)
+        return np.array([self.greedy or draws_nothing(policy) or not policy.has_log_prob for policy in self.policies])
 
     def act(self, which: int, observations: np.ndarray, t: int) -> np.ndarray:
         """What one policy does at raw observations (rows, *shape) at step `t` of made-up episodes.
@@ -122,7 +122,7 @@ class Actor:
     def log_probs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """(policies, rows) float64 log-densities of the environment's actions, or log-probabilities of discrete ones.
 
-        A policy that draws nothing is given Gaussian noise of `NOISE` (thesis 8.5).
+        A policy that draws nothing is given Gaussian noise of `noise`.
 
         Raises:
             UserError: a policy draws its actions and does not tell how likely they are.
@@ -137,10 +137,13 @@ class Actor:
                     chosen = self._probabilities(policy, seen, key)[np.arange(len(taken)), taken]
                     with np.errstate(divide="ignore"):
                         found = np.log(chosen)
+                elif self.noise is None and self.degenerate[i]:
+                    found = -np.inf
                 elif self.greedy or draws_nothing(policy):
                     unit = self._actions(i, seen, key, 1)[:, 0]
-                    z = (view.to_unit(taken) - unit) / NOISE
-                    found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(NOISE * np.sqrt(2 * np.pi)) - view.log_scale
+                    assert self.noise is not None
+                    z = (view.to_unit(taken) - unit) / self.noise
+                    found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(self.noise * np.sqrt(2 * np.pi)) - view.log_scale
                 elif policy.has_log_prob:
                     own = isinstance(policy, Deployed)
                     found = _padded(_log_prob, policy, seen, taken) if own else policy.log_prob(seen, taken)
@@ -151,7 +154,7 @@ class Actor:
                         f"{name} draws its actions and does not tell how likely they are; use BlackBoxPolicy(fn, log_prob=...) "
                         "or an estimator that needs no probabilities, such as FQE"
                     )
-                out[i, start : start + len(taken)] = np.asarray(found)
+                out[i, start : start + len(taken)] = found if np.isscalar(found) else np.asarray(found)
         if np.isnan(out).any() or np.isposinf(out).any():
             bad = int(np.argwhere(np.isnan(out) | np.isposinf(out))[0][0])
             raise UserError(f"{self.names[bad]} gives log-probabilities that are not finite")

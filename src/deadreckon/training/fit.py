@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.points import Points
-from deadreckon.data.spec import Spec
+from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
@@ -29,6 +30,7 @@ from deadreckon.training.replay import Experience
 INIT, DRAW, UPDATE, PREPARE, STARTS, ACT = range(6)  # purposes of randomness
 KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk lies about having written it
 BLOCK = 65_536  # rows that are packed at a time
+ROUNDED = 2**28  # bytes up to which a log's rows are rounded up
 RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
 
 
@@ -213,6 +215,17 @@ def _init(learner: Any, spec: Spec, roots: PRNGKeyArray) -> Any:
     return jax.vmap(one)(learner, roots)
 
 
+def _shape(spec: Spec) -> Spec:
+    """One spec for all logs of a shape, so that they share a program."""
+    return _shaped(spec.observation_shape, spec.action if spec.discrete else spec.action_size)
+
+
+@lru_cache
+def _shaped(observation_shape: tuple[int, ...], action: Discrete | int) -> Spec:
+    space = Box((-1.0,) * action, (1.0,) * action) if isinstance(action, int) else action
+    return Spec.empty(observation_shape, space, "any")
+
+
 @jax.jit
 def _finite(states: Any) -> Array:
     """(lanes,) whether every number of a lane is finite."""
@@ -230,14 +243,23 @@ def choose(take_new: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
 
 
+def _room(rows: Rows | Points) -> int:
+    """Rows of the arrays on the device: rounded up by an eighth at the most, so that logs of about one size share a program."""
+    if rows.nbytes > ROUNDED:
+        return rows.count
+    step = 1 << max((rows.count - 1).bit_length() - 4, 0)
+    return -(-rows.count // step) * step
+
+
 def _packed(rows: Rows | Points, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
     """All rows as `_pack` gives them, made block by block so that a second copy of them never is in memory."""
     out: dict[str, np.ndarray] = {}
+    room = _room(rows)
     for start in range(0, rows.count, BLOCK):
         part = _pack(rows.take(np.arange(start, min(start + BLOCK, rows.count))), layout, 1)
         for name, column in part.items():
             if name not in out:
-                out[name] = np.empty((rows.count, *column.shape[1:]), column.dtype)
+                out[name] = np.zeros((room, *column.shape[1:]), column.dtype)
             out[name][start : start + len(column)] = column
     return out
 
@@ -345,7 +367,8 @@ class Fit:
         grows = self.experience is not None
         self.plan = _Plan(_layout(self.rows.fields), needs.batch_size, needs.window, needs.initial, resident, grows)
         self.initial = None if initial is None else jax.device_put(initial)
-        self.states = _init(self.learner, spec, self.roots)
+        by_shape = getattr(type(self.learners[0]), "init_by_shape", False)
+        self.states = _init(self.learner, _shape(spec) if by_shape else spec, self.roots)
         self.failures: tuple[Failure | None, ...] = (None,) * len(self.seeds)
         self.step = 0
 
