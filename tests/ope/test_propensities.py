@@ -66,11 +66,11 @@ def test_an_overfitted_model_is_too_sure():
 
 def test_vector_scaling_recovers_scales_and_shifts():
     rng = np.random.default_rng(1)
-    logits = rng.standard_normal((60_000, 3))
+    logits = rng.standard_normal((30_000, 3))
     scale, shift = np.array([0.5, 1.0, 2.0]), np.array([0.3, -0.5, 0.2])
     taken = drawn(scale * logits + shift, rng)
     a, b = vector_scaling(logits, taken)
-    assert a == pytest.approx(scale, abs=0.06)
+    assert a == pytest.approx(scale, abs=0.08)
     assert b - b.mean() == pytest.approx(shift - shift.mean(), abs=0.04)  # a shift of all changes nothing
     # With few rows it stays near the one temperature.
     a, b = vector_scaling(logits[:4], taken[:4], ridge=1e6)

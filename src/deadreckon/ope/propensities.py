@@ -84,7 +84,7 @@ def vector_scaling(logits: np.ndarray, taken: np.ndarray, ridge: float = 1.0) ->
         slope = np.concatenate([(error * logits).sum(0), error.sum(0)]) + ridge * away * np.repeat([spread, 1.0], actions)
         return float(value) / n, slope / n
 
-    found = minimize(loss, begin, jac=True, method="L-BFGS-B", options={"maxiter": 1000, "ftol": 1e-13, "gtol": 1e-9}).x
+    found = minimize(loss, begin, jac=True, method="L-BFGS-B", options={"maxiter": 1000, "ftol": 1e-12, "gtol": 1e-7}).x
     return found[:actions], found[actions:]
 
 
