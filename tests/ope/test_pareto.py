@@ -26,7 +26,7 @@ def test_unit_order_and_zeros_do_not_matter():
 
 
 def test_it_is_that_of_psis_where_nothing_is_tied():
-    from arviz_stats.base import array_stats
+    from arviz_stats.base.array import array_stats
 
     for n in (30, 226, 1000, 5000):
         logs = np.random.default_rng(n).standard_normal(n) * 2

@@ -19,6 +19,10 @@ def test_sequences_by_hand():
     assert totals(np.arange(6.0), LENGTHS).tolist() == [3.0, 3.0, 9.0]
     logs = np.array([1.0, -np.inf, 2.0, 0.5, 1.0, 1.0])
     assert cumulate(logs, LENGTHS).tolist() == [1.0, -np.inf, -np.inf, 0.5, 1.0, 2.0]
+    logs[3:5] = -np.inf  # at a first row, twice: neither touches another episode
+    assert cumulate(logs, LENGTHS).tolist() == [1.0, -np.inf, -np.inf, -np.inf, -np.inf, -np.inf]
+    logs[4] = 1.0
+    assert cumulate(logs, LENGTHS).tolist() == [1.0, -np.inf, -np.inf, -np.inf, 1.0, 2.0]
     with pytest.raises(UserError, match="7"):
         totals(np.arange(7.0), LENGTHS)
     # 10 + 2 * 1 + 0.5 * 3 * 2 + 0.25 * 0 * inf; 20 + 1 * 4; 30 + 1 * 5 + 0.5 * 1 * 6.

@@ -43,7 +43,7 @@ def pareto_k(log_weights: np.ndarray) -> float:
         return -np.inf
     if len(above) < LEAST:
         return float("nan")
-    from arviz_stats.base import array_stats  # a second, for this alone
+    from arviz_stats.base.array import array_stats  # a second, for this alone
 
     # Its tail is a function of the number of weights: so many copies of the threshold that it is what exceeds this.
     tail = len(above)

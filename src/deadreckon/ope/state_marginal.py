@@ -1,0 +1,121 @@
+"""Marginalised importance sampling: ratios of states at each step instead of products along episodes (Xie, Ma and Wang 2019).
+
+For observations that are few and repeat, or states that were binned. The policy's distribution over states is carried from step
+to step by transitions that are weighted with the ratio of that one step alone,
+
+    d_{t+1}(s') = sum_s d_t(s) sum_i rho_t^i 1[s_t^i = s, s_{t+1}^i = s'] / n_t(s),
+    value = sum_t discount^t sum_s d_t(s) sum_i rho_t^i 1[s_t^i = s] r_t^i / n_t(s),
+
+where n_t(s) is the number of episodes that are in s at step t or, self-normalised, the sum of their ratios there. The variance
+grows with a power of the horizon where that of products grows exponentially. It rests on the Markov property: states that hide
+what matters bias it, and products do not.
+
+Steps without end are those of the longest episode. Episodes that were cut off tell nothing of what follows their last row.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope.sequences import starts_of
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The estimate for one policy.
+
+    Attributes:
+        value: expected discounted return within the horizon, the length of the longest episode.
+        scores: (episodes,) the value and each episode's influence on it, to first order; their mean, counted as episodes
+            are, is the value, and their variance over n that of the value.
+        states: (steps, states) the policy's distribution d_t, which may sum to less than one where episodes end.
+        lost: probability that went, before the last step, into states that all episodes in them were cut off at.
+    """
+
+    value: float
+    scores: np.ndarray
+    states: np.ndarray
+    lost: float
+
+
+def state_marginal(
+    states: np.ndarray,
+    log_ratios: np.ndarray,
+    rewards: np.ndarray,
+    lengths: np.ndarray,
+    ended: np.ndarray,
+    discount: float,
+    *,
+    normalised: bool = True,
+    counts: np.ndarray | None = None,
+) -> Marginal:
+    """The value of a policy by its distribution over states at each step.
+
+    Args:
+        states: (rows,) numbers of the states, from zero.
+        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
+        rewards: (rows,).
+        lengths: (episodes,) rows of each episode.
+        ended: (episodes,) whether it ended at its last row, or was cut off.
+        discount: per step.
+        normalised: divide by sums of ratios, so that transitions sum to one and rewards stay within theirs; otherwise by
+            numbers of episodes, without bias but for states that no episode reached.
+        counts: (episodes,) how often each episode counts, as in a redrawn log; None takes each once.
+
+    Raises:
+        UserError: states that are no numbers of states, or columns of different lengths.
+    """
+    states, lengths = np.asarray(states), np.asarray(lengths)
+    if not np.issubdtype(states.dtype, np.integer) or states.min(initial=0) < 0:
+        raise UserError("marginal ratios need states as whole numbers from zero; bin what is continuous")
+    if not len(states) == len(log_ratios) == len(rewards) == lengths.sum() or len(ended) != len(lengths):
+        raise UserError(
+            f"{len(states):,} states, {len(log_ratios):,} ratios and {len(rewards):,} rewards in episodes of "
+            f"{lengths.sum():,} rows do not belong together"
+        )
+    size, steps, first = int(states.max()) + 1, int(lengths.max()), starts_of(lengths)
+    count = np.ones(len(lengths)) if counts is None else np.asarray(counts, float)
+    rho, all_of_them = np.exp(log_ratios), count.sum()
+
+    def at(t: int):
+        """Episodes, states, ratios and rewards at a step; those whose next is known, and whether and where they go on."""
+        there = np.flatnonzero(lengths > t)
+        row = first[there] + t
+        on = lengths[there] > t + 1
+        after = np.where(on, states[np.minimum(row + 1, len(states) - 1)], 0)
+        return there, states[row], rho[row], rewards[row], on | ended[there], on, after
+
+    def per_state(s: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.bincount(s, x, size)
+
+    def shares(s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """(rows,) one over the sum of weights in each row's state; zero where there is none."""
+        total = per_state(s, weight)
+        return np.divide(1.0, total, out=np.zeros(size), where=total > 0)[s]
+
+    reached = np.zeros((steps, size))
+    reached[0] = per_state(states[first], count) / all_of_them
+    lost, scores = 0.0, np.zeros(len(lengths))
+    for t in range(steps - 1):
+        there, s, ratio, _, known, on, after = at(t)
+        each = count[there] * (ratio if normalised else 1.0)
+        known_share = shares(s, each * known)
+        flow = count[there] * ratio * known_share * reached[t][s]
+        reached[t + 1] = per_state(after, flow * on)
+        gone = per_state(s, each * known) <= 0
+        lost += float(reached[t][gone].sum())
+    ahead = np.zeros(size)  # value of each state at the next step
+    for t in reversed(range(steps)):
+        there, s, ratio, reward, known, on, after = at(t)
+        base = ratio if normalised else np.ones_like(ratio)
+        each = count[there] * base
+        share, known_share = shares(s, each), shares(s, each * known)
+        beyond = discount * on * ahead[after]
+        now = per_state(s, count[there] * ratio * reward * share)
+        then = per_state(s, count[there] * known * ratio * beyond * known_share)
+        pull = share * (ratio * reward - base * now[s]) + known_share * known * (ratio * beyond - base * then[s])
+        scores[there] += all_of_them * discount**t * reached[t][s] * pull
+        ahead = now + then
+    value = float(reached[0] @ ahead)
+    return Marginal(value, scores + ahead[states[first]], reached, lost)
