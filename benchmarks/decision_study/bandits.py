@@ -225,6 +225,7 @@ def missing(supported: bool, known: bool) -> Callable[[int, int], Problem]:
         size, actions = ((5, 4), (10, 6))[rng.integers(2)]
         weights, turn = linear(rng, size, actions), linear(rng, size, actions - 1)
         level, share, scale = rng.uniform(-1.0, 1.0), rng.uniform(0.10, 0.15), rng.choice([0.5, 1.0, 2.0])
+        near = rng.random() < 0.5
 
         def mean(seen, unseen):
             out = 0.5 * np.sin(seen @ weights)
@@ -232,7 +233,8 @@ def missing(supported: bool, known: bool) -> Callable[[int, int], Problem]:
             return out
 
         def base(seen):
-            return np.pad(0.2 / (actions - 1) + 0.8 * softmax(seen @ turn), ((0, 0), (0, 1)))
+            logits = 8.0 * np.sin(seen @ weights[:, :-1]) if near else seen @ turn
+            return np.pad(0.2 / (actions - 1) + 0.8 * softmax(logits), ((0, 0), (0, 1)))
 
         last = np.eye(actions)[-1]
         chances = (lambda seen: (1.0 - share) * base(seen) + share * last) if supported else base
@@ -291,7 +293,7 @@ def users(seed: int, rows: int) -> Problem:
     noise = lambda rng, mean: mean + rng.standard_normal(len(mean))  # noqa: E731
     world = Bandit(draw, mean, chances, seed)
     return problem(
-        world, rows, noise, candidates, "users", (context(rng_log, own), own), {"user": user}, cluster="user", null=effect == 0.0
+        world, rows, noise, candidates, "users", (context(rng_log, own), own), {"user": user}, cluster="user", null=bool(effect == 0.0)
     )
 
 
@@ -326,9 +328,9 @@ FAMILIES = (
     Family("null-bandit-unknown", null(False), NEVER),
     Family("classes", classes(True), "always `better`, by little in the 30 % of logs whose own policy is near the best"),
     Family("classes-unknown", classes(False), "as `classes`"),
-    Family("missing", missing(False, True), "where the action that the log lacks is good, about half of the logs"),
+    Family("missing", missing(False, True), "where the action that the log lacks is good, about half of the logs, or the log's own policy is not near the best, half"),
     Family("missing-unknown", missing(False, False), "as `missing`"),
-    Family("supported", missing(True, True), "where the rare action is good, about half of the logs"),
+    Family("supported", missing(True, True), "as `missing`, whose twin it is"),
     Family("supported-unknown", missing(True, False), "as `supported`"),
     Family("users", users, "half of the logs; in the others tastes cancel and all policies are worth the same"),
     Family("many-actions", many, "always `better`, by little in the 30 % near the best", split="confirmatory"),

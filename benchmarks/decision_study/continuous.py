@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Box
 
 from decision_study.problem import LOG, TRUTH, WORLD, Estimand, Family, Normal, Problem
 
@@ -15,6 +16,12 @@ BLOCK, MOST = 2_000, 60  # episodes at a time, and blocks, of the truth
 NEAR = 0.3  # share of the logs whose own policy is all but the best
 POINTS, WEIGHTS = (lambda x, w: (np.sqrt(2) * x, w / np.sqrt(np.pi)))(*np.polynomial.hermite.hermgauss(16))
 DRAWS = 16  # of a policy, to know what a state is worth under it
+
+
+def around(actions: np.ndarray) -> Box:
+    """Bounds a tenth beyond what was logged: at a bound a tanh-Gaussian has no density to speak of."""
+    low, high = actions.min(0), actions.max(0)
+    return Box(tuple(low - 0.1 * (high - low)), tuple(high + 0.1 * (high - low)))
 
 
 class Simulator:
@@ -82,6 +89,7 @@ class Simulator:
         data = Dataset.from_arrays(
             observations=seen, actions=action, rewards=reward, timeouts=timeouts, name=name,
             final_observations=self.seen(after[timeouts]).astype(np.float32), behavior_log_probs=log_prob,
+            action_space=around(action),
         )  # fmt: skip
         return data, {"state": state, "after": after}
 
@@ -326,8 +334,9 @@ class Prices:
             owns.append(self.worth(self.own, seen))
             for each, policy in zip(found, policies):
                 each.append(self.worth(policy, seen) - owns[-1])
-            all_ = np.array([np.concatenate(each) for each in found]).reshape(len(policies), -1)
-            gain, error = all_.mean(1), all_.std(1) / np.sqrt(all_.shape[1] or 1)
+            joined = [np.concatenate(each) for each in found]
+            gain = np.array([each.mean() for each in joined])
+            error = np.array([each.std() / np.sqrt(len(each)) for each in joined])
             if (error <= errors).all():
                 break
         return gain, error, float(np.concatenate(owns).mean())
@@ -367,7 +376,7 @@ def prices(seed: int, rows: int) -> Problem:
     buys = draws.random(rows) < np.divide(world.mean(seen, taken), asked, out=np.zeros(rows), where=asked > 0)
     log = Dataset.from_arrays(
         observations=seen, actions=taken, rewards=asked * buys, terminals=np.ones(rows, bool), next_observations=seen,
-        behavior_log_probs=world.own.log_prob(seen, taken), name="pricing",
+        behavior_log_probs=world.own.log_prob(seen, taken), action_space=around(taken), name="pricing",
     )  # fmt: skip
     return Problem(log, Estimand(0.0, 1), world, candidates)
 

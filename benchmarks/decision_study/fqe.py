@@ -14,7 +14,8 @@ from deadreckon.training.fit import Fit
 
 from decision_study.learn import SharedRows
 
-MEMBERS, STEPS, BATCH, HIDDEN = 3, 800, 64, (32,)
+MEMBERS, BATCH, HIDDEN = 3, 64, (32,)
+ONCE, OFTEN = 600, 1_500  # updates of one decision and of many: a target moves by a twentieth of the way each
 
 
 def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np.ndarray:
@@ -28,10 +29,11 @@ def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np
     after = np.where(log.terminals | log.timeouts, np.arange(len(log)), np.arange(len(log)) + 1)
     weight = redrawn(log.episodes, MEMBERS, seed)
     names = MEMBERS, len(policies) + 1
-    learner = Critics(1e-3, 1e-5, 0.02, discount, std, float(low), float(high), *names, HIDDEN, BATCH)
+    learner = Critics(3e-3, 1e-5, 0.05, discount, std, float(low), float(high), *names, HIDDEN, BATCH)
     extra = {"policy": _table(log, log.next_observations, policies, after, rng), "weight": weight[log.episode_of]}
     rows = SharedRows(log, learner.needs(log.spec), extra)
-    fit = Fit([learner], rows, [seed], STEPS, chunk=STEPS, stream=True)
+    steps = OFTEN if discount > 0 else ONCE
+    fit = Fit([learner], rows, [seed], steps, chunk=steps, stream=True)
     for _ in fit.chunks():
         pass
     targets = fit.states.targets

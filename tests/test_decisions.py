@@ -1,0 +1,224 @@
+"""The study of decisions: what it takes for the truth is the truth."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+ROWS = 4_000
+DISCRETE = (
+    "null-bandit", "null-sequential", "classes", "missing", "supported", "users", "many-actions", "tabular-short", "tabular-long",
+    "tabular-cut", "inventory",
+)  # fmt: skip
+CONTINUOUS = ("linear-quadratic", "pendulum", "pricing")
+
+
+@pytest.fixture
+def study(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import decision_study
+
+    return decision_study
+
+
+@pytest.mark.parametrize("name", [*DISCRETE, *CONTINUOUS])
+def test_the_value_of_the_logs_own_policy_is_what_the_log_got(study, name):
+    problem = study.FAMILIES[name].log(3, 20_000)
+    horizon, log = problem.estimand.horizon, problem.log
+    if horizon is None and log.timeouts.any():  # what was cut off, exactly
+        world = problem.world
+        log = replace(log, rewards=log.rewards.copy())
+        ends = log.ends[log.timeouts[log.ends]]
+        log.rewards[ends] += problem.estimand.discount * world.values(world.own)[1][0][problem.hidden["after"][ends]]
+    got = log.returns(problem.estimand.discount)
+    if problem.cluster:
+        user = log.extras[problem.cluster]
+        count = np.bincount(user)
+        # Of users, who come more or less often.
+        spread = np.sqrt((np.square(np.bincount(user, got - got.mean()))).sum()) / len(got)
+        assert len(count) >= 20
+    else:
+        spread = got.std() / np.sqrt(len(got))
+    assert abs(got.mean() - problem.behavior) < 4.5 * spread
+
+
+@pytest.mark.parametrize("name", DISCRETE)
+def test_probabilities_sum_to_one_and_are_those_of_the_log(study, name):
+    problem = study.FAMILIES[name].log(5, ROWS)
+    log, world = problem.log, problem.world
+    chances = problem.hidden["chances"] if "chances" in problem.hidden else world.own[problem.hidden["state"]]
+    assert np.allclose(chances.sum(1), 1.0)
+    rows = np.arange(len(log))
+    assert np.allclose(np.log(chances[rows, log.actions]), log.extras["behavior_log_probs"], atol=1e-5)
+    often = np.bincount(log.actions, minlength=chances.shape[1])
+    assert (np.abs(often - chances.sum(0)) <= 5.0 * np.sqrt((chances * (1 - chances)).sum(0)) + 1e-6).all()
+    for policy in problem.candidates.values():
+        assert np.allclose(policy.action_probs(log.observations).sum(1), 1.0)
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_densities_are_those_of_the_draws(study, name):
+    problem = study.FAMILIES[name].log(5, ROWS)
+    log = problem.log
+    for policy in problem.candidates.values():
+        # The mean of the ratio of two densities is one.
+        ratio = np.exp(policy.log_prob(log.observations, log.actions) - log.extras["behavior_log_probs"])
+        assert abs(ratio.mean() - 1.0) < 5.0 * ratio.std() / np.sqrt(len(ratio)) + 1e-6
+
+
+def played(problem, policy, count: int, rng) -> np.ndarray:
+    """Returns of episodes of a policy in a finite world, drawn step by step."""
+    world = problem.world
+    table, discount, steps = world.table(policy), problem.estimand.discount, problem.estimand.horizon or 400
+    return world.world.log(table, count, steps, rng).returns(discount)
+
+
+@pytest.mark.parametrize("name", ["null-sequential", "tabular-short", "tabular-long", "tabular-cut", "inventory"])
+def test_values_of_finite_worlds_are_those_of_episodes_that_are_played(study, name):
+    problem = study.FAMILIES[name].log(2, 200)
+    for policy in problem.candidates.values():
+        got = played(problem, policy, 2_000, np.random.default_rng(0))
+        assert abs(got.mean() - problem.truth(policy)) < 4.5 * got.std() / np.sqrt(len(got)) + 1e-6
+
+
+def test_values_of_linear_worlds_are_those_of_episodes_that_are_played(study):
+    for seed in range(3):
+        problem = study.FAMILIES["linear-quadratic"].log(seed, 200)
+        for policy in (*problem.candidates.values(), problem.world.own):
+            got = problem.world.returns(policy, np.random.default_rng(0), 20_000)
+            assert abs(got.mean() - problem.truth(policy)) < 4.5 * got.std() / np.sqrt(len(got))
+
+
+def test_a_tanh_gaussian_beside_a_linear_policy_is_worth_what_it_plays(study):
+    from decision_study.problem import Normal
+
+    problem = study.FAMILIES["linear-quadratic"].log(1, 200)
+    size = problem.world.size
+    policy = Normal(lambda seen: (-0.5 * seen[:, :1] * np.ones(size), np.full((len(seen), size), 0.4)), (np.full(size, -2.0), np.full(size, 2.0)))
+    gain, error, own = problem.world.gains([policy], np.array([0.01]))
+    got = problem.world.returns(policy, np.random.default_rng(9), 20_000)
+    assert abs(got.mean() - own - gain[0]) < 4.5 * np.hypot(error[0], got.std() / np.sqrt(len(got)))
+
+
+@pytest.mark.parametrize("name", ["classes", "missing", "supported", "users", "many-actions", "pricing"])
+def test_values_of_one_decision_are_those_of_draws(study, name):
+    """Other contexts, actions drawn: not the sums over actions that the truth is made of."""
+    problem = study.FAMILIES[name].log(4, 200)
+    rng = np.random.default_rng(1)
+    for policy in problem.candidates.values():
+        if name == "pricing":
+            seen = rng.standard_normal((50_000, 3))
+            got = problem.world.mean(seen, policy.fn(seen, rng))
+        else:
+            seen, unseen = problem.world.contexts(rng, 50_000)
+            got = problem.world.mean(seen, unseen)[np.arange(50_000), policy.fn(seen, rng)]
+        gains, error, own = problem.world.gains([policy], np.array([0.003]))
+        assert abs(got.mean() - own - gains[0]) < 4.5 * (got.std() / np.sqrt(50_000) + got.std() / np.sqrt(20_000))
+
+
+@pytest.mark.parametrize("name", [*DISCRETE, *CONTINUOUS])
+def test_the_oracles_scores_are_without_bias(study, name):
+    from decision_study.rules import Task, units
+
+    problem = study.FAMILIES[name].log(6, ROWS)
+    gains, wrong, _ = problem.world.gains(list(problem.candidates.values()), np.full(2, 0.002))
+    for policy, gain, error in zip(problem.candidates.values(), gains, wrong):
+        scores = problem.world.scores(policy, problem.log, problem.hidden)
+        task = Task(problem, {}, problem.log, problem.log, problem.hidden, 0)
+        each = units(task, scores[None])[0]
+        assert each.mean() == pytest.approx(scores.mean())
+        assert abs(scores.mean() - gain) < 4.5 * np.hypot(each.std() / np.sqrt(len(each)), error) + 1e-6
+
+
+@pytest.mark.parametrize("name", ["null-bandit", "null-sequential"])
+def test_noise_is_worth_the_same_to_all(study, name):
+    for seed in range(4):
+        problem = study.FAMILIES[name].log(seed, 300)
+        assert problem.null
+        assert np.allclose(problem.world.gains(list(problem.candidates.values()), np.ones(2))[0], 0.0, atol=1e-6)
+
+
+def test_twins_differ_by_what_the_log_shows(study):
+    lacks, shows = (study.FAMILIES[name].log(8, 3_000) for name in ("missing", "supported"))
+    assert np.array_equal(lacks.log.observations, shows.log.observations)
+    assert np.array_equal(lacks.hidden["mean"], shows.hidden["mean"])
+    last = lacks.log.action_space.n - 1
+    assert (lacks.log.actions != last).all()
+    assert not lacks.supported
+    assert 0.08 < (shows.log.actions == last).mean() < 0.17
+    for name, policy in lacks.candidates.items():
+        probs = policy.probs(lacks.log.observations)
+        assert np.array_equal(probs, shows.candidates[name].probs(shows.log.observations))
+        assert 0.2 < probs[:, -1].mean() < 0.4
+
+
+@pytest.mark.parametrize("name", ["users", "tabular-short"])
+def test_parts_share_no_episode_and_no_user(study, name):
+    problem = study.FAMILIES[name].log(1, 1_000)
+    learning, held = problem.parts(1)
+    assert len(learning) + len(held) == problem.log.episodes
+    assert not set(learning) & set(held)
+    if problem.cluster:
+        user = problem.log.extras[problem.cluster][problem.log.starts]
+        assert not set(user[learning]) & set(user[held])
+
+
+def test_a_log_is_its_seeds(study):
+    one, two = (study.FAMILIES["classes"].log(11, 300).log.fingerprint for _ in range(2))
+    assert one == two
+    assert one != study.FAMILIES["classes"].log(12, 300).log.fingerprint
+
+
+@pytest.mark.slow
+def test_learned_policies_are_those_of_the_package(study, monkeypatch):
+    """Probabilities and densities without a compiler are those of what was learned."""
+    from decision_study import learn
+
+    for name in ("missing", "pendulum"):
+        problem = study.FAMILIES[name].log(0, 300)
+        kept, monkeyed = [], learn.plain
+        monkeypatch.setattr(learn, "STEPS", 5)
+        monkeypatch.setattr(learn, "plain", lambda policy: kept.append(policy) or monkeyed(policy))
+        found = learn.learned(problem.log, problem.estimand.discount, 0)
+        monkeypatch.setattr(learn, "plain", monkeyed)
+        seen, taken = problem.log.observations[:50], problem.log.actions[:50]
+        for policy, theirs in zip(found.values(), kept, strict=True):
+            if name == "missing":
+                assert np.allclose(policy.probs(seen), theirs.action_probs(seen), atol=1e-5)
+            elif policy.draws:
+                assert np.allclose(policy.log_prob(seen, taken), theirs.log_prob(seen, taken), atol=1e-2)
+            assert np.allclose(policy.at(seen, np.zeros((50, 1))), theirs(seen), atol=1e-4) if name == "pendulum" else True
+
+
+def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):
+    import decision_study.trial
+    from decision_study import rules
+    from decision_study.problem import Choices
+    from decision_study.summary import tables
+    from decision_study.trial import trial
+
+    evenly = {name: Choices(lambda seen: np.full((len(seen), 4), 0.25)) for name in ("bc", "iql", "cql")}
+    monkeypatch.setattr(decision_study.trial, "learned", lambda log, discount, seed: evenly)
+    path = tmp_path / "missing" / "0.json"
+    first = trial("missing", 1, ["oracle", "argmax-wis", "new"], path, 200)
+    assert set(first["rules"]) == {"oracle", "argmax-wis"}  # the new one says nothing yet
+    text = path.read_text()
+    assert trial("missing", 1, ["oracle"], path, 200) == json.loads(text)
+    assert path.read_text() == text
+    card = rules.Verdict(0, np.zeros(5), np.full(5, -np.inf), np.full(5, np.inf))
+    monkeypatch.setitem(rules.RULES, "new", lambda task: card)
+    again = trial("missing", 1, ["oracle", "new"], path, 200)
+    assert again["rules"]["new"]["low"] == [None] * 5
+    assert {**again, "rules": first["rules"], "seconds": 0} == {**first, "seconds": 0}
+    page = tables([again], ["new", "oracle"], {})
+    assert "| new | 1 | 100.0 % |" in page
+
+
+def test_wilsons_interval(study):
+    from decision_study.summary import wilson
+
+    assert wilson(0, 100)[1] == pytest.approx(0.0370, abs=1e-4)
+    assert wilson(50, 100) == pytest.approx((0.4038, 0.5962), abs=1e-4)
