@@ -10,7 +10,7 @@ ratios of occupancies, which are linear in the same features, cost little more t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -145,6 +145,7 @@ class Fit:
         )
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
+        self._factors: dict[tuple[bytes, float], Any] = {}  # the policies share them
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
@@ -196,7 +197,8 @@ class Fit:
             own_gram = sums.gram[part].sum(0)
             own = sums.reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
             for j, ridge in enumerate(RIDGES):
-                theta = cho_solve(cho_factor(self._penalised(gram - own_gram, ridge)), target - own)
+                factor = self._factor(gram - own_gram, ridge, weight.tobytes() + np.asarray(part).tobytes())
+                theta = cho_solve(factor, target - own)
                 errors[j] += theta @ own_gram @ theta - 2 * theta @ own
         return float(RIDGES[int(np.argmin(errors))])
 
@@ -204,7 +206,7 @@ class Fit:
         """Solves for one policy on groups that count `weight` times each; a ridge under which it diverges is made stronger."""
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
-            factor = cho_factor(self._penalised(gram, ridge))
+            factor = self._factor(gram, ridge, weight.tobytes())
             base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
             if self.horizon is not None:
                 found = self._steps(factor, following, base, backup, start, rows, ridge)
@@ -344,6 +346,13 @@ class Fit:
             total = (weight * every[:, ::-1]).sum(1)
             found |= {"weighted": np.where(known, total, 0.0), "weights": weight.sum(1) / case.span}
         return found
+
+    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes) -> Any:
+        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart."""
+        key = (rows, ridge)
+        if key not in self._factors:
+            self._factors[key] = cho_factor(self._penalised(gram, ridge))
+        return self._factors[key]
 
     def _penalised(self, gram: np.ndarray, ridge: float) -> np.ndarray:
         out = gram + ridge * np.eye(len(gram))
