@@ -52,6 +52,23 @@ def test_file_round_trip_and_numpy_player(kind, tmp_path):
     assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
 
 
+def test_a_file_tells_what_its_policy_was_taught(tmp_path):
+    policy, x = make("gaussian"), np.zeros((4, 3), np.float32)
+    ids = np.array([2**64 - 1, 0, 5], np.uint64)
+    store.save(tmp_path / "p.npz", policy, {"agent": "bc"}, taught=ids)
+    store.save(tmp_path / "half.npz", policy, half=True, taught=ids[:0])
+    store.save(tmp_path / "old.npz", policy)
+    np.testing.assert_array_equal(store.taught(tmp_path / "p.npz"), ids)
+    assert store.taught(tmp_path / "p.npz").dtype == np.uint64
+    assert store.taught(tmp_path / "half.npz").size == 0  # known to be nothing
+    assert store.taught(tmp_path / "old.npz") is None
+    assert store.meta(tmp_path / "p.npz") == {"agent": "bc"}
+    np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(x), policy(x))
+    np.testing.assert_allclose(portable.load(tmp_path / "p.npz")(x), policy(x), atol=1e-5)
+    with pytest.raises(UserError, match="cannot read"):
+        store.taught(tmp_path / "none.npz")
+
+
 def test_player_needs_numpy_alone(tmp_path):
     store.save(tmp_path / "p.npz", make("gaussian"))
     code = (

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -56,6 +56,10 @@ class Train:
     stream: bool | None = None  # fetch batches from the host; None: where the log does not fit on the device
     mmap: bool = False  # memory-map the log, for logs larger than memory
     strict: bool = False  # refuse actions out of bounds instead of clipping them
+    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
+    """of the episodes, not learned from and kept for `deadreckon ope`; None: 0.2, or 0 where a simulator judges"""
+    holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
+    """at random, the latest, or all episodes of some users, sites, ... of this column together; None: at random"""
 
 
 def train(args: Sequence[str]) -> None:
@@ -109,8 +113,9 @@ def _train(name, parsed, preset):
     from deadreckon.runs.train import train as run_training
 
     log = load(
-        options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon, **mapping_options(options.map)
-    )
+        options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon,
+        **_columns(options.map, options.holdout_by),
+    )  # fmt: skip
     for text in log.warnings:
         print(f"{log.name}: {text}")
     published = preset_for(name, log.name)
@@ -121,8 +126,26 @@ def _train(name, parsed, preset):
             parsed.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
             out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
             resume=options.resume, stream=options.stream, strict=options.strict,
+            holdout=_holdout(options.holdout, options.holdout_by),
             watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
         )  # fmt: skip
+
+
+def _columns(given: Mapping, by: str | None) -> dict[str, Any]:
+    """The mapping of a table, in which the column to hold out by is kept and not observed."""
+    named = mapping_options(given)
+    if named and by not in (None, "random", "time"):
+        named["keep"] = tuple(dict.fromkeys([*named.get("keep", ()), by]))
+    return named
+
+
+def _holdout(share: float | None, by: str | None):
+    """As `runs.train.train` takes it."""
+    from deadreckon.data.split import Holdout
+
+    if by is None or share == 0:
+        return share
+    return Holdout(by=by) if share is None else Holdout(share, by)
 
 
 def _note(progress) -> str:
@@ -140,7 +163,7 @@ def summary(run) -> str:
     """Last metrics, failures, last score, and where everything lies."""
     import numpy as np
 
-    lines = []
+    lines = _learned_from(run.config["data"])
     metrics = run.metrics.to_pydict()
     count = len(run.seeds)
     shown = [f"{k} {np.nanmean(v[-count:]):.4g}" for k, v in metrics.items()
@@ -163,3 +186,13 @@ def summary(run) -> str:
             lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")
     lines.append(f"run folder: {run.path}")
     return "\n".join(lines)
+
+
+def _learned_from(data: dict[str, Any]) -> list[str]:
+    """How many episodes were learned from, and how many are left to judge by; nothing of runs that had no log."""
+    if "episodes" not in data:
+        return []
+    if held := data.get("holdout"):
+        told = f"learned from {held['learning']:,} of {data['episodes']:,} episodes"
+        return [f"{told}; {held['held']:,} are held out for `deadreckon ope`"]
+    return [f"learned from all {data['episodes']:,} episodes, none is held out"]

@@ -29,6 +29,7 @@ from deadreckon.policies.policy import (
     VAEDecoder,
 )
 
+_TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`
 # The only classes that a file can name: reading one runs no code of the file's choosing.
 _ELSEWHERE = {  # imported where a file has one: they need what needs policies
     "Planner": "deadreckon.agents.pets",
@@ -44,7 +45,14 @@ _KINDS: dict[str, Any] = {
 }
 
 
-def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:
+def save(
+    path: Path | str,
+    policy: Deployed,
+    meta: dict[str, Any] | None = None,
+    *,
+    half: bool = False,
+    taught: np.ndarray | None = None,
+) -> None:
     """Writes a policy as arrays and JSON, atomically.
 
     Args:
@@ -52,6 +60,7 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
         policy: as an agent gives it.
         meta: JSON values to keep beside it (agent, data, scores, ...).
         half: store the networks as float16 and compress them, a third of the size; read back, they are float32 again.
+        taught: (episodes,) uint64 `episode_ids` of the episodes that it has learned from; None where that is not known.
 
     Raises:
         UserError: a number is beyond float16, or the file cannot be written.
@@ -75,9 +84,10 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
 
     tree = {"format": portable.FORMAT, "meta": meta or {}, "policy": encode(policy, "policy")}
     text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
+    noted = {} if taught is None else {_TAUGHT: np.asarray(taught, np.uint64)}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         write = np.savez_compressed if half else np.savez
-        write(file, **{"policy.json": text}, **arrays)  # pyright: ignore[reportArgumentType]
+        write(file, **{"policy.json": text}, **arrays, **noted)  # pyright: ignore[reportArgumentType]
 
 
 def load(path: Path | str) -> Deployed:
@@ -121,3 +131,15 @@ def load(path: Path | str) -> Deployed:
 def meta(path: Path | str) -> dict[str, Any]:
     """The JSON values kept beside a saved policy."""
     return portable.read(path)[0]["meta"]
+
+
+def taught(path: Path | str) -> np.ndarray | None:
+    """(episodes,) uint64 `episode_ids` of the episodes that a saved policy has learned from; None where the file does not say.
+
+    Raises:
+        UserError: the file is missing, broken or no policy file.
+    """
+    try:
+        return portable.read(path)[1].get(_TAUGHT)
+    except ValueError as error:
+        raise UserError(str(error)) from error
