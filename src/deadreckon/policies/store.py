@@ -22,6 +22,7 @@ from deadreckon.policies.policy import (
     Deterministic,
     Gaussian,
     GreedyQ,
+    Mixture,
     Moved,
     OneStep,
     Supported,
@@ -30,6 +31,7 @@ from deadreckon.policies.policy import (
 )
 
 _TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`
+_EXACT = ("mean", "std", "low", "high")  # the coordinates of a `Deployed`
 # The only classes that a file can name: reading one runs no code of the file's choosing.
 _ELSEWHERE = {  # imported where a file has one: they need what needs policies
     "Planner": "deadreckon.agents.pets",
@@ -40,7 +42,7 @@ _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
         Deployed, Deterministic, Gaussian, ClippedGaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical,
-        Supported, MLP, VAE, Transformer, Block,
+        Supported, Mixture, MLP, VAE, Transformer, Block,
     )
 }
 
@@ -75,7 +77,9 @@ def save(
             return [encode(v, f"{name}.{i}") for i, v in enumerate(value)]
         if hasattr(value, "shape"):
             with np.errstate(over="ignore"):
-                small = half and name.startswith("policy.inner.") and value.ndim > 0  # single numbers stay as they are
+                # Single numbers stay as they are, and so do the coordinates of a mixture's members.
+                exact = value.ndim == 0 or name.rpartition(".")[2] in _EXACT
+                small = half and name.startswith("policy.inner.") and not exact
                 arrays[name] = np.asarray(value, np.float16 if small else None)
             if np.isfinite(np.asarray(value)).all() and not np.isfinite(arrays[name]).all():
                 raise UserError(f"{path}: {name} holds numbers beyond float16; save it with half=False")
