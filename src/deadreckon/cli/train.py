@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -60,6 +60,10 @@ class Train:
     """of the episodes, not learned from and kept for `deadreckon ope`; None: 0.2, or 0 where a simulator judges"""
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
     """at random, the latest, or all episodes of some users, sites, ... of this column together; None: at random"""
+    cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
+    """learn so many policies, each from all folds but one, so that every episode can judge; a run folder each in OUT"""
+    deliver: Literal["mixture", "refit"] = "mixture"
+    """with --cross-fit: a policy that draws one of them for each episode, or one that learns once more from everything"""
 
 
 def train(args: Sequence[str]) -> None:
@@ -82,8 +86,10 @@ def train(args: Sequence[str]) -> None:
     kind.__doc__ = run.__doc__ if name else f"{run.__doc__} Agents: {', '.join(AGENTS)}."
     parsed = parse(kind, rest, "train --online" if online else "train")
     finished = _train_online(name, parsed) if online else _train(name, parsed, own)
-    print(summary(finished))
-    if all(finished.failures):
+    from deadreckon.runs.train import Run
+
+    print(summary(finished) if isinstance(finished, Run) else finished)
+    if isinstance(finished, Run) and all(finished.failures):  # a cross-fit refuses such itself
         raise SystemExit(1)
 
 
@@ -107,6 +113,8 @@ def _train_online(name, parsed):
 
 def _train(name, parsed, preset):
     options: Train = parsed.run
+    if options.cross_fit is not None and options.holdout is not None:
+        raise UserError("--cross-fit holds every fold out in turn; leave --holdout out")
 
     from deadreckon.agents import preset_for
     from deadreckon.data.catalogue import load
@@ -122,13 +130,18 @@ def _train(name, parsed, preset):
     if published and not preset:
         print(f"{name}: --preset {published} has the settings published for such a log; `deadreckon agents` shows them")
     with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
-        return run_training(
-            parsed.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
-            out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
-            resume=options.resume, stream=options.stream, strict=options.strict,
-            holdout=_holdout(options.holdout, options.holdout_by),
-            watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
-        )  # fmt: skip
+        asked = {
+            "steps": options.steps, "seeds": options.seeds, "seed": options.seed, "task": options.task, "out": options.out,
+            "evaluate_every": options.evaluate_every, "episodes": options.episodes, "chunk": options.chunk,
+            "resume": options.resume, "stream": options.stream, "strict": options.strict,
+            "watch": lambda progress, steps: bar(progress.step, steps, _note(progress)),
+        }  # fmt: skip
+        if options.cross_fit is None:
+            return run_training(parsed.agent, log, holdout=_holdout(options.holdout, options.holdout_by), **asked)
+        from deadreckon.runs.crossfit import cross_fit
+
+        by = options.holdout_by or "random"
+        return cross_fit(parsed.agent, log, folds=options.cross_fit, by=by, deliver=options.deliver, **asked)
 
 
 def _columns(given: Mapping, by: str | None) -> dict[str, Any]:
