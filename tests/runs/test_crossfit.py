@@ -11,6 +11,9 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.policy import Mixture
+from deadreckon.runs import crossfit
+from deadreckon.runs.train import train
+from deadreckon.training.fit import Failure
 
 BC = dr.agents.BC(hidden=(8,), batch_size=8)
 OPTIONS = {"folds": 3, "steps": 4, "chunk": 2, "evaluate_every": 4}
@@ -113,6 +116,19 @@ def test_a_failed_seed_is_left_out_and_a_failed_fold_is_told(log, tmp_path):
     assert found.config["members"] == [[0, 0], [1, 0], [2, 0]]
     with pytest.raises(UserError, match="fold0 failed: .* was not finite at update"):
         dr.cross_fit(bad, log, out=tmp_path / "all", **OPTIONS)
+
+
+def test_as_many_policies_of_each_fold_are_mixed(log, tmp_path, monkeypatch):
+    def fails(agent, data, **options):
+        run = train(agent, data, **options)
+        if run.path.name == "fold1":
+            run.failures[0] = Failure("loss", 1)
+        return run
+
+    monkeypatch.setattr(crossfit, "train", fails)
+    found = dr.cross_fit(BC, log, out=tmp_path / "c", seeds=2, **OPTIONS)
+    assert found.config["members"] == [[0, 0], [1, 1], [2, 0]]
+    np.testing.assert_array_equal(found.policy.inner.members[1](X), found.runs[1].policies[1](X))
 
 
 def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):

@@ -60,6 +60,19 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
     return Divided(log.select(parts.learning), log.episode_ids[parts.learning], log.episode_ids[parts.held], told)
 
 
+def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
+    """A log of one's own as settings are tried on it: what they learn from, and what they are chosen by.
+
+    What `train` holds out where nobody says otherwise is in neither, so that it has been looked at by nobody when a policy with
+    the chosen settings is judged on it. The rest is divided again. Very few episodes are in both, with a warning.
+    """
+    rest = divided(log, None, None, None).learning
+    tried = divided(rest, Holdout(seed=1), None, None)
+    if tried.told is None:
+        return rest, rest
+    return tried.learning, rest.select(np.flatnonzero(np.isin(rest.episode_ids, tried.held)))
+
+
 def _usual(log: Dataset) -> Holdout:
     """A fifth; of a memory-mapped log the latest, because a random part would be copied into memory."""
     return Holdout(by=TIME) if isinstance(log.observations, np.memmap) else Holdout()
