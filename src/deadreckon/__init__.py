@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from deadreckon.data.designs import Designs
     from deadreckon.data.io import read
     from deadreckon.policies.library import load_policies
+    from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.online import train_online
@@ -35,9 +36,11 @@ _HOMES = {
     "Designs": ("data.designs", "Designs"),
     "Run": ("runs.train", "Run"),
     "collect_log": ("collect.recipes", "collect"),
+    "cross_fit": ("runs.crossfit", "cross_fit"),
     "dope": ("runs.dope", "dope"),
     "evaluate": ("runs.evaluate", "evaluate"),
     "load": ("data.catalogue", "load"),
+    "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
     "load_run": ("runs.train", "load"),
     "read": ("data.io", "read"),
@@ -48,9 +51,9 @@ _HOMES = {
 }
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
-    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "data", "dope",
-    "evaluate", "load", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend", "report", "runs", "tasks",
-    "theory", "train", "train_online", "train_together",
+    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
+    "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend",
+    "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
 
 

@@ -174,6 +174,7 @@ def test_a_run_begins_with_a_clone_and_goes_on_where_it_stopped(tmp_path):
     whole = run(tmp_path / "whole", 8 + 240, shown, **still)
     run(tmp_path / "part", 8 + 80, shown, **still)
     again = run(tmp_path / "part", 8 + 240, shown, **still)
+    np.testing.assert_array_equal(whole.taught, shown.episode_ids)
     seen = shown.observations[:50]
     np.testing.assert_array_equal(whole.policy(seen), again.policy(seen))
     policies = [dr.policies.load(path) for path in sorted((tmp_path / "whole" / "policies").glob("00*"))]

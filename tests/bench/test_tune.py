@@ -1,16 +1,26 @@
 """Settings are chosen on training tasks or from the log alone, and what a choice loses is told."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deadreckon.agents import agent_class
+from deadreckon.bench import tune as module
 from deadreckon.bench.local import Local
+from deadreckon.bench.plan import Program, plan
 from deadreckon.bench.store import Found, Store
+from deadreckon.bench.suite import Method, Suite
 from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune
+from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
+from deadreckon.data.io import read
+from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
+from deadreckon.runs.holdout import divided
+from deadreckon.runs.offline import judge
+from deadreckon.runs.train import load
 from deadreckon.training.learner import check_fields
 
 UMAZE = "maze2d-umaze-v1"
@@ -162,3 +172,46 @@ def test_estimates_choose_from_the_log_alone(tmp_path, capsys):
     assert "2 cells" in capsys.readouterr().out
     assert main(["tune", "--agent", "td3_bc", "--data", UMAZE, "--values", "alpha"]) == 2
     assert "written alpha=1,2.5" in capsys.readouterr().err
+
+
+def test_of_a_log_of_ones_own_what_is_held_out_is_looked_at_by_nobody(tmp_path, monkeypatch, capsys):
+    rng, rows = np.random.default_rng(0), 120
+    np.savez(
+        tmp_path / "mine.npz", observations=rng.normal(size=(rows, 3)), actions=rng.uniform(-1, 1, (rows, 2)),
+        rewards=rng.normal(size=rows), terminals=np.arange(rows) % 2 == 1,
+    )  # fmt: skip
+    log = read(tmp_path / "mine.npz")
+    judged = []
+    monkeypatch.setattr(module, "judge", lambda given, data, *a, **k: judged.append(data) or judge(given, data, *a, **k))
+    words = ["tune", "--agent", "td3_bc", "--data", str(tmp_path / "mine.npz"), "--values", "alpha=1.0,5.0", "--fixed",
+             "hidden=[8]", "batch_size=8", "--steps", "10", "--seeds", "1", "--workers", "1", "--out", str(tmp_path / "tune"),
+             "--fit.steps", "10", "--fit.members", "2", "--fit.hidden", "8"]  # fmt: skip
+    assert main(words) == 0
+    assert "chosen: --agent.alpha" in capsys.readouterr().out
+    held = set(log.episode_ids[Holdout().parts(log).held].tolist())
+    estimated = set(judged[0].episode_ids.tolist())
+    runs = [load(path.parent) for path in (tmp_path / "tune").rglob("run.json")]
+    assert len(runs) == 2
+    for run in runs:
+        taught = set(run.taught.tolist())
+        assert (len(taught), len(estimated), len(held)) == (38, 10, 12)
+        assert not taught & estimated
+        assert taught | estimated | held == set(log.episode_ids.tolist())
+    # What `train` holds out afterwards is just that.
+    assert set(divided(log, None, None, None).held.tolist()) == held
+
+
+def test_suites_learn_from_all_of_a_log(tmp_path):
+    rng = np.random.default_rng(0)
+    columns = {"observations": rng.normal(size=(24, 2)), "actions": np.arange(24) % 2, "rewards": np.zeros(24)}
+    np.savez(tmp_path / "mine.npz", **columns, terminals=np.ones(24))
+    on = str(tmp_path / "mine.npz")
+    methods = (Method("BC", "bc", {"hidden": [4], "batch_size": 4}),)
+    asked = Suite("s", "learn", (on,), methods, seeds=1, steps={on: 2}, evaluations=1)
+    [job] = plan(asked)
+    perform(Program((job,)), tmp_path / "run")
+    assert len(load(tmp_path / "run").taught) == 24
+    [divided_job] = plan(replace(asked, divided=True))
+    assert divided_job.cells != job.cells
+    [known] = plan(replace(asked, on=(UMAZE,), steps={UMAZE: 2}, divided=True))
+    assert "divided" not in known.asked

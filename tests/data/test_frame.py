@@ -271,3 +271,49 @@ def test_real_bandit_feedback_needs_two_names_only(real_data):
     assert {"position", "propensity_score"} < set(log.provenance.extra["observation_names"])
     assert len(log.warnings) == 2
     assert not any("split by episodes" in line for line in warnings_for(log))
+
+
+@pytest.mark.parametrize("library", ["arrays", "pandas", "polars", "categories"])
+def test_columns_that_are_kept_are_no_observations(library):
+    days = [dt.date(2026, 1, day) for day in (2, 2, 1, 1, 1)]
+    table = {**TABLE, "site": ["n", "n", "s", "s", "s"], "day": days, "no": [5, 5, 9, 9, 9]}
+    frame = table
+    if library == "categories":
+        frame = pa.table({**table, "site": pa.array(table["site"]).dictionary_encode()})
+    elif library != "arrays":
+        frame = pytest.importorskip(library).DataFrame(table)
+    log = from_frame(frame, **NAMED, keep=("site", "day", "no", "who", "x"))
+    assert log.provenance.extra["observation_names"] == ["kind=blue", "kind=red"]
+    assert {name: column.tolist() for name, column in log.extras.items()} == {
+        "site": [1, 1, 1, 0, 0], "day": [0, 0, 0, 1, 1], "no": [9, 9, 9, 5, 5], "who": [0, 0, 0, 1, 1], "x": [3, 4, 5, 1, 2],
+    }  # fmt: skip
+    levels = log.provenance.extra["kept_levels"]
+    assert {name: levels[name] for name in ("site", "who")} == {"site": ["n", "s"], "who": ["a", "b"]}
+    assert [level[:10] for level in levels["day"]] == ["2026-01-01", "2026-01-02"]
+    assert log.extras["site"].dtype == log.extras["no"].dtype == np.int64
+
+
+def test_what_is_kept_may_be_observed_where_it_is_named():
+    log = from_frame(TABLE, **NAMED, observations=["x", "kind"], keep="kind")
+    assert log.provenance.extra["observation_names"] == ["x", "kind=blue", "kind=red"]
+    assert log.extras["kind"].tolist() == [1, 1, 0, 1, 0]
+
+
+def test_very_many_users_are_codes_without_levels():
+    table = {"user": [f"u{i:04d}" for i in range(1200)], "arm": [0, 1] * 600, "click": [0.0] * 1200, "x": range(1200)}
+    log = from_frame(table, action="arm", reward="click", keep="user")
+    assert log.extras["user"].tolist() == list(range(1200))
+    assert "kept_levels" not in log.provenance.extra
+
+
+@pytest.mark.parametrize(
+    ("keep", "words"),
+    [
+        ("sit", "unknown column 'sit': did you mean site"), ("site", "column site is empty in row 1"),
+        ("name", "a column that is kept cannot be called name"), ("lists", "column lists holds list<.*one plain value"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_kept(keep, words):
+    table = {**TABLE, "site": ["n", None, "s", "s", "s"], "name": ["n"] * 5, "lists": [[1]] * 5}
+    with pytest.raises(UserError, match=words):
+        from_frame(table, **NAMED, observations="x", keep=keep)

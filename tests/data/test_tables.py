@@ -9,7 +9,7 @@ import pytest
 from small_logs import images, make_log, same
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.io import read
+from deadreckon.data.io import convert, read
 from deadreckon.data.tables import read_csv, read_npz, read_parquet, to_table, write_csv, write_npz, write_parquet
 from deadreckon.errors import UserError
 
@@ -196,3 +196,16 @@ def test_other_separators(tmp_path, separator, words):
     path.write_text(f"observation_0{separator}action{separator}reward\n1,5{separator}0{separator}1\n")
     with pytest.raises(UserError, match=f"{path}: .*separated by {words}, a comma is needed as separator"):
         read(path)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_column_that_is_kept_survives_conversion(tmp_path, ending):
+    lines = [f"{user},{x},{x % 2},1" for x, user in enumerate("aabbccdd")]
+    (tmp_path / "log.csv").write_text("\n".join(["user,x,arm,click", *lines]) + "\n")
+    log = read(tmp_path / "log.csv", action="arm", reward="click", keep="user")
+    assert log.extras["user"].tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    convert(tmp_path / "log.csv", tmp_path / f"again{ending}", action="arm", reward="click", keep=("user",))
+    again = read(tmp_path / f"again{ending}")
+    assert again.extras["user"].tolist() == log.extras["user"].tolist()
+    plain = read(tmp_path / "log.csv", action="arm", reward="click", ignore="user")
+    np.testing.assert_array_equal(again.episode_ids, plain.episode_ids)

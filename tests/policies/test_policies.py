@@ -15,7 +15,16 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import BlackBoxPolicy, Deployed, Policy, Step, portable, store
-from deadreckon.policies.policy import ClippedGaussian, Deterministic, GreedyQ, Moved, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import (
+    Categorical,
+    ClippedGaussian,
+    Deterministic,
+    GreedyQ,
+    Mixture,
+    Moved,
+    TanhGaussian,
+    VAEDecoder,
+)
 
 KEY = jax.random.key(0)
 VIEW = View(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
@@ -50,6 +59,113 @@ def test_file_round_trip_and_numpy_player(kind, tmp_path):
         ours = np.asarray(policy.act(Step(jnp.asarray(many), None, None), (), jax.random.key(1), greedy=True)[0])
         np.testing.assert_allclose(play(many).mean(0), ours.mean(0), atol=0.06)
     assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
+
+
+def test_a_file_tells_what_its_policy_was_taught(tmp_path):
+    policy, x = make("gaussian"), np.zeros((4, 3), np.float32)
+    ids = np.array([2**64 - 1, 0, 5], np.uint64)
+    store.save(tmp_path / "p.npz", policy, {"agent": "bc"}, taught=ids)
+    store.save(tmp_path / "half.npz", policy, half=True, taught=ids[:0])
+    store.save(tmp_path / "old.npz", policy)
+    np.testing.assert_array_equal(store.taught(tmp_path / "p.npz"), ids)
+    assert store.taught(tmp_path / "p.npz").dtype == np.uint64
+    assert store.taught(tmp_path / "half.npz").size == 0  # known to be nothing
+    assert store.taught(tmp_path / "old.npz") is None
+    assert store.meta(tmp_path / "p.npz") == {"agent": "bc"}
+    np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(x), policy(x))
+    np.testing.assert_allclose(portable.load(tmp_path / "p.npz")(x), policy(x), atol=1e-5)
+    with pytest.raises(UserError, match="cannot read"):
+        store.taught(tmp_path / "none.npz")
+
+
+def constant(value, size=2):
+    """Acts the same always: the bias alone counts."""
+    net = MLP((jnp.zeros((3, size)),), (jnp.full(size, value),), "relu")
+    return Deployed.of(Deterministic(net), View(None, None, -np.ones(size), np.ones(size)))
+
+
+VALUES = np.array([-1.0, 0.0, 2.0])
+
+
+def episodes(act, lengths=(7, 12), n=300):
+    """(steps, n) which of the constant policies acted, episodes of these lengths in turn."""
+    first = np.ones(n, bool)
+    age, length = np.zeros(n, int), np.resize(lengths, n)
+    out, begun = [], []
+    for t in range(40):
+        actions = act(np.zeros((n, 3), np.float32), first, t)
+        assert (actions[:, 0] == actions[:, 1]).all()
+        out.append(np.abs(actions[:, :1] - np.tanh(VALUES)).argmin(1))
+        begun.append(first)
+        age += 1
+        first = age == length
+        age[first] = 0
+    return np.array(out), np.array(begun)
+
+
+@pytest.mark.parametrize("player", [False, True])
+@pytest.mark.parametrize("greedy", [False, True])
+def test_a_mixture_draws_at_the_beginning_of_an_episode_and_keeps_to_it(player, greedy, tmp_path):
+    mixture = Mixture.of([constant(value) for value in VALUES])
+    assert isinstance(mixture, Policy)
+    store.save(tmp_path / "m.npz", mixture, taught=np.arange(3, dtype=np.uint64))
+    carry = [mixture.start(300)]
+
+    def ours(x, first, t):
+        step = Step(jnp.asarray(x), jnp.zeros(len(x)), jnp.asarray(first))
+        actions, carry[0] = mixture.act(step, carry[0], jax.random.key(t), greedy=greedy)
+        return np.asarray(actions)
+
+    play = portable.load(tmp_path / "m.npz")
+    who, begun = episodes((lambda x, first, t: play(x, first=first, greedy=greedy)) if player else ours)
+    assert (who[1:] == who[:-1])[~begun[1:]].all()
+    drawn = who[begun]
+    # Three chances alike: 1500 draws are within five standard errors of a third.
+    np.testing.assert_allclose(np.bincount(drawn, minlength=3) / len(drawn), 1 / 3, atol=0.06)
+    # An episode's draw says nothing of the next one's.
+    again = who[1:][begun[1:]] == who[:-1][begun[1:]]
+    assert abs(again.mean() - 1 / 3) < 0.08
+
+
+def test_a_mixtures_members_keep_their_coordinates_and_its_file_comes_back(tmp_path):
+    other = View(np.zeros(3), np.ones(3), np.array([-9.1, -9.1], "f4"), np.array([9.1, 9.1], "f4"))
+    members = [make("gaussian"), Deployed.of(Deterministic(MLP.create(3, (8,), 2, KEY)), other)]
+    mixture = Mixture.of(members)
+    for half in (False, True):
+        store.save(tmp_path / "m.npz", mixture, half=half)
+        again = store.load(tmp_path / "m.npz")
+        np.testing.assert_array_equal(again.inner.members[1].high, other.high)
+        np.testing.assert_array_equal(again.inner.members[0].std, VIEW.std)
+    store.save(tmp_path / "m.npz", mixture)
+    x = np.random.default_rng(0).normal(size=(50, 3)).astype("f4")
+    np.testing.assert_array_equal(store.load(tmp_path / "m.npz")(x), mixture(x))
+    play = portable.load(tmp_path / "m.npz")
+    for acts in (mixture(x), play(x)):
+        fits = np.array([np.isclose(acts, member(x), atol=1e-5).all(1) for member in members])
+        assert fits.any(0).all()
+        assert fits.sum(1).min() > 10
+    one = play(x[0])
+    assert one.shape == (2,)
+    np.testing.assert_array_equal(play(x[0]), one)  # the same episode
+    assert len({play(x[0], first=True).tobytes() for _ in range(20)}) == 2
+    with pytest.raises(UserError, match="a Mixture policy has no log-probabilities"):
+        mixture.log_prob(x, np.zeros((50, 2)))
+    assert mixture.action_probs is None
+
+
+def test_a_mixture_of_choices_tells_the_chances_of_its_first(tmp_path):
+    plain = View(None, None, None, None)
+    members = [Deployed.of(Categorical(MLP.create(3, (8,), 4, key)), plain) for key in jax.random.split(KEY)]
+    mixture, x = Mixture.of(members), np.random.default_rng(0).normal(size=(2, 3)).astype("f4")
+    told = mixture.action_probs(x)
+    np.testing.assert_allclose(told, (members[0].action_probs(x) + members[1].action_probs(x)) / 2, rtol=1e-6)
+    many = np.repeat(x[:1], 20_000, 0)
+    step = Step(jnp.asarray(many), jnp.zeros(len(many)), jnp.ones(len(many), bool))
+    drawn, _ = mixture.act(step, mixture.start(len(many)), KEY, greedy=False)
+    np.testing.assert_allclose(np.bincount(np.asarray(drawn), minlength=4) / len(many), told[0], atol=0.02)
+    store.save(tmp_path / "m.npz", mixture)
+    played = portable.load(tmp_path / "m.npz")(many, np.random.default_rng(1), greedy=False)
+    np.testing.assert_allclose(np.bincount(played, minlength=4) / len(many), told[0], atol=0.02)
 
 
 def test_player_needs_numpy_alone(tmp_path):

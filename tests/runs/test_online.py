@@ -19,6 +19,7 @@ from deadreckon.cli.train import summary
 from deadreckon.collect.online import Online, row_width
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
+from deadreckon.policies import store
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.recorder import Recorder
@@ -95,6 +96,8 @@ def test_run_folder_holds_what_was_asked_and_what_came_out(run):
     with np.load(run.path / "evaluations" / "trajectories.npz") as file:
         lengths = evaluations["length"][-3:]
         assert file["trajectories"].shape == (1, 3, max(lengths), 11)
+    # It is known to have seen no log.
+    assert run.taught.size == run.held.size == store.taught(run.path / "policies" / "seed0.npz").size == 0
     rows = np.fromfile(run.path / "replay" / "seed0.bin", np.float32).reshape(STEPS, -1)
     terminals, timeouts = rows[:, -2] > 0, rows[:, -1] > 0
     assert terminals.any()

@@ -234,8 +234,12 @@ def _learn(suite: Suite, method: Method, on: str) -> Job:
 
 
 def _run(suite: Suite, on: str) -> dict[str, Any]:
+    from deadreckon.tasks.registry import of_log
+
     steps = suite.steps[on]
-    return {"steps": steps, "episodes": suite.episodes, "every": steps // suite.evaluations}
+    asked = {"steps": steps, "episodes": suite.episodes, "every": steps // suite.evaluations}
+    # Only where it says something: names of cells depend on it.
+    return asked | {"divided": True} if suite.divided and of_log(on) is None else asked
 
 
 @cache

@@ -68,6 +68,8 @@ class Suite:
         budget: sizes of what designers or estimators fit: `full`, or `cpu`.
         lanes: cells of one program at most, which differ in their seeds or in float settings; None: the executor says.
         about: one line.
+        divided: whether estimates choose among its cells: of a log that no simulator judges they learn from a part alone, see
+            `runs.holdout.trial_parts`. No key of a file: `bench.tune` sets it.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Suite:
     budget: str = "full"
     lanes: int | None = None
     about: str = ""
+    divided: bool = False
 
 
 def names() -> list[str]:
@@ -122,7 +125,7 @@ def _suite(name: str, where: str, told: dict[str, Any]) -> Suite:
     if kind not in get_args(Kind):
         raise UserError(f"{where}: kind must be one of {', '.join(get_args(Kind))}, got {kind!r}")
     foreign = {option for options in OWN.values() for option in options} - set(OWN[kind])
-    known = {f.name for f in fields(Suite)} - {"name", "on"} - foreign | {PLACES[kind]}
+    known = {f.name for f in fields(Suite)} - {"name", "on", "divided"} - foreign | {PLACES[kind]}
     for key in told:
         if key not in known:
             raise UserError(f"{where}: {unknown(f'key of a suite of kind {kind}', key, known)}")

@@ -2,7 +2,8 @@
 
 The thesis splits its tasks (Table D.3): settings may be tuned in the simulators of training tasks only. Where there is no
 simulator, as with a log of one's own, or none may be used, off-policy estimates choose (thesis 8.2); how much that loses is
-known wherever there is a simulator after all, and told.
+known wherever there is a simulator after all, and told. Of a log of one's own, settings learn from one part and are
+estimated on another; the part that `train` holds out is in neither, so that it can judge what is chosen.
 """
 
 import itertools
@@ -25,6 +26,7 @@ from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.estimate import BehaviorModel, Watcher
 from deadreckon.ope.intervals import student
 from deadreckon.ope.metrics import Metrics, compare
+from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
 from deadreckon.runs.train import check_plan
 from deadreckon.tasks.registry import of_log
@@ -176,7 +178,7 @@ def suite(
     methods = tuple(Method(named(each), agent, {**(fixed or {}), **each}) for each in settings)
     return Suite(
         f"tune-{agent}", "learn", tuple(logs), methods, seeds=seeds, steps=dict.fromkeys(logs, steps),
-        evaluations=1, rows=rows, about=f"settings of {agent}",
+        evaluations=1, rows=rows, about=f"settings of {agent}", divided=by == "ope",
     )  # fmt: skip
 
 
@@ -247,6 +249,8 @@ def _estimated(
 
     folders = {store.path / "runs" / rows[cell]["job"]: job.method for job in jobs for cell in job.cells}
     log, out = catalogue.load(source(jobs[0])), store.path / "estimates"
+    if jobs[0].asked.get("divided"):
+        log = trial_parts(log)[1]
     judged = judge(list(folders), log, estimators, out=out, model=model, discount=discount, greedy=True, watch=watch)
     values: dict[str, list[float]] = {}
     owners = {folder.name: method for folder, method in folders.items()}

@@ -12,6 +12,7 @@ from deadreckon.bench.plan import Job, Program, agent_of, code, designer_of, est
 from deadreckon.bench.store import Found
 from deadreckon.errors import UserError
 from deadreckon.files import alone
+from deadreckon.runs.holdout import trial_parts
 
 Watch = Callable[[int, int], None]  # updates done, and in all
 
@@ -52,7 +53,7 @@ def _log(job: Job) -> Any:
     # The plan may be from another machine.
     if job.on not in recipe_names() and job.data != f"{log.name} {log.fingerprint}":
         raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
-    return log
+    return trial_parts(log)[0] if job.asked.get("divided") else log
 
 
 def _learn(job: Job, folder: Path, watch: Watch) -> Found:
@@ -79,7 +80,7 @@ def _asked(job: Job, watch: Watch) -> dict[str, Any]:
     return {
         "steps": job.asked["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
         "episodes": job.asked["episodes"], "chunk": min(1000, every), "resume": True,
-        "watch": lambda progress, steps: watch(progress.step, steps),
+        "holdout": 0, "watch": lambda progress, steps: watch(progress.step, steps),
     }  # fmt: skip
 
 

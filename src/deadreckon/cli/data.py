@@ -60,6 +60,7 @@ class Mapping:
     terminal: Annotated[str | None, _COLUMN] = None  # column that marks true ends
     timeout: Annotated[str | None, _COLUMN] = None  # column that marks ends of recording
     propensity: Annotated[str | None, _COLUMN] = None  # column with the probability of the logged action
+    keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # no observations, but kept: what to hold out by, such as a user
 
 
 @dataclass

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -56,6 +56,14 @@ class Train:
     stream: bool | None = None  # fetch batches from the host; None: where the log does not fit on the device
     mmap: bool = False  # memory-map the log, for logs larger than memory
     strict: bool = False  # refuse actions out of bounds instead of clipping them
+    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
+    """of the episodes, not learned from and kept for `deadreckon ope`; None: 0.2, or 0 where a simulator judges"""
+    holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
+    """at random, the latest, or all episodes of some users, sites, ... of this column together; None: at random"""
+    cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
+    """learn so many policies, each from all folds but one, so that every episode can judge; a run folder each in OUT"""
+    deliver: Literal["mixture", "refit"] = "mixture"
+    """with --cross-fit: a policy that draws one of them for each episode, or one that learns once more from everything"""
 
 
 def train(args: Sequence[str]) -> None:
@@ -78,8 +86,10 @@ def train(args: Sequence[str]) -> None:
     kind.__doc__ = run.__doc__ if name else f"{run.__doc__} Agents: {', '.join(AGENTS)}."
     parsed = parse(kind, rest, "train --online" if online else "train")
     finished = _train_online(name, parsed) if online else _train(name, parsed, own)
-    print(summary(finished))
-    if all(finished.failures):
+    from deadreckon.runs.train import Run
+
+    print(summary(finished) if isinstance(finished, Run) else finished)
+    if isinstance(finished, Run) and all(finished.failures):  # a cross-fit refuses such itself
         raise SystemExit(1)
 
 
@@ -103,26 +113,52 @@ def _train_online(name, parsed):
 
 def _train(name, parsed, preset):
     options: Train = parsed.run
+    if options.cross_fit is not None and options.holdout is not None:
+        raise UserError("--cross-fit holds every fold out in turn; leave --holdout out")
 
     from deadreckon.agents import preset_for
     from deadreckon.data.catalogue import load
     from deadreckon.runs.train import train as run_training
 
     log = load(
-        options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon, **mapping_options(options.map)
-    )
+        options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon,
+        **_columns(options.map, options.holdout_by),
+    )  # fmt: skip
     for text in log.warnings:
         print(f"{log.name}: {text}")
     published = preset_for(name, log.name)
     if published and not preset:
         print(f"{name}: --preset {published} has the settings published for such a log; `deadreckon agents` shows them")
     with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
-        return run_training(
-            parsed.agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=options.task,
-            out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
-            resume=options.resume, stream=options.stream, strict=options.strict,
-            watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
-        )  # fmt: skip
+        asked = {
+            "steps": options.steps, "seeds": options.seeds, "seed": options.seed, "task": options.task, "out": options.out,
+            "evaluate_every": options.evaluate_every, "episodes": options.episodes, "chunk": options.chunk,
+            "resume": options.resume, "stream": options.stream, "strict": options.strict,
+            "watch": lambda progress, steps: bar(progress.step, steps, _note(progress)),
+        }  # fmt: skip
+        if options.cross_fit is None:
+            return run_training(parsed.agent, log, holdout=_holdout(options.holdout, options.holdout_by), **asked)
+        from deadreckon.runs.crossfit import cross_fit
+
+        by = options.holdout_by or "random"
+        return cross_fit(parsed.agent, log, folds=options.cross_fit, by=by, deliver=options.deliver, **asked)
+
+
+def _columns(given: Mapping, by: str | None) -> dict[str, Any]:
+    """The mapping of a table, in which the column to hold out by is kept and not observed."""
+    named = mapping_options(given)
+    if named and by not in (None, "random", "time"):
+        named["keep"] = tuple(dict.fromkeys([*named.get("keep", ()), by]))
+    return named
+
+
+def _holdout(share: float | None, by: str | None):
+    """As `runs.train.train` takes it."""
+    from deadreckon.data.split import Holdout
+
+    if by is None or share == 0:
+        return share
+    return Holdout(by=by) if share is None else Holdout(share, by)
 
 
 def _note(progress) -> str:
@@ -140,7 +176,7 @@ def summary(run) -> str:
     """Last metrics, failures, last score, and where everything lies."""
     import numpy as np
 
-    lines = []
+    lines = _learned_from(run.config["data"])
     metrics = run.metrics.to_pydict()
     count = len(run.seeds)
     shown = [f"{k} {np.nanmean(v[-count:]):.4g}" for k, v in metrics.items()
@@ -163,3 +199,13 @@ def summary(run) -> str:
             lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")
     lines.append(f"run folder: {run.path}")
     return "\n".join(lines)
+
+
+def _learned_from(data: dict[str, Any]) -> list[str]:
+    """How many episodes were learned from, and how many are left to judge by; nothing of runs that had no log."""
+    if "episodes" not in data:
+        return []
+    if held := data.get("holdout"):
+        told = f"learned from {held['learning']:,} of {data['episodes']:,} episodes"
+        return [f"{told}; {held['held']:,} are held out for `deadreckon ope`"]
+    return [f"learned from all {data['episodes']:,} episodes, none is held out"]

@@ -16,7 +16,10 @@ from deadreckon.errors import UserError
 
 @dataclass
 class Tune:
-    """Try settings of an agent and choose: from the log alone by estimates, or in the simulators of training tasks."""
+    """Try settings of an agent and choose: from the log alone by estimates, or in the simulators of training tasks.
+
+    Of a log of your own, the episodes that `deadreckon train` holds out are not looked at.
+    """
 
     agent: str  # among `deadreckon agents`
     data: tuple[str, ...]  # logs: names or files; one where estimates choose

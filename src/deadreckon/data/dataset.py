@@ -1,7 +1,7 @@
 """The log: immutable columns in episodes, checked once at the door."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -49,6 +49,7 @@ class Dataset:
         name: such as `maze2d-umaze-v1@dr1`.
         provenance: where the log comes from.
         warnings: what was noticed at the door, one line each.
+        part_of: where it is a part of another log, what gives the `episode_ids` that its episodes have there.
     """
 
     observations: np.ndarray
@@ -64,6 +65,7 @@ class Dataset:
     name: str
     provenance: Provenance
     warnings: tuple[str, ...] = ()
+    part_of: Callable[[], np.ndarray] | None = field(default=None, repr=False)
 
     # ---- building -------------------------------------------------------------------------------------------------
 
@@ -249,6 +251,18 @@ class Dataset:
                 digest.update(np.ascontiguousarray(column[start : start + _BLOCK]).tobytes())
         return digest.hexdigest()
 
+    @cached_property
+    def episode_ids(self) -> np.ndarray:
+        """(episodes,) uint64 that tell episodes apart and know them again; see `data.episodes.content_ids`.
+
+        The same content gives the same numbers whatever file it is read from. A part has those of the log it was taken from.
+        """
+        from deadreckon.data.episodes import content_ids
+
+        if self.part_of is not None and len(ids := self.part_of()) == self.episodes:
+            return ids
+        return content_ids(self)
+
     # ---- derived columns --------------------------------------------------------------------------------------------
 
     @cached_property
@@ -302,6 +316,7 @@ class Dataset:
             self,
             **{name: read(getattr(self, name)) for name in (*fields, "successors")},
             extras={key: read(value) for key, value in self.extras.items()},
+            part_of=None if self.part_of is None else _given(self.episode_ids),
         )
 
     def select(self, episodes: Sequence[int] | np.ndarray, name: str | None = None) -> "Dataset":
@@ -311,7 +326,9 @@ class Dataset:
             raise UserError(f"{self.name}: a part with no episodes was asked for")
         lengths = self.lengths[episodes]
         offsets = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-        rows = np.repeat(self.starts[episodes], lengths) + offsets
+        rows: Any = np.repeat(self.starts[episodes], lengths) + offsets
+        if (np.diff(rows) == 1).all():  # neighbours are not copied, so that memory maps stay such
+            rows = slice(int(rows[0]), int(rows[-1]) + 1)
         observations, terminals, timeouts = self.observations[rows], self.terminals[rows], self.timeouts[rows]
         successors = None
         if self.successors is not None:
@@ -324,6 +341,7 @@ class Dataset:
             successors=successors,
             extras={key: value[rows] for key, value in self.extras.items()},
             name=name or self.name,
+            part_of=lambda: self.episode_ids[episodes],
         )  # fmt: skip
 
     def split(self, fraction: float = 0.8, seed: int = 0, by: str = "episode") -> tuple["Dataset", "Dataset"]:
@@ -332,15 +350,15 @@ class Dataset:
         Args:
             fraction: share of the first part, between 0 and 1.
             seed: of the shuffle.
-            by: "episode" draws at random, "time" takes the earliest (rows are in the order of time).
+            by: "episode" draws at random, "time" takes the earliest (rows are in the order of time), the name of an extra
+                column keeps episodes of one value together.
         """
+        from deadreckon.data.split import Holdout
+
         if not 0 < fraction < 1 or self.episodes < 2:
             raise UserError(f"split needs 0 < fraction < 1 and 2 episodes, got {fraction} and {self.episodes}")
-        if by not in ("episode", "time"):
-            raise UserError(f"split by 'episode' or 'time', not {by!r}")
-        order = np.random.default_rng(seed).permutation(self.episodes) if by == "episode" else np.arange(self.episodes)
-        cut = min(max(round(fraction * self.episodes), 1), self.episodes - 1)
-        return self.select(np.sort(order[:cut])), self.select(np.sort(order[cut:]))
+        parts = Holdout(1 - fraction, "random" if by == "episode" else by, seed).parts(self)
+        return self.select(parts.learning), self.select(parts.held)
 
     def with_action_space(self, space: Box | Discrete, strict: bool = False) -> "Dataset":
         """The same log under other bounds, such as those of the environment that it will be judged in.
@@ -355,7 +373,12 @@ class Dataset:
                 _bounds_warnings(self.name, self.actions, space, strict)
             return self
         warnings = _bounds_warnings(self.name, self.actions, space, strict)
-        return replace(self, action_space=space, warnings=(*self.warnings, *warnings))
+        told = (*self.warnings, *warnings)
+        return replace(self, action_space=space, warnings=told, part_of=lambda: self.episode_ids)
+
+
+def _given(ids: np.ndarray) -> Callable[[], np.ndarray]:
+    return lambda: ids
 
 
 # ---- checks at the door ---------------------------------------------------------------------------------------------

@@ -82,6 +82,23 @@ class Encoder:
             self.extra["observation_levels"] = levels
         return out
 
+    def kept(self, column: str) -> np.ndarray:
+        """(rows,) of a column that is no observation: numbers as they are; texts, categories and times as int64 codes, whose
+        levels go to `extra` where they are not very many.
+
+        Raises:
+            UserError: a value is missing, or the column holds something else.
+        """
+        values = self.complete(column)
+        if pa.types.is_temporal(values.type):
+            values = values.cast(pa.string())
+        if not is_category(values.type):
+            return numbers(self.name, self.table, column) if not pa.types.is_integer(values.type) else values.to_numpy()
+        codes, levels = category_codes(self.name, column, values, most=None)
+        if len(levels) <= _MOST_LEVELS:
+            self.extra.setdefault("kept_levels", {})[column] = levels
+        return codes
+
     def complete(self, column: str) -> Any:
         """The column as one pyarrow array, refused if a value is missing."""
         values = _flat(self.table, column)
@@ -142,15 +159,15 @@ def is_category(kind: pa.DataType) -> bool:
     return pa.types.is_dictionary(kind) or pa.types.is_boolean(kind) or any(test(kind) for test in texts)
 
 
-def category_codes(name: str, column: str, values: Any) -> tuple[np.ndarray, list[Any]]:
-    """(rows,) int64 index of each value's level, -1 where it is missing, and the levels that occur, sorted."""
+def category_codes(name: str, column: str, values: Any, most: int | None = _MOST_LEVELS) -> tuple[np.ndarray, list[Any]]:
+    """(rows,) int64 index of each value's level, -1 where it is missing, and the levels that occur, sorted; `most` of them."""
     if isinstance(values, pa.DictionaryArray):
         values = values.dictionary_decode()
     if pa.types.is_boolean(values.type):
         values = values.cast(pa.string())
     encoded = values.dictionary_encode()
-    if len(encoded.dictionary) > _MOST_LEVELS:
-        text = f"column {column} has {len(encoded.dictionary)} distinct values, at most {_MOST_LEVELS} are encoded"
+    if most is not None and len(encoded.dictionary) > most:
+        text = f"column {column} has {len(encoded.dictionary)} distinct values, at most {most} are encoded"
         raise UserError(f"{name}: {text}; leave it out")
     codes = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64)
     order = sorted_indices(encoded.dictionary)

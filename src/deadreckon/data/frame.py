@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.encode import Encoder, encode_action, numbers, sorted_indices
-from deadreckon.data.layout import naming
+from deadreckon.data.layout import RESERVED, naming
 from deadreckon.errors import UserError, unknown
 
 
@@ -26,6 +26,7 @@ def from_frame(
     terminal: str | None = None,
     timeout: str | None = None,
     propensity: str | None = None,
+    keep: str | Sequence[str] = (),
     name: str = "frame",
     strict: bool = False,
     source: str = "frame",
@@ -53,6 +54,9 @@ def from_frame(
             terminal is always one.
         propensity: column of the logging policy's probability of the logged action (of its density, for floats), in
             (0, 1]; its logarithm is kept as the extra `behavior_log_probs`.
+        keep: columns, or prefixes, that are no observations unless `observations` names them, but stay beside the log as
+            extras, such as the user or the site by which episodes are held out. Texts and times become integer codes, up to
+            1,000 levels of each in `provenance.extra`.
         name: of the log, used in errors.
         strict: refuse actions out of bounds.
         source: kind of table, for the provenance.
@@ -67,13 +71,14 @@ def from_frame(
     encoder = Encoder(name, table)
     action_names = _columns_like(table, action, name)
     ignored = set(_columns_like(table, ignore, name))
+    kept = _columns_like(table, keep, name)
     single = {"reward": reward, "episode": episode, "time": time, "terminal": terminal, "timeout": timeout,
               "propensity": propensity}  # fmt: skip
     for column in (*action_names, *single.values()):
         if column is not None:
             check_column(table, column, name)
     if observations is None:
-        taken = {*action_names, *single.values()}
+        taken = {*action_names, *single.values(), *kept}
         observation_names = [column for column in table.column_names if column not in taken | ignored]
         observation_names = encoder.plausible(observation_names)
     else:
@@ -90,6 +95,10 @@ def from_frame(
         columns[key] = np.zeros(rows, bool) if column is None else _flags(name, table, column)
     if propensity is not None:
         columns["behavior_log_probs"] = _log_probabilities(name, table, propensity)
+    for column in kept:
+        if column in RESERVED | columns.keys():
+            raise UserError(f"{name}: a column that is kept cannot be called {column}, which means something else; rename it")
+        columns[column] = encoder.kept(column)
     if episode is None and time is None and terminal is None and timeout is None:
         columns["terminals"][:] = True
     order, ends, moments = _order(encoder, episode, time)

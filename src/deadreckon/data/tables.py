@@ -29,7 +29,7 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
              "timeouts": "timeout", "next_observations": "next_observation",
              "final_observations": "final_observation"}  # fmt: skip
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
-MAPPING = ("episode", "time", "action", "reward", "observations", "ignore", "terminal", "timeout", "propensity")
+MAPPING = ("episode", "time", "action", "reward", "observations", "ignore", "terminal", "timeout", "propensity", "keep")
 
 
 def read_parquet(

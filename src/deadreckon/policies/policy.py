@@ -1,6 +1,6 @@
 """What acts: the protocol, the kinds of policy that agents produce, and any Python function as a policy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import equinox as eqx
@@ -350,7 +350,16 @@ class Deployed(eqx.Module):
 
     @property
     def action_probs(self) -> Callable[[Any], np.ndarray] | None:
-        """Of discrete actions, what gives the probabilities (n, actions) at raw observations; None for continuous ones."""
+        """Of discrete actions, what gives the probabilities (n, actions) at raw observations; None for continuous ones.
+
+        Those of a mixture are of an episode's first action; what it does later depends on which member was drawn.
+        """
+        if isinstance(self.inner, Mixture):
+            found = [member.action_probs for member in self.inner.members]
+            told = [tells for tells in found if tells is not None]
+            if len(told) < len(found):
+                return None
+            return lambda observations: np.mean([tells(observations) for tells in told], 0)
         if not isinstance(self.inner, Categorical | Supported):
             return None
         return lambda observations: np.asarray(_chances(self, jnp.asarray(observations)))
@@ -361,6 +370,38 @@ class Deployed(eqx.Module):
         single = x.ndim == 1
         actions = first_actions(self, jnp.asarray(x[None] if single else x), jax.random.key(0), True)
         return np.asarray(actions[0] if single else actions)
+
+
+class Mixture(Inner):
+    """One of several policies, drawn with equal chances when an episode begins, also when `greedy`, and kept to its end.
+
+    A policy that came of another part of a log has its own coordinates, so these are whole policies: a mixture sees raw
+    observations and gives the environment's actions.
+
+    Attributes:
+        members: the policies.
+    """
+
+    members: tuple[Deployed, ...]
+
+    @classmethod
+    def of(cls, members: Sequence[Deployed]) -> Deployed:
+        """Of policies with equal sizes, as what is saved and judged."""
+        return Deployed(cls(tuple(members)), None, None, None, None)
+
+    def start(self, n: int) -> tuple[Array, tuple[Any, ...]]:
+        """(n,) which member acts, not drawn yet, and the members' carries."""
+        return jnp.zeros(n, jnp.int32), tuple(member.start(n) for member in self.members)
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`; in the environment's bounds."""
+        which, carries = carry
+        draw, *keys = jax.random.split(key, 1 + len(self.members))
+        first = jnp.asarray(step.first, bool)
+        which = jnp.where(first, jax.random.randint(draw, first.shape, 0, len(self.members)), which)
+        acts = [member.act(step, c, k, greedy=greedy) for member, c, k in zip(self.members, carries, keys)]
+        actions = jnp.stack([action for action, _ in acts])
+        return actions[which, jnp.arange(len(which))], (which, tuple(kept for _, kept in acts))
 
 
 @eqx.filter_jit

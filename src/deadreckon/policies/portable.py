@@ -64,13 +64,21 @@ class NumpyPolicy:
 
     def __init__(self, tree, arrays):
         self.tree, self.arrays = tree["policy"], arrays
+        inner = self.tree["inner"]
+        several = inner["kind"] == "Mixture"
+        self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner["members"]] if several else []
+        self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
 
-    def __call__(self, observations, rng=None, greedy=True):
+    def __call__(self, observations, rng=None, greedy=True, first=None):
         """Actions in the environment's bounds, if the policy knows these.
 
-        `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed.
+        `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed. `first`: whether an episode begins, for one
+        observation, or (n,) for a batch. A mixture needs it: then it draws who acts, and keeps to it. Without it, an episode
+        begins with the first call and wherever a batch has another size.
         """
         x = np.asarray(observations, np.float32)
+        if self.members:
+            return self._mixed(x, rng, greedy, first)
         rng = rng or np.random.default_rng(0)
         batch = x if x.ndim > 1 else x[None]
         get = self._array
@@ -90,6 +98,18 @@ class NumpyPolicy:
             action = low + 0.5 * (action + 1.0) * (high - low)
         action = action.astype(np.float32)
         return action if x.ndim > 1 else action[0]
+
+    def _mixed(self, x, rng, greedy, first):
+        """Actions of the members whose turn it is."""
+        batch = x if x.ndim > 1 else x[None]
+        n = len(batch)
+        begins = np.broadcast_to(np.asarray(False if first is None else first, bool), n)
+        if self.which is None or len(self.which) != n:
+            self.which, begins = np.zeros(n, int), np.ones(n, bool)
+        drawn = (rng or self.drawing).integers(len(self.members), size=n)
+        self.which = np.where(begins, drawn, self.which)
+        actions = np.stack([member(batch, rng, greedy) for member in self.members])[self.which, np.arange(n)]
+        return actions if x.ndim > 1 else actions[0]
 
     def _array(self, reference):
         return self.arrays[reference[1:]]

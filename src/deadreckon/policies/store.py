@@ -22,6 +22,7 @@ from deadreckon.policies.policy import (
     Deterministic,
     Gaussian,
     GreedyQ,
+    Mixture,
     Moved,
     OneStep,
     Supported,
@@ -29,6 +30,8 @@ from deadreckon.policies.policy import (
     VAEDecoder,
 )
 
+_TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`
+_EXACT = ("mean", "std", "low", "high")  # the coordinates of a `Deployed`
 # The only classes that a file can name: reading one runs no code of the file's choosing.
 _ELSEWHERE = {  # imported where a file has one: they need what needs policies
     "Planner": "deadreckon.agents.pets",
@@ -39,12 +42,19 @@ _KINDS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
         Deployed, Deterministic, Gaussian, ClippedGaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical,
-        Supported, MLP, VAE, Transformer, Block,
+        Supported, Mixture, MLP, VAE, Transformer, Block,
     )
 }
 
 
-def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None, *, half: bool = False) -> None:
+def save(
+    path: Path | str,
+    policy: Deployed,
+    meta: dict[str, Any] | None = None,
+    *,
+    half: bool = False,
+    taught: np.ndarray | None = None,
+) -> None:
     """Writes a policy as arrays and JSON, atomically.
 
     Args:
@@ -52,6 +62,7 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
         policy: as an agent gives it.
         meta: JSON values to keep beside it (agent, data, scores, ...).
         half: store the networks as float16 and compress them, a third of the size; read back, they are float32 again.
+        taught: (episodes,) uint64 `episode_ids` of the episodes that it has learned from; None where that is not known.
 
     Raises:
         UserError: a number is beyond float16, or the file cannot be written.
@@ -66,7 +77,9 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
             return [encode(v, f"{name}.{i}") for i, v in enumerate(value)]
         if hasattr(value, "shape"):
             with np.errstate(over="ignore"):
-                small = half and name.startswith("policy.inner.") and value.ndim > 0  # single numbers stay as they are
+                # Single numbers stay as they are, and so do the coordinates of a mixture's members.
+                exact = value.ndim == 0 or name.rpartition(".")[2] in _EXACT
+                small = half and name.startswith("policy.inner.") and not exact
                 arrays[name] = np.asarray(value, np.float16 if small else None)
             if np.isfinite(np.asarray(value)).all() and not np.isfinite(arrays[name]).all():
                 raise UserError(f"{path}: {name} holds numbers beyond float16; save it with half=False")
@@ -75,9 +88,10 @@ def save(path: Path | str, policy: Deployed, meta: dict[str, Any] | None = None,
 
     tree = {"format": portable.FORMAT, "meta": meta or {}, "policy": encode(policy, "policy")}
     text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
+    noted = {} if taught is None else {_TAUGHT: np.asarray(taught, np.uint64)}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         write = np.savez_compressed if half else np.savez
-        write(file, **{"policy.json": text}, **arrays)  # pyright: ignore[reportArgumentType]
+        write(file, **{"policy.json": text}, **arrays, **noted)  # pyright: ignore[reportArgumentType]
 
 
 def load(path: Path | str) -> Deployed:
@@ -121,3 +135,15 @@ def load(path: Path | str) -> Deployed:
 def meta(path: Path | str) -> dict[str, Any]:
     """The JSON values kept beside a saved policy."""
     return portable.read(path)[0]["meta"]
+
+
+def taught(path: Path | str) -> np.ndarray | None:
+    """(episodes,) uint64 `episode_ids` of the episodes that a saved policy has learned from; None where the file does not say.
+
+    Raises:
+        UserError: the file is missing, broken or no policy file.
+    """
+    try:
+        return portable.read(path)[1].get(_TAUGHT)
+    except ValueError as error:
+        raise UserError(str(error)) from error

@@ -5,6 +5,7 @@
     metrics/N.parquet   one immutable part a chunk, N updates done: step, seed, one column a metric
     checkpoints/N.npz   the newest states, see `training.checkpoint`
     policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
+    episodes.npz        `episode_ids` of the episodes that were learned from (taught) and that were not (held)
     log.npz             stretches of the log, for pictures
     evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
     replay/seedS.bin    online: every environment step, see `collect.online`; the newest checkpoint says how many count
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -56,6 +58,19 @@ class Folder:
     def log(self) -> Path:
         """Stretches of the log, for pictures."""
         return self.path / "log.npz"
+
+    def note_episodes(self, taught: np.ndarray, held: np.ndarray) -> None:
+        """Writes which episodes are learned from, (learning,) uint64, and which are not, (held,), unless it is there."""
+        if not (path := self.path / "episodes.npz").exists():
+            with replacing(path) as temporary, open(temporary, "wb") as file:
+                np.savez(file, taught=taught, held=held)
+
+    def episodes(self, which: str) -> np.ndarray | None:
+        """What `note_episodes` wrote, `taught` or `held`; None in folders from before it did."""
+        if not (path := self.path / "episodes.npz").exists():
+            return None
+        with np.load(path, allow_pickle=False) as file:
+            return file[which]
 
     def replay(self, seed: int) -> Path:
         """Every environment step of an online run's seed."""

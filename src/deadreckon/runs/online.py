@@ -6,6 +6,8 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
 from deadreckon.collect.experience import experience_of
@@ -94,11 +96,14 @@ def train_online(
     for text in folder.check(config, resume=resume):
         warnings.warn(text, stacklevel=2)
     folder.begin(config)
+    # What a simulator shows is in no log: demonstrations alone have been seen.
+    taught = np.zeros(0, np.uint64) if shown is None else shown.episode_ids
+    folder.note_episodes(taught, np.zeros(0, np.uint64))
     job.resume()
     folder.lengthen(config)
     folder.drop_after(job.step)
 
-    recorder = Recorder([folder], job, task, None, job.stops, episodes)
+    recorder = Recorder([folder], job, task, None, job.stops, episodes, taught)
     try:
         if job.step == 0:
             recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with

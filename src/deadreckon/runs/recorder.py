@@ -45,14 +45,16 @@ class Recorder:
         log: that is learned from; None online.
         every: updates between evaluations.
         episodes: an evaluation, a lane.
+        taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from.
     """
 
     def __init__(
-        self, folders: Sequence[Folder], job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int
-    ):
+        self, folders: Sequence[Folder], job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int,
+        taught: np.ndarray,
+    ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
-        self.every, self.episodes = every, episodes
+        self.every, self.episodes, self.taught = every, episodes, taught
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.probe = LogProbe(log) if log is not None else _nothing  # an online run has no log to stay near to
         self.pool = ThreadPoolExecutor(1)
@@ -149,7 +151,7 @@ class Recorder:
             meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step}
             if values is not None:
                 meta["estimated_values"] = [float(v) for v in values[i]]
-            store.save(path, policy, meta)
+            store.save(path, policy, meta, taught=self.taught)
 
     def _submit(self, step: int) -> None:
         self.pending.append(self.pool.submit(self._judge, step))
@@ -196,7 +198,7 @@ class Recorder:
             future.result()
         for path, seed, policy in zip(self._paths(), self.job.seeds, self.policies()):
             if not path.exists():
-                store.save(path, policy, {"agent": agent_name(self.job.learners[0]), "seed": seed})
+                store.save(path, policy, {"agent": agent_name(self.job.learners[0]), "seed": seed}, taught=self.taught)
         self._status(self.job.step, finished=True)
 
     def close(self) -> None:

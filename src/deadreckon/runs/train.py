@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from deadreckon.agents import agent_class, agent_name
@@ -14,12 +15,14 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import Fold, Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json, safe_name
 from deadreckon.policies import store
 from deadreckon.policies.policy import Deployed
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.holdout import divided
 from deadreckon.runs.recorder import Recorder, Watcher
 from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
@@ -61,6 +64,16 @@ class Run:
         """One row an episode of every periodic evaluation."""
         return Folder(self.path).table("evaluations")
 
+    @property
+    def taught(self) -> np.ndarray | None:
+        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None for folders from before it was noted."""
+        return Folder(self.path).episodes("taught")
+
+    @property
+    def held(self) -> np.ndarray | None:
+        """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
+        return Folder(self.path).episodes("held")
+
     def __repr__(self) -> str:
         return f"Run({self.path}, {self.config['agent']['name']}, seeds {self.seeds})"
 
@@ -80,6 +93,7 @@ def train(
     resume: bool = False,
     stream: bool | None = None,
     strict: bool = False,
+    holdout: Holdout | Fold | float | None = None,
     watch: Watcher = lambda progress, steps: None,
 ) -> Run:
     """Trains an agent on a log, several seeds as one compiled program, and judges it as it goes.
@@ -98,6 +112,10 @@ def train(
         resume: go on with the run in `out`; a finished one is given back as it is, or made longer if more steps are asked for.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
         strict: refuse logs with actions out of bounds.
+        holdout: episodes to judge by, which are not learned from (`data.split.Holdout`, or its share alone; 0: none). None: a
+            fifth at random of a log that no simulator judges, none of others; of a memory-mapped log the latest fifth, so that
+            the rest is not copied. Of fewer than 10 episodes (or clusters) none, with a warning. A run that is gone on with
+            keeps its own.
         watch: called after every chunk; by raising `runs.recorder.Enough` it ends the run there.
 
     Raises:
@@ -109,7 +127,7 @@ def train(
     path = Path(out) if out is not None else Path("runs") / file_part(f"{agent_name(lanes[0])}-{log.name}")
     [run] = _train(
         {path: lanes}, path, log, steps=steps, seed=seed, task=task, evaluate_every=evaluate_every, episodes=episodes,
-        chunk=chunk, resume=resume, stream=stream, strict=strict, watch=watch,
+        chunk=chunk, resume=resume, stream=stream, strict=strict, holdout=holdout, watch=watch,
     )  # fmt: skip
     return run
 
@@ -129,6 +147,7 @@ def train_together(
     resume: bool = False,
     stream: bool | None = None,
     strict: bool = False,
+    holdout: Holdout | Fold | float | None = None,
     watch: Watcher = lambda progress, steps: None,
 ) -> dict[str, Run]:
     """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
@@ -149,6 +168,7 @@ def train_together(
         resume: go on with the runs in `out`, which must be of the same agents.
         stream: see `train`.
         strict: see `train`.
+        holdout: see `train`; the same for all.
         watch: see `train`; by raising `runs.recorder.Enough` it ends all runs.
 
     Raises:
@@ -165,28 +185,32 @@ def train_together(
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
     runs = _train(
         {out / name: [agent] * seeds for name, agent in agents.items()}, out, log, steps=steps, seed=seed, task=task,
-        evaluate_every=evaluate_every, episodes=episodes, chunk=chunk, resume=resume, stream=stream, strict=strict, watch=watch,
+        evaluate_every=evaluate_every, episodes=episodes, chunk=chunk, resume=resume, stream=stream, strict=strict,
+        holdout=holdout, watch=watch,
     )  # fmt: skip
     return dict(zip(agents, runs))
 
 
 def _train(
     asked: Mapping[Path, Sequence[Agent]], out: Path, log: Dataset, *, steps: int, seed: int, task: Task | str | None,
-    evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool | None, strict: bool, watch: Watcher,
+    evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool | None, strict: bool,
+    holdout: Holdout | Fold | float | None, watch: Watcher,
 ) -> list[Run]:  # fmt: skip
     """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
     judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
     folders = [Folder(path) for path in asked]
-    lanes = [lane.resolve(log.spec, steps) for each in asked.values() for lane in each]
+    before = read_json(folders[0].config) if resume and folders[0].config.exists() else None
+    part = divided(log, holdout, judge, before)
+    lanes = [lane.resolve(part.learning.spec, steps) for each in asked.values() for lane in each]
     seeds = len(lanes) // len(folders)
     numbers = list(range(seed, seed + seeds))
     every = min(evaluate_every or folders[0].period(resume) or max(steps // 10, 1), steps)
-    rows = Rows(log, lanes[0].needs(log.spec))
+    rows = Rows(part.learning, lanes[0].needs(part.learning.spec))
 
     common = {
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
-                 "usable": rows.count, "warnings": log.warnings,
+                 "holdout": part.told, "usable": rows.count, "warnings": log.warnings,
                  "behavior": None if judge is None else logged_value(log, judge),
                  "provenance": dataclasses.asdict(log.provenance)},
         "task": None if judge is None else judge.name,
@@ -212,14 +236,15 @@ def _train(
         warnings.warn(text, stacklevel=3)
     for folder, config in zip(folders, configs):
         folder.begin(config)
+        folder.note_episodes(part.taught, part.held)
     job.resume()
     for folder, config in zip(folders, configs):
         folder.lengthen(config)
         folder.drop_after(job.step)
 
-    recorder = Recorder(folders, job, judge, log, every, episodes)
+    recorder = Recorder(folders, job, judge, part.learning, every, episodes, part.taught)
     try:
-        recorder.picture(log)
+        recorder.picture(part.learning)
         recorder.catch_up()
         recorder.follow(watch)
     finally:

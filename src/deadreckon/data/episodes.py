@@ -1,0 +1,97 @@
+"""Which episode is which: a number for each, made of what the episode holds, so that it is known again in any file and part."""
+
+import hashlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from deadreckon.data.dataset import Dataset
+
+_BLOCK = 2**22  # bytes looked at together: they stay in the processor's cache, and no memory-mapped column is loaded whole
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+
+
+def content_ids(log: "Dataset") -> np.ndarray:
+    """(episodes,) uint64, one for each episode and different from all others in the log.
+
+    It follows from the observations, actions, rewards, ends and what was seen last, and, because episodes may be alike, from
+    how many like it come before in the log. Extra columns do not count: a log is read now with propensities or users and now
+    without, and its episodes are the same. The numbers are the same on every machine and in every version; they are no
+    protection against somebody who wants two episodes to look alike.
+    """
+    rows = np.zeros(len(log), np.uint64)
+    for name in ("observations", "actions", "rewards"):
+        _add(rows, name, getattr(log, name))
+    rows += _mixed(_seed("ends") ^ (log.terminals + np.uint64(2) * log.timeouts))
+    if log.successors is not None:
+        # Only where they say something new: a part in which they do not has no such column.
+        new = np.zeros(len(log), bool)
+        for start in range(0, len(log), 65_536):
+            part = np.arange(start, min(start + 65_536, len(log) - 1))
+            new[part] = (log.successors[part] != log.observations[part + 1]).reshape(len(part), -1).any(1)
+        new[log.ends] = False
+        found = np.zeros(int(new.sum()), np.uint64)
+        _add(found, "successors", log.successors[new])
+        rows[new] += found
+    place = np.arange(len(log), dtype=np.uint64) - log.starts.astype(np.uint64)[log.episode_of]
+    ids = np.add.reduceat(_mixed(rows ^ _places("step", place)), log.starts)
+    last = np.zeros(log.episodes, np.uint64)
+    _add(last, "final_observations", log.final_observations)
+    ids = _mixed(ids + np.where(log.final_known, _mixed(last), np.uint64(0)))
+    return _mixed(ids ^ _places("alike", _alike_before(ids)))
+
+
+def _add(into: np.ndarray, name: str, column: np.ndarray) -> None:
+    """Adds a hash of each row of a column."""
+    seed = _seed(name)
+    for start, words in _words(column):
+        keys = _places(seed, np.arange(words.shape[1], dtype=np.uint64))
+        # Mixed one by one before they are added: products alone would not see two signs change together.
+        into[start : start + len(words)] += _mixed(words ^ keys).sum(1, dtype=np.uint64)
+
+
+def _words(column: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Blocks of a column's rows, each row as (words,) uint64 that are the same on every machine; with each its first row."""
+    size = int(np.prod(column.shape[1:], dtype=np.int64))
+    kind = "<f4" if column.dtype.kind == "f" else "u1" if column.dtype == np.uint8 else "<i8"
+    width = -(-size * np.dtype(kind).itemsize // 8) * 8
+    each = max(_BLOCK // max(width, 1), 1)
+    for start in range(0, len(column), each):
+        part = np.asarray(column[start : start + each]).reshape(-1, size).astype(kind)
+        if kind == "<f4":
+            part += np.float32(0.0)  # minus zero is zero
+        padded = np.zeros((len(part), width), np.uint8)
+        padded[:, : size * part.itemsize] = np.ascontiguousarray(part).view(np.uint8).reshape(len(part), -1)
+        yield start, padded.view("<u8").astype(np.uint64)
+
+
+def _seed(name: str) -> np.uint64:
+    return np.uint64(int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest(), "little"))
+
+
+def _places(seed: str | np.uint64, index: np.ndarray) -> np.ndarray:
+    """A number for each place 0, 1, ..., so that the same values elsewhere count otherwise."""
+    return _mixed((_seed(seed) if isinstance(seed, str) else seed) + (index + np.uint64(1)) * _STEP)
+
+
+def _mixed(x: np.ndarray | np.uint64) -> np.ndarray:
+    """The finaliser of SplitMix64 (Steele, Lea and Flood, 2014): one to one, and every bit depends on all."""
+    x = np.array(x, np.uint64, ndmin=1)
+    x ^= x >> np.uint64(30)
+    x *= np.uint64(0xBF58476D1CE4E5B9)
+    x ^= x >> np.uint64(27)
+    x *= np.uint64(0x94D049BB133111EB)
+    x ^= x >> np.uint64(31)
+    return x
+
+
+def _alike_before(ids: np.ndarray) -> np.ndarray:
+    """(episodes,) uint64: how many equal numbers come before each."""
+    order = np.argsort(ids, kind="stable")
+    first = np.append(True, ids[order][1:] != ids[order][:-1])
+    place = np.arange(len(ids))
+    out = np.empty(len(ids), np.uint64)
+    out[order] = place - np.maximum.accumulate(np.where(first, place, 0))
+    return out

@@ -1,0 +1,155 @@
+"""Which episodes a method learns from and which are kept to judge by: whole episodes, or whole clusters of them."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.errors import UserError, unknown
+
+if TYPE_CHECKING:
+    from deadreckon.data.dataset import Dataset
+
+RANDOM, TIME = "random", "time"
+
+
+class Parts(NamedTuple):
+    """Two disjoint parts of a log, all its episodes together.
+
+    Attributes:
+        learning: (learning,) indices of episodes to learn from, ascending.
+        held: (held,) indices of episodes that are held out, ascending.
+    """
+
+    learning: np.ndarray
+    held: np.ndarray
+
+
+@dataclass(frozen=True)
+class Holdout:
+    """Episodes that no method learns from, so that policies can be judged on them.
+
+    Attributes:
+        share: of the episodes, between 0 and 1.
+        by: "random", "time" (the latest: rows are in the order of time), or a column of the log's extras, such as a user or a
+            site, which is held out whole or not at all.
+        seed: of the draw.
+    """
+
+    share: float = 0.2
+    by: str = RANDOM
+    seed: int = 0
+
+    def parts(self, log: "Dataset") -> Parts:
+        """The episodes of `log` to learn from and to hold out.
+
+        Raises:
+            UserError: a share that is not between 0 and 1, fewer than two episodes or clusters, or a column that is unknown or
+                changes within an episode.
+        """
+        if not 0 < self.share < 1:
+            raise UserError(f"the share held out must lie between 0 and 1, got {self.share}")
+        cluster = clusters(log, self.by)
+        _enough(log, cluster, self.by, 2)
+        held = np.zeros(log.episodes, bool)
+        if self.by in (RANDOM, TIME):
+            order = np.arange(log.episodes) if self.by == TIME else np.random.default_rng(self.seed).permutation(log.episodes)
+            held[order[min(max(round((1 - self.share) * log.episodes), 1), log.episodes - 1) :]] = True
+        else:
+            held = np.isin(cluster, self._drawn(np.bincount(cluster)))
+        return Parts(np.flatnonzero(~held), np.flatnonzero(held))
+
+    def told(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {"share": self.share, "by": self.by, "seed": self.seed}
+
+    def _drawn(self, sizes: np.ndarray) -> list[int]:
+        """Clusters in random order, each taken if that brings their episodes nearer to the share; one at least, never all."""
+        order, wanted = np.random.default_rng(self.seed).permutation(len(sizes)), self.share * sizes.sum()
+        taken: list[int] = []
+        count = 0
+        for each in order:
+            if len(taken) + 1 < len(sizes) and abs(count + sizes[each] - wanted) < abs(count - wanted):
+                taken, count = [*taken, int(each)], count + sizes[each]
+        return taken or [int(order[np.argmin(sizes[order])])]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One part of several that are held out in turn, in the place of a `Holdout`.
+
+    Attributes:
+        fold: which, 0 .. folds - 1.
+        folds: how many.
+        by: see `Holdout`.
+        seed: of the draw.
+    """
+
+    fold: int
+    folds: int = 5
+    by: str = RANDOM
+    seed: int = 0
+
+    def parts(self, log: "Dataset") -> Parts:
+        """The episodes of all other folds, and those of this one; errors as of `folds`."""
+        held = folds(log, self.folds, self.by, self.seed) == self.fold
+        return Parts(np.flatnonzero(~held), np.flatnonzero(held))
+
+    def told(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {"share": 1 / self.folds, "by": self.by, "seed": self.seed, "fold": self.fold, "folds": self.folds}
+
+
+def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
+    """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: its own for "random" and "time", else one for
+    each value of the column `by`.
+
+    Raises:
+        UserError: the log has no such column, or it changes within an episode.
+    """
+    if by in (RANDOM, TIME):
+        return np.arange(log.episodes)
+    columns = {name: column for name, column in log.extras.items() if column.size == len(log)}
+    if by not in columns:
+        known = unknown("column", by, [*columns, RANDOM, TIME])
+        raise UserError(f"{log.name}: {known}; of a table's columns those kept (keep, --keep) are known here")
+    values, codes = np.unique(np.asarray(columns[by]).reshape(-1), return_inverse=True)
+    first = codes[log.starts]
+    changed = np.flatnonzero(codes != first[log.episode_of])
+    if len(changed):
+        row = int(changed[0])
+        episode = int(log.episode_of[row])
+        told = f"{values[first[episode]]} in row {log.starts[episode]} and {values[codes[row]]} in row {row}"
+        raise UserError(f"{log.name}: column {by} changes within episode {episode} ({told}); one value an episode is needed")
+    return np.unique(first, return_inverse=True)[1]
+
+
+def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray:
+    """(episodes,) fold 0 .. k - 1 of each episode, about as many in each: at random, in stretches of time, or whole clusters.
+
+    Raises:
+        UserError: fewer than two folds, or fewer episodes or clusters than folds; see also `clusters`.
+    """
+    if k < 2:
+        raise UserError(f"at least 2 folds are needed, got {k}")
+    cluster = clusters(log, by)
+    _enough(log, cluster, by, k)
+    if by == TIME:
+        return np.arange(log.episodes) * k // log.episodes
+    rng = np.random.default_rng(seed)
+    if by == RANDOM:
+        return rng.permutation(np.arange(log.episodes) % k)
+    sizes = np.bincount(cluster)
+    order = rng.permutation(len(sizes))
+    fold, filled = np.empty(len(sizes), np.int64), np.zeros(k, np.int64)
+    for each in order[np.argsort(-sizes[order], kind="stable")]:  # the largest first, each to where fewest are
+        fold[each] = np.argmin(filled)
+        filled[fold[each]] += sizes[each]
+    return fold[cluster]
+
+
+def _enough(log: "Dataset", cluster: np.ndarray, by: str, needed: int) -> None:
+    count = int(cluster.max()) + 1
+    if count < needed:
+        what = "episodes" if by in (RANDOM, TIME) else f"values of {by}"
+        raise UserError(f"{log.name}: {count} {what}, at least {needed} are needed to hold some out")

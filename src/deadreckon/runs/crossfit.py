@@ -1,0 +1,168 @@
+"""Cross-fitting: every episode is held out once, so that a small log judges what it teaches without being used twice.
+
+Each of K policies learns from all folds but one and is judged on that one. The mean of their values is the value of the
+procedure, and exactly that of the mixture that draws one of them for each episode. Of a policy that learns once more from
+everything it says what the procedure does with a little less data.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from deadreckon.agents import agent_name
+from deadreckon.agents.agent import Agent
+from deadreckon.data import catalogue
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import RANDOM, Fold
+from deadreckon.data.split import folds as dealt
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import read_json, write_json
+from deadreckon.policies import store
+from deadreckon.policies.policy import Deployed, Mixture
+from deadreckon.runs.seen import seen
+from deadreckon.runs.train import Run, lanes_of, load, train
+from deadreckon.versions import differences
+
+Deliver = Literal["mixture", "refit"]
+NAME, MIXTURE, REFIT = "crossfit.json", "mixture.npz", "refit"
+
+
+@dataclass(frozen=True)
+class CrossFit:
+    """A finished cross-fit.
+
+    Attributes:
+        path: its folder.
+        config: what was asked for, as in `crossfit.json`; `members` are the mixture's, (fold, seed) each.
+        runs: one a fold, which has not learned from it.
+    """
+
+    path: Path
+    config: dict[str, Any]
+    runs: list[Run]
+
+    def fold_of(self, log: Dataset) -> np.ndarray:
+        """(episodes,) the fold in which each episode was held out, whose policies have not seen it; -1 where it was in none."""
+        fold = np.full(log.episodes, -1)
+        for number, run in enumerate(self.runs):
+            assert run.held is not None  # a cross-fit notes it
+            fold[seen(run.held, log)] = number
+        return fold
+
+    @property
+    def delivered(self) -> Path:
+        """What is to be deployed: the mixture's file, or the folder of the run on everything."""
+        return self.path / (MIXTURE if self.config["deliver"] == "mixture" else REFIT)
+
+    @property
+    def policy(self) -> Deployed:
+        """What is to be deployed."""
+        return store.load(self.delivered) if self.config["deliver"] == "mixture" else load(self.delivered).policy
+
+    def __str__(self) -> str:
+        held = [run.config["data"]["holdout"]["held"] for run in self.runs]
+        count, most = (f"{n:,}" for n in (sum(held), max(held)))
+        told = f"{len(self.runs)} folds of up to {most} of {count} episodes, each held out once"
+        return f"{told}\ndelivered: {self.delivered}\ncross-fit folder: {self.path}"
+
+
+def cross_fit(
+    agent: Agent | str | Sequence[Agent],
+    data: Dataset | str | Path,
+    *,
+    folds: int = 5,
+    by: str = RANDOM,
+    seed: int = 0,
+    out: Path | str | None = None,
+    deliver: Deliver = "mixture",
+    resume: bool = False,
+    **options: Any,
+) -> CrossFit:
+    """Trains an agent once for each fold of a log, from the other folds, and makes what is to be deployed.
+
+    Args:
+        agent: as for `runs.train.train`.
+        data: a log, the name of a known one, or a file.
+        folds: how many.
+        by: "random", "time" or a column whose values stay together; see `data.split.Holdout`.
+        seed: of the folds, and the first of each run's.
+        out: folder of the run folders `fold0`, `fold1`, ...; None is `runs/AGENT-LOG-crossfit`.
+        deliver: "mixture" makes a policy of those of all folds, `mixture.npz`; "refit" a run on all episodes, `refit`.
+        resume: go on with what is in `out`: finished folds are not done again. It may be asked for another delivery.
+        **options: others of `train`, for every fold.
+
+    Raises:
+        UserError: input that does not fit, or a fold in which every seed failed, in one line.
+    """
+    if deliver not in get_args(Deliver):
+        raise unknown("delivery", deliver, get_args(Deliver))
+    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=options.get("strict", False))
+    fold = dealt(log, folds, by, seed)
+    name = agent_name(lanes_of(agent, options.get("seeds", 1))[0])
+    path = Path(out) if out is not None else Path("runs") / f"{name}-{log.name}-crossfit"
+    config = {
+        "folds": folds, "by": by, "seed": seed, "agent": name, "episodes": np.bincount(fold).tolist(),
+        "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,
+    }  # fmt: skip
+    _begin(path, config, resume)
+
+    shared: dict[str, Any] = {"seed": seed, "resume": resume} | options
+    runs = [
+        train(agent, log, out=path / f"fold{each}", holdout=Fold(each, folds, by, seed), **shared) for each in range(folds)
+    ]
+    healthy = [[i for i, failure in enumerate(run.failures) if failure is None] for run in runs]
+    each = min(map(len, healthy))  # as many of each fold, so that the mixture's value is the mean of the folds'
+    if not each:
+        failed = [not own for own in healthy].index(True)
+        failure = next(f for f in runs[failed].failures if f is not None)
+        raise UserError(f"{path / f'fold{failed}'} failed: {failure.metric} was not finite at update {failure.step}")
+    if deliver == "mixture":
+        picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
+        config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
+        mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
+        store.save(path / MIXTURE, mixture, {"agent": name, "members": config["members"]}, taught=log.episode_ids)
+    else:
+        train(agent, log, out=path / REFIT, holdout=0, **shared)
+    write_json(path / NAME, config)
+    return CrossFit(path, config, runs)
+
+
+def load_cross_fit(path: Path | str) -> CrossFit:
+    """A finished cross-fit from its folder.
+
+    Raises:
+        UserError: the folder holds none, or one that is not finished.
+    """
+    path = Path(path)
+    if not (path / NAME).exists():
+        raise UserError(f"{path} holds no cross-fit (no {NAME})")
+    config = read_json(path / NAME)
+    if not isinstance(config, dict) or not {"folds", "by", "seed", "data", "deliver"} <= config.keys():
+        raise UserError(f"{path / NAME} is not a cross-fit's: it misses folds, by, seed, data or deliver")
+    missing = [each for each in range(config["folds"]) if not (path / f"fold{each}" / "run.json").exists()]
+    found = CrossFit(path, config, [] if missing else [load(path / f"fold{each}") for each in range(config["folds"])])
+    if missing or not found.delivered.exists():
+        again = f"deadreckon train ... --cross-fit {config['folds']} --out {path} --resume"
+        raise UserError(f"{path} is not finished; `{again}` goes on with it")
+    return found
+
+
+def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
+    """Writes what is asked for, unless the folder holds something else.
+
+    Raises:
+        UserError: it does.
+    """
+    if (path / NAME).exists():
+        if not resume:
+            raise UserError(f"{path} holds a cross-fit already; --resume goes on with it, or choose another --out")
+        before = read_json(path / NAME)
+        if different := differences(before, config, ("folds", "by", "seed", "agent", "data")):
+            raise UserError(f"{path} holds another cross-fit: {different[0]}; choose another --out")
+    elif path.exists() and not (path.is_dir() and all(p.suffix == ".tmp" for p in path.iterdir())):
+        raise UserError(f"{path} exists and is not a cross-fit; choose another --out")
+    (path / MIXTURE).unlink(missing_ok=True)  # the folds may be made longer; it is made of them anew
+    write_json(path / NAME, config)

@@ -1,0 +1,87 @@
+"""What a run holds out: episodes that it does not learn from, so that `deadreckon ope` can judge its policies on them."""
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters
+from deadreckon.tasks.task import Task
+
+FEWEST = 10  # episodes or clusters: of fewer, neither part says much
+
+
+class Divided(NamedTuple):
+    """A log in two parts.
+
+    Attributes:
+        learning: what methods see of it.
+        taught: (learning,) uint64 `episode_ids` of that part.
+        held: (held,) uint64 `episode_ids` of the rest; none where nothing is held out.
+        told: for `run.json`; None where nothing is held out.
+    """
+
+    learning: Dataset
+    taught: np.ndarray
+    held: np.ndarray
+    told: dict[str, Any] | None
+
+
+def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | None, before: dict[str, Any] | None) -> Divided:
+    """A log as a run divides it.
+
+    Args:
+        log: the log.
+        given: what is asked for; see `runs.train.train`.
+        judge: the simulator that judges the policies, if any: then nothing is held out unless it is asked for.
+        before: `run.json` of a run that is gone on with, which keeps what it has held out where nobody asks for other.
+
+    Raises:
+        UserError: what is asked for cannot be held out of this log.
+    """
+    if given is None and before is not None:
+        asked = _read(before.get("data", {}).get("holdout"))
+    elif given is None:
+        asked = None if judge is not None else _usual(log)
+    elif isinstance(given, Holdout | Fold):
+        asked = given
+    else:
+        asked = Holdout(given) if given else None
+    if isinstance(asked, Holdout) and (count := int(clusters(log, asked.by).max()) + 1) < FEWEST:
+        what = "episodes" if asked.by in (RANDOM, TIME) else f"values of {asked.by}"
+        text = f"{log.name}: {count} {what} are too few to hold some out ({FEWEST} are needed): all are learned from"
+        warnings.warn(f"{text}, and none is left to judge by", stacklevel=4)
+        asked = None
+    if asked is None:
+        return Divided(log, log.episode_ids, np.zeros(0, np.uint64), None)
+    parts = asked.parts(log)
+    told = asked.told() | {"learning": len(parts.learning), "held": len(parts.held)}
+    return Divided(log.select(parts.learning), log.episode_ids[parts.learning], log.episode_ids[parts.held], told)
+
+
+def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
+    """A log of one's own as settings are tried on it: what they learn from, and what they are chosen by.
+
+    What `train` holds out where nobody says otherwise is in neither, so that it has been looked at by nobody when a policy with
+    the chosen settings is judged on it. The rest is divided again. Very few episodes are in both, with a warning.
+    """
+    rest = divided(log, None, None, None).learning
+    tried = divided(rest, Holdout(seed=1), None, None)
+    if tried.told is None:
+        return rest, rest
+    return tried.learning, rest.select(np.flatnonzero(np.isin(rest.episode_ids, tried.held)))
+
+
+def _usual(log: Dataset) -> Holdout:
+    """A fifth; of a memory-mapped log the latest, because a random part would be copied into memory."""
+    return Holdout(by=TIME) if isinstance(log.observations, np.memmap) else Holdout()
+
+
+def _read(told: dict[str, Any] | None) -> Holdout | Fold | None:
+    """What `told` wrote; runs from before anything was held out have nothing."""
+    if told is None:
+        return None
+    if "fold" in told:
+        return Fold(told["fold"], told["folds"], told["by"], told["seed"])
+    return Holdout(told["share"], told["by"], told["seed"])

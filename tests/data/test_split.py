@@ -1,0 +1,113 @@
+"""Holding episodes out: shares, whole clusters, folds, and what cannot be held out."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_logs import logs, make_log, quick
+
+from deadreckon.data.split import Fold, Holdout, clusters, folds
+from deadreckon.errors import UserError
+
+
+def users(sizes, seed=0):
+    """Episodes of two steps, `sizes` of each user, mixed."""
+    owner = np.random.default_rng(seed).permutation(np.repeat(np.arange(len(sizes)), sizes))
+    return make_log((2,) * len(owner), user=np.repeat(10 * owner + 3, 2)), owner
+
+
+@quick
+@given(logs(), st.floats(0.05, 0.95), st.sampled_from(["random", "time"]), st.integers(0, 3))
+def test_two_parts_are_the_whole(log, share, by, seed):
+    if log.episodes < 2:
+        with pytest.raises(UserError, match="1 episodes, at least 2"):
+            Holdout(share, by, seed).parts(log)
+        return
+    learning, held = Holdout(share, by, seed).parts(log)
+    np.testing.assert_array_equal(np.sort(np.concatenate([learning, held])), np.arange(log.episodes))
+    assert (np.diff(learning) > 0).all()
+    assert (np.diff(held) > 0).all()
+    assert len(held) == min(max(log.episodes - round((1 - share) * log.episodes), 1), log.episodes - 1)
+    if by == "time":
+        assert held[0] > learning[-1]
+    again = Holdout(share, by, seed).parts(log)
+    np.testing.assert_array_equal(again.held, held)
+
+
+def test_another_seed_holds_out_others():
+    log = make_log((1,) * 50)
+    first, second = (Holdout(seed=seed).parts(log).held for seed in (0, 1))
+    assert len(first) == len(second) == 10
+    assert set(first) != set(second)
+
+
+@pytest.mark.parametrize("sizes", [[5] * 20, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10], [60, *[1] * 40]])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_clusters_are_held_out_whole_until_the_share_is_there(sizes, seed):
+    log, owner = users(sizes)
+    learning, held = Holdout(0.2, "user", seed).parts(log)
+    assert not set(owner[learning]) & set(owner[held])
+    assert abs(len(held) - 0.2 * log.episodes) <= 0.06 * log.episodes
+
+
+def test_one_cluster_at_least_and_never_all():
+    log, owner = users([9, 1])
+    assert set(owner[Holdout(0.5, "user").parts(log).held]) <= {0, 1}
+    assert len(set(owner[Holdout(0.01, "user").parts(log).held])) == 1
+    assert len(set(owner[Holdout(0.99, "user").parts(log).held])) == 1
+    log, owner = users([3, 3])
+    assert len(Holdout(0.01, "user").parts(log).held) == 3
+
+
+def test_clusters_are_numbered_by_value():
+    log, owner = users([2, 3, 4])
+    np.testing.assert_array_equal(clusters(log, "user"), owner)
+    np.testing.assert_array_equal(clusters(log, "time"), np.arange(9))
+    np.testing.assert_array_equal(clusters(log.select([4, 1]), "user"), [int(owner[4] > owner[1]), int(owner[1] > owner[4])])
+
+
+@quick
+@given(st.lists(st.integers(1, 6), min_size=4, max_size=12), st.integers(2, 4), st.integers(0, 3))
+def test_folds_are_balanced_and_keep_clusters_together(sizes, k, seed):
+    log, owner = users(sizes)
+    for by in ("random", "time", "user"):
+        fold = folds(log, k, by, seed)
+        count = np.bincount(fold, minlength=k)
+        assert count.min() >= 1
+        assert len(count) == k
+        assert np.ptp(count) <= (max(sizes) if by == "user" else 1)
+        if by == "user":
+            assert all(len(set(fold[owner == each])) == 1 for each in range(len(sizes)))
+        if by == "time":
+            assert (np.diff(fold) >= 0).all()
+        parts = [Fold(i, k, by, seed).parts(log) for i in range(k)]
+        np.testing.assert_array_equal(np.sort(np.concatenate([p.held for p in parts])), np.arange(log.episodes))
+        assert all(not set(p.learning) & set(p.held) and len(p.learning) + len(p.held) == log.episodes for p in parts)
+
+
+def test_what_cannot_be_held_out():
+    log, _ = users([2, 2])
+    changing = make_log((2, 2), site=[1, 1, 4, 5], flat=[7, 7, 7, 7], pair=np.zeros((4, 2)))
+    cases = [
+        (lambda: Holdout(0.0).parts(log), "must lie between 0 and 1, got 0.0"),
+        (lambda: Holdout(1.0).parts(log), "must lie between 0 and 1, got 1.0"),
+        (lambda: Holdout(by="usr").parts(log), "unknown column 'usr': did you mean user?"),
+        (lambda: Holdout(by="x").parts(log), "known: random, time, user"),
+        (lambda: Holdout(by="pair").parts(changing), "unknown column 'pair'"),
+        (lambda: Holdout(by="site").parts(changing), r"site changes within episode 1 \(4 in row 2 and 5 in row 3\)"),
+        (lambda: Holdout(by="flat").parts(changing), "1 values of flat, at least 2 are needed"),
+        (lambda: folds(log, 1), "at least 2 folds are needed, got 1"),
+        (lambda: folds(log, 5), "4 episodes, at least 5 are needed"),
+        (lambda: folds(log, 3, "user"), "2 values of user, at least 3"),
+    ]
+    for call, words in cases:
+        with pytest.raises(UserError, match=words) as error:
+            call()
+        assert "\n" not in str(error.value)
+
+
+def test_a_log_is_split_by_users_too():
+    log, owner = users([4] * 5)
+    first, second = log.split(0.8, by="user")
+    assert (first.episodes, second.episodes) == (16, 4)
+    assert not set(np.unique(first.extras["user"])) & set(np.unique(second.extras["user"]))
