@@ -32,15 +32,22 @@ class Fits:
 
 @dataclass
 class Ope:
-    """Estimate policies from a log alone, with 95 % intervals; --select decides which to deploy. See also `ope bench`."""
+    """Estimate policies from a log alone, with 95 % intervals, on episodes that taught none of them; --select decides.
+
+    See also `ope bench`.
+    """
 
     data: str  # log: a name of the catalogue, or a file
-    policies: tuple[str, ...]  # run folders, policy files (.npz; DOPE's .pkl), or a task of the package's policies
-    estimators: Annotated[str, _NAMES] = "fqe,dr"  # which, the one to choose by first (see --list)
-    discount: float = 0.995  # of the returns
-    seed: int = 0  # of everything random
-    greedy: bool = False  # judge the policies' best guesses instead of their draws
+    policies: tuple[str, ...]  # run folders, cross-fits, policy files (.npz; DOPE's .pkl), or a task of the package's policies
+    estimators: Annotated[str, _NAMES] = "auto"  # names, the one to decide by first (see --list); auto: chosen by the log's design
+    discount: float = 0.995  # discount of the rewards per step; 1 where episodes end or --horizon is given
+    horizon: int | None = None  # steps of an episode that count; None: all, or the length at which all episodes were cut
+    seed: int = 0  # random seed
+    greedy: bool = False  # judge deterministic (greedy) instead of sampled actions
     select: bool = False  # print a decision card: deploy which policy, or none, and why
+    cluster: str | None = None  # column whose values are redrawn as one, such as a user; None: that of --holdout-by
+    unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
+    accept_model_based: bool = False  # deploy also by estimates that no logged reward corrects
     episodes: int | None = None  # use only the log's first episodes; None: all
     task: str | None = None  # simulator to check the choice in, where there is one
     out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed estimate goes on there
@@ -77,11 +84,10 @@ def ope(args: Sequence[str]) -> None:
         return None
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
-    from deadreckon.ope.coverage import MODEL
-    from deadreckon.ope.registry import titled, with_fields
-    from deadreckon.runs.offline import checked, coverages, judge
+    from deadreckon.ope.registry import PROPENSITIES, titled, with_fields
+    from deadreckon.runs.offline import checked, judge, supports
 
-    found = estimators(options.estimators, options.fits)
+    found = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
@@ -89,12 +95,15 @@ def ope(args: Sequence[str]) -> None:
         data = data.select(range(options.episodes))
     with Watch() as watch:
         judged = judge(
-            options.policies, data, found, out=options.out, discount=options.discount, greedy=options.greedy, task=options.task,
-            seed=options.seed, model=with_fields(MODEL, options.fits.given), watch=watch,
+            options.policies, data, found, out=options.out, discount=options.discount,
+            horizon="auto" if options.horizon is None else options.horizon, greedy=options.greedy, task=options.task,
+            seed=options.seed, model=with_fields(PROPENSITIES, options.fits.given), cluster=options.cluster,
+            unseen=options.unseen, accept_model_based=options.accept_model_based, watch=watch,
         )  # fmt: skip
-    for each in judged.estimates:  # under the names that were asked for: what `dr` gives is labelled WDR, and DR is another
+    print(f"judged on {judged.told['judged']['words']}\n")
+    for each in judged.estimates:
         print(f"{dataclasses.replace(each, method=titled(each.method))}\n")
-    print(f"{coverages(judged.told)}\n")
+    print(f"{supports(judged.told)}\n")
     if options.select:
         print(judged.choice)
     if options.task:

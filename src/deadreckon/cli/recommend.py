@@ -29,7 +29,7 @@ def recommend(args: Sequence[str]) -> None:
     from deadreckon.report import write
     from deadreckon.runs import recommend as found
     from deadreckon.runs.durations import in_words
-    from deadreckon.runs.offline import checked, coverages
+    from deadreckon.runs.offline import checked, supports
 
     with Watch() as watch:
         result = found.recommend(
@@ -37,7 +37,7 @@ def recommend(args: Sequence[str]) -> None:
             tell=lambda line: print(line, flush=True), watch=watch,
         )  # fmt: skip
     page = write(result.runs, Path(options.out) / "report.html", estimates=options.out)
-    print(f"\n{result.judged.estimates[0]}\n\n{coverages(result.judged.told)}\n\n{result.judged.choice}")
+    print(f"\n{result.judged.estimates[0]}\n\n{supports(result.judged.told)}\n\n{result.judged.choice}")
     if result.judged.told["truth"] is not None:
         print(f"checked: {checked(result.judged.told)}")
     print(f"\ntook {in_words(result.seconds)} of {options.budget}; report: {page}")

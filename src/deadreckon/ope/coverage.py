@@ -56,7 +56,7 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
         data, kept = case.log, case.data
         rows = len(kept)
         if kept.episodes < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
-            return np.full(len(actor.names), np.nan)
+            return np.full(len(case.policies), np.nan)
         others = rng.permutation(teach.data.episodes)
         taught = teach.data
     else:
@@ -70,7 +70,7 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
                 held.append(episode)
                 rows += length
         if len(held) < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
-            return np.full(len(actor.names), np.nan)
+            return np.full(len(case.policies), np.nan)
         kept = data.select(held)
     part = taught.select(others[: int(np.searchsorted(np.cumsum(taught.lengths[others]), FITTED)) + 1])
     view = View.of(data.spec)
@@ -85,9 +85,14 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
     told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model says
     table = actor.table(seen, 1, PURPOSE)
     if data.spec.discrete:
-        return (table * (told >= _bound(told[np.arange(len(told)), taken]))[:, None]).sum(-1).mean(0)
+        return _owned(case, (table * (told >= _bound(told[np.arange(len(told)), taken]))[:, None]).sum(-1).mean(0))
     bound = _bound(_log_density(told, view.to_unit(taken)))
-    return np.array([(_log_density(told, table[:, i, 0]) >= bound).mean() for i in range(len(actor.names))])
+    return _owned(case, np.array([(_log_density(told, table[:, i, 0]) >= bound).mean() for i in range(len(actor.names))]))
+
+
+def _owned(case: Case, shares: np.ndarray) -> np.ndarray:
+    """Of each policy, the mean over the folds of one that is cross-fitted."""
+    return np.bincount(case.owner, shares) / np.bincount(case.owner)
 
 
 def _bound(likely: np.ndarray) -> float:

@@ -74,7 +74,7 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
         accept_model_based: whether policies may be deployed by model-based estimates; then these come first where weights of any
             policy are degenerate.
     """
-    degenerate = case.actor.degenerate
+    degenerate = case.degenerate
     if degenerate.all() or (accept_model_based and degenerate.any()):
         return [FQE()]
     weighted = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model)

@@ -41,8 +41,8 @@ class Estimand:
         Args:
             log: whose episodes are meant.
             discount: per step.
-            horizon: steps, None, or "auto": the length at which all of the log's time-outs fall, if they fall at one length and
-                more than 2 % of the discounted time lies beyond it; else None.
+            horizon: steps, None, or "auto": 1 where all episodes have one step; the length at which all of the log's time-outs
+                fall, if they fall at one length and more than 2 % of the discounted time lies beyond it; else None.
             greedy: deterministic actions instead of sampled ones.
 
         Raises:
@@ -51,7 +51,7 @@ class Estimand:
         if horizon == "auto":
             cut = np.unique(log.lengths[~np.asarray(log.terminals)[log.ends]])
             fixed = len(cut) == 1 and cut[0] == log.lengths.max() and discount ** int(cut[0]) > TAIL
-            horizon = int(cut[0]) if fixed else None
+            horizon = 1 if log.lengths.max() == 1 else int(cut[0]) if fixed else None
         found = cls(discount, horizon if horizon is None else int(horizon), greedy)
         found.check(log)
         return found

@@ -107,6 +107,21 @@ class Estimates:
         return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])
 
 
+@dataclass(frozen=True)
+class CrossFitted:
+    """A policy that was learned once for each fold, judged on each episode as the one that has not learned from it.
+
+    Its value is that of the mixture which draws one of the policies for each episode, where folds are equally large.
+
+    Attributes:
+        policies: one a fold.
+        which: (episodes of the log,) the policy of each episode.
+    """
+
+    policies: tuple[Any, ...]
+    which: np.ndarray
+
+
 class BehaviorModel(eqx.Module):
     """The behaviour policy, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
 
@@ -209,7 +224,21 @@ class Case:
         self.out, self.watch = None if out is None else Path(out), watch
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
-        self.actor = Actor(self.policies, self.names, data.spec, greedy, seed, noise)
+        self._parts: list[np.ndarray | None] = [None] * len(self.policies)
+        acting, acting_names = [], []
+        for i, policy in enumerate(self.policies):
+            if isinstance(policy, CrossFitted):
+                self._parts[i] = len(acting) + np.asarray(policy.which)[self.held]
+                acting += policy.policies
+                acting_names += [f"{self.names[i]} fold {k}" for k in range(len(policy.policies))]
+            else:
+                acting.append(policy)
+                acting_names.append(self.names[i])
+        self.owner = np.repeat(
+            np.arange(len(self.policies)),
+            [len(p.policies) if isinstance(p, CrossFitted) else 1 for p in self.policies],
+        )
+        self.actor = Actor(acting, acting_names, data.spec, greedy, seed, noise)
         self.logged = logged
         if logged:
             self.names = (*self.names, LOGGED)
@@ -323,6 +352,9 @@ class Case:
 
         def make() -> np.ndarray:
             table = self.actor.table(observations, samples, purpose, more=int(self.logged))
+            if self.crossed:
+                own = [table[np.arange(len(table)), each] for each in self._acting(self.data.episode_of[rows])]
+                table = np.stack([*own, *([table[:, -1]] if self.logged else [])], 1)
             if self.logged:
                 taken = np.asarray(self.data.actions)[rows]
                 own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else View.of(self.data.spec).to_unit(taken)[:, None]
@@ -335,7 +367,25 @@ class Case:
     @cached_property
     def log_probs(self) -> np.ndarray:
         """(policies, rows) log-probabilities of the logged actions, without the log's own policy."""
-        return self.actor.log_probs(self.data.observations, self.data.actions)
+        found = self.actor.log_probs(self.data.observations, self.data.actions)
+        if not self.crossed:
+            return found
+        return np.stack([found[each, np.arange(found.shape[1])] for each in self._acting(self.data.episode_of)])
+
+    @property
+    def crossed(self) -> bool:
+        """Whether some of the policies are cross-fitted."""
+        return len(self.owner) > len(self.policies)
+
+    @cached_property
+    def degenerate(self) -> np.ndarray:
+        """(policies,) whether importance weights mean nothing; see `Actor.degenerate`."""
+        return np.bincount(self.owner, self.actor.degenerate, len(self.policies)) > 0
+
+    def _acting(self, episodes: np.ndarray) -> list[np.ndarray]:
+        """For each policy, which of the actor's acts in these episodes."""
+        first = np.searchsorted(self.owner, np.arange(len(self.policies)))
+        return [np.full(len(episodes), first[i]) if part is None else part[episodes] for i, part in enumerate(self._parts)]
 
     def behavior_log_probs(self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel) -> np.ndarray:
         """(rows,) log-probabilities of the logged actions under the policy that made the log.
@@ -358,7 +408,7 @@ class Case:
     @property
     def clips(self) -> bool:
         """Whether policies have probabilities at the bounds of the actions, as clipped Gaussians do."""
-        return any(isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.policies)
+        return any(isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.actor.policies)
 
     def behavior(self, model: BehaviorModel) -> Actor:
         """A model of the policy that made the log, which draws its actions; made once."""
@@ -419,13 +469,13 @@ class Case:
         assert self.out is not None
         columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
-            "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self._manner,
+            "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
             "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
 
     @cached_property
-    def _manner(self) -> str:
+    def manner(self) -> str:
         """Tells sets of policies apart by what they do at observations from all over the log."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
         done = self.actor.table(np.asarray(self.data.observations[some]), 1)
@@ -515,10 +565,10 @@ class _Following:
 
 
 def _policies(given: Any) -> list[Any]:
+    if isinstance(given, Policy | CrossFitted):
+        return [given]
     if hasattr(given, "policies"):  # a run
         return list(given.policies)
-    if isinstance(given, Policy):
-        return [given]
     if isinstance(given, Sequence) and not isinstance(given, str | bytes):
         return [policy for one in given for policy in _policies(one)]
     raise UserError(f"policies must be policies or runs, got {type(given).__name__}")

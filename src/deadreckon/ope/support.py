@@ -64,7 +64,7 @@ def support(case: Case, model: BehaviorModel, folds: int = 5) -> Support:
 def _support(case: Case, model: BehaviorModel, folds: int) -> Support:
     count, discrete = len(case.policies), case.data.spec.discrete
     nothing = np.full(count, np.nan)
-    degenerate = case.actor.degenerate
+    degenerate = case.degenerate
     if discrete:
         chances = out_of_fold(case, model, folds).chances
         assert chances is not None

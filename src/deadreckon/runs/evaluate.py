@@ -203,6 +203,7 @@ def evaluate(
     discount: float | Sequence[float] = 0.99,
     names: Sequence[str] | None = None,
     record: int = 0,
+    horizon: int | None = None,
 ) -> Evaluation:
     """Runs policies in a task's simulator, all of them and all episodes side by side.
 
@@ -215,6 +216,7 @@ def evaluate(
         discount: for the discounted returns, one for all policies or one each.
         names: shown for the policies.
         record: episodes of which is kept what pictures show.
+        horizon: steps that count in the discounted returns; None: all until the episode ends or the task stops it.
 
     Raises:
         UserError: an unknown task, no episodes, or actions and observations that do not fit.
@@ -253,7 +255,8 @@ def evaluate(
         observations, reward, terminal, timeout = simulator.step(actions.reshape(copies, *wanted))
         rewards, first = reward.reshape(shape), np.zeros(shape, bool)
         returns += alive * rewards
-        discounted += alive * rewards * discounts[:, None] ** t
+        if horizon is None or t < horizon:
+            discounted += alive * rewards * discounts[:, None] ** t
         lengths += alive
         alive &= ~(terminal | timeout).reshape(shape)
         if not alive.any():

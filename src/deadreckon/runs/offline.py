@@ -2,26 +2,34 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
+from deadreckon.data.split import RANDOM, TIME
+from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
-from deadreckon.ope.coverage import LEVEL, MODEL, coverage
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Watcher
-from deadreckon.ope.registry import as_estimator
-from deadreckon.ope.select import Choice, gain, select
+from deadreckon.files import digest, read_json, write_json
+from deadreckon.ope.decide import decide
+from deadreckon.ope.estimate import BehaviorModel, Case, CrossFitted, Estimates, Watcher
+from deadreckon.ope.intervals import ALPHA
+from deadreckon.ope.registry import PROPENSITIES, titled
+from deadreckon.ope.select import Choice, gains
 from deadreckon.policies import library, store
 from deadreckon.policies.dope import load_dope
+from deadreckon.runs.crossfit import NAME as CROSS_FIT
+from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.looks import Look, look
+from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 
 NAME = "estimates.json"
+NOBODY = "nobody knows whether it has learned from these episodes (--unseen says that it has not)"
 
 
 class Judged(NamedTuple):
@@ -38,72 +46,153 @@ class Judged(NamedTuple):
     told: dict[str, Any]
 
 
-def gather(given: Sequence[Any]) -> tuple[list[Any], list[tuple[str, int | None]]]:
-    """Policies, and for each the name of what it comes from and its seed there.
+class Gathered(NamedTuple):
+    """A policy to judge, and what is known of it.
+
+    Attributes:
+        policy: what acts, or a cross-fit.
+        run: name of the run or file that it comes from.
+        seed: of the run's seeds; None where there is none.
+        taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
+        by: column whose values its run kept together when it held episodes out; None: none.
+    """
+
+    policy: Any
+    run: str
+    seed: int | None
+    taught: np.ndarray | None
+    by: str | None = None
+
+
+def gather(given: Sequence[Any]) -> list[Gathered]:
+    """Policies to judge.
 
     Args:
-        given: runs, their folders, policy files (`.npz`, DOPE's `.pkl`), or names of tasks whose eleven snapshots are meant.
+        given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), or names of tasks whose eleven snapshots
+            are meant.
 
     Raises:
         UserError: none of these.
     """
-    policies: list[Any] = []
-    owners: list[tuple[str, int | None]] = []
+    found: list[Gathered] = []
     for each in given:
-        path = None if isinstance(each, Run) else Path(each)
-        if path is None or path.is_dir():
+        path = None if isinstance(each, Run | CrossFit) else Path(each)
+        if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
+            cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
+            found += [Gathered((cross, seed), cross.path.name, seed, None, cross.config["by"]) for seed in cross.runs[0].seeds]
+        elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
-            policies += run.policies
-            owners += [(run.path.name, seed) for seed in run.seeds]
+            held = run.config["data"].get("holdout")
+            by = None if held is None else held["by"]
+            found += [Gathered(policy, run.path.name, seed, run.taught, by) for policy, seed in zip(run.policies, run.seeds)]
         elif path.exists() or path.suffix:
-            policies.append(load_dope(path) if path.suffix in (".pkl", ".pickle") else store.load(path))
-            owners.append((path.stem, None))
+            pickled = path.suffix in (".pkl", ".pickle")
+            policy = load_dope(path) if pickled else store.load(path)
+            found.append(Gathered(policy, path.stem, None, None if pickled else store.taught(path)))
         else:
             snapshots = [s for s in library.library(str(each)) if s.name.startswith("snapshot-")]
-            policies += [s.policy() for s in snapshots]
-            owners += [(f"{each} {s.name}", None) for s in snapshots]
-    if not policies:
+            found += [Gathered(s.policy(), f"{each} {s.name}", None, None) for s in snapshots]
+    if not found:
         raise UserError("no policy to judge")
-    return policies, owners
+    return found
+
+
+class Fresh(NamedTuple):
+    """On which episodes policies are judged, and what that is worth.
+
+    Attributes:
+        held: (n,) indices of the episodes.
+        against: for each policy why its estimate is not one of fresh episodes, or None where it is.
+        told: in one line.
+    """
+
+    held: np.ndarray
+    against: list[str | None]
+    told: str
+
+
+def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
+    """The episodes of a log that no policy has learned from, by what the policies' files keep.
+
+    Args:
+        found: policies.
+        data: the log.
+        unseen: the user says that policies of which nobody knows it have not learned from this log, and that episodes equal to
+            those that taught a policy are there by chance.
+    """
+    left = np.ones(data.episodes, bool)
+    for each in {id(g.policy[0]): g.policy[0] for g in found if isinstance(g.policy, tuple)}.values():
+        left &= each.fold_of(data) >= 0
+    known = Seen.of([g.taught for g in found if not isinstance(g.policy, tuple)], data)
+    unknown = [not isinstance(g.policy, tuple) and g.taught is None for g in found]
+    taught = int((~known.unseen).sum())
+    against: list[str | None] = [None] * len(found)
+    if unseen:
+        held = np.flatnonzero(left)
+        more = f", although {taught:,} of them equal episodes that taught a policy" if taught else ""
+        told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
+        return Fresh(held, against, told)
+    left &= known.unseen
+    if not left.any():
+        everything = np.arange(data.episodes)
+        seen_all = "it has learned from these episodes"
+        against = [NOBODY if nobody else seen_all for nobody in unknown]
+        return Fresh(everything, against, f"all {data.episodes:,} episodes, which policies have learned from: estimates are optimistic")
+    against = [NOBODY if nobody else None for nobody in unknown]
+    held = np.flatnonzero(left)
+    those = f"{len(held):,} held-out episodes of {data.episodes:,}" if taught else f"{len(held):,} episodes, none of which taught a policy"
+    return Fresh(held, against, those + (", as far as is known" if any(unknown) else ""))
 
 
 def judge(
     given: Sequence[Any],
     data: Dataset,
-    estimators: Sequence[Any] = ("fqe",),
+    estimators: Sequence[Any] | str = "auto",
     *,
     out: Path | str | None = None,
     discount: float = 0.995,
+    horizon: int | Literal["auto"] | None = "auto",
     greedy: bool = False,
     task: Task | str | None = None,
     episodes: int = 100,
     seed: int = 0,
-    model: BehaviorModel = MODEL,
+    model: BehaviorModel = PROPENSITIES,
+    cluster: str | None = None,
+    unseen: bool = False,
+    accept_model_based: bool = False,
+    counted: bool = True,
     watch: Watcher = lambda what, step, steps: None,
 ) -> Judged:
-    """Estimates policies from a log, chooses one, and then looks into the simulator whether that was right.
+    """Estimates policies from a log, decides which to deploy, if any, and then looks into the simulator whether that was right.
+
+    Policies are judged on the episodes that none of them has learned from, which is looked up by the contents of episodes. Where
+    there are none, or nobody knows, estimates say so and nothing is deployed.
 
     Args:
         given: where the policies are; see `gather`.
-        data: the log; not necessarily the one that they learned from.
-        estimators: names, `Estimator` objects or functions; the first decides.
+        data: the log: the one that they learned from, with the episodes that were held out, or a new one.
+        estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
         out: folder for `estimates.json`, which holds all that is found, and checkpoints; None writes nothing.
-        discount: of the returns.
-        greedy: the policies' best guesses, or their draws.
-        task: where the estimates are checked; None checks nothing.
+        discount: of the returns; one where episodes end or have a horizon.
+        horizon: steps of an episode that count; see `Estimand.of`.
+        greedy: deterministic (greedy) or sampled actions.
+        task: simulator in which the estimates are checked; None checks nothing.
         episodes: of a policy there.
-        seed: of everything random.
-        model: how the log's own policy is learned, to see what of the policies' actions the log covers.
+        seed: random seed.
+        model: how the behaviour policy is learned where that is needed.
+        cluster: column of the log whose values are redrawn as one, such as a user; None: the one by which episodes were held out.
+        unseen: assert that the policies have not learned from this log, where their files do not say it.
+        accept_model_based: deploy also by estimates that no logged reward corrects.
+        counted: take note of the look at these episodes, whose level falls with the looks there have been.
         watch: called while something is fitted.
 
     Raises:
         UserError: input that does not fit, in one line.
     """
-    policies, owners = gather(given)
-    names = [name if s is None else f"{name} seed {s}" for name, s in owners]
+    found = gather(given)
+    names = [g.run if g.seed is None else f"{g.run} seed {g.seed}" for g in found]
     if len(set(names)) < len(names):
         names = [f"{name} ({i})" for i, name in enumerate(names)]
-    found = [as_estimator(each) for each in estimators]
     task = find_task(task) if isinstance(task, str) else task
     if task is not None:
         there = Spec.empty(task.observation_shape, task.action_space, task.name)
@@ -112,34 +201,60 @@ def judge(
             told = " and ".join(f"{spec.name} has observations {spec.observation_shape}, actions {spec.action}"
                                 for spec in (there, data.spec))  # fmt: skip
             raise UserError(f"the choice cannot be checked there: {told}")
+    rows = fresh(found, data, unseen)
+    cluster = cluster or next((g.by for g in found if g.by not in (None, RANDOM, TIME)), None)
+    policies = [_acting(g, data) for g in found]
     case = Case(
-        data, policies, discount=discount, seed=seed, greedy=greedy, names=names, logged=True,
-        out=None if out is None else Path(out) / "fits", watch=watch,
+        data, policies, discount=discount, horizon=horizon, seed=seed, greedy=greedy, names=names, logged=True,
+        out=None if out is None else Path(out) / "fits", watch=watch, held=rows.held, noise=None,
+        clusters=None if cluster is None else clusters_of(data, cluster),
     )  # fmt: skip
-    covered = coverage(case, model)
-    results = [each.on(case) for each in found]
-    choice = select(results, covered)
+    spent = Look(1, ALPHA, len(found))
+    if counted:
+        spent = look(data.episode_ids[rows.held], digest([case.manner, case.estimand.as_json()], 16), len(found))
+    decision = decide(
+        case, estimators, seen=rows.against, accept_model_based=accept_model_based, alpha=spent.alpha, model=model
+    )
+    results, checks, choice = decision
     truth = None
     if task is not None:
-        seen = evaluate(policies, task, episodes=episodes, seed=seed, greedy=greedy, discount=discount).discounted
+        acting = [g.policy[0].policy if isinstance(g.policy, tuple) else g.policy for g in found]
+        seen = evaluate(
+            acting, task, episodes=episodes, seed=seed, greedy=greedy, discount=discount, horizon=case.estimand.horizon
+        ).discounted
         errors = seen.std(1, ddof=1) / np.sqrt(episodes)
         truth = {"task": task.name, "episodes": episodes, "mean": seen.mean(1).tolist(), "error": errors.tolist()}
+    shares = lambda x: [None if np.isnan(share) else float(share) for share in x]  # noqa: E731
     told = {
-        "log": data.name, "discount": discount, "greedy": greedy, "seed": seed, "truth": truth,
-        "policies": [{"name": name, "run": run, "seed": s} for name, (run, s) in zip(names, owners)],
-        "covered": [None if np.isnan(share) else float(share) for share in covered],
+        "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": seed, "truth": truth,
+        "policies": [{"name": name, "run": g.run, "seed": g.seed} for name, g in zip(names, found)],
+        "judged": {"words": rows.told, "episodes": len(rows.held), "of": data.episodes, "fresh": not any(rows.against),
+                   "units": int(case.units.max()) + 1, "cluster": cluster},
+        "looks": {"number": spent.number, "policies": spent.policies, "alpha": spent.alpha, "counted": counted},
+        "support": {"missing": shares(checks.missing), "ratio": shares(checks.ratio), "degenerate": checks.degenerate.tolist()},
         "results": [
-            {"method": each.method, "value": each.value.tolist(), "low": each.low.tolist(), "high": each.high.tolist(),
-             "gain": [list(gain(each, i)) for i in range(len(names))], "seconds": each.seconds, "warnings": list(each.warnings),
-             "effective": None if each.effective is None else each.effective.tolist()}
+            {"method": each.method, "title": titled(each.method), "corrected": each.corrected, "value": each.value.tolist(),
+             "low": each.low.tolist(), "high": each.high.tolist(), "gain": gains(each, spent.alpha).tolist(),
+             "seconds": each.seconds, "warnings": list(each.warnings),
+             "effective": None if each.effective is None else each.effective.tolist(),
+             "diagnostics": {name: shares(numbers) for name, numbers in each.diagnostics.items()}}
             for each in results
         ],
         "choice": {"name": choice.name, "deploy": choice.deploy, "gain": [choice.gain, choice.low, choice.high],
-                   "reason": choice.reason, "evidence": list(choice.evidence), "warnings": list(choice.warnings)},
+                   "level": choice.level, "reason": choice.reason, "evidence": list(choice.evidence),
+                   "warnings": list(choice.warnings), "objections": [list(own) for own in choice.objections]},
     }  # fmt: skip
     if out is not None:
         write_json(Path(out) / NAME, told)
     return Judged(results, choice, told)
+
+
+def _acting(g: Gathered, data: Dataset) -> Any:
+    """A policy as a case takes it."""
+    if not isinstance(g.policy, tuple):
+        return g.policy
+    cross, seed = g.policy
+    return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), cross.fold_of(data))
 
 
 def checked(told: dict[str, Any]) -> str:
@@ -159,13 +274,14 @@ def checked(told: dict[str, Any]) -> str:
     )
 
 
-def coverages(told: dict[str, Any]) -> str:
-    """How much of what each policy does the log covers, a line each."""
+def supports(told: dict[str, Any]) -> str:
+    """How much of what each policy does has no support in the log, a line each."""
     names = [each["name"] for each in told["policies"]]
     width = max(map(len, names))
-    shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in told["covered"]]
-    lines = [f"  {name:<{width}}  {share}" for name, share in zip(names, shares)]
-    return "\n".join([f"actions within what the log shows ({100 * LEVEL:.0f} % of its own are)", *lines])
+    shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in told["support"]["missing"]]
+    weights = ["" if mean is None else f", mean weight of a step {mean:.2f} (1 where there is support)" for mean in told["support"]["ratio"]]
+    lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
+    return "\n".join(["share of each policy's actions without support in the log", *lines])
 
 
 def read_estimates(path: Path | str) -> dict[str, Any]:
@@ -179,8 +295,8 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
     if not path.exists():
         raise UserError(f"no estimates in {path}; `deadreckon ope --out FOLDER` writes them")
     told = read_json(path)
-    # Files from before coverage was told.
-    told.setdefault("covered", [None] * len(told["policies"]))
+    if "estimand" not in told:
+        raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
     return told
 
 
