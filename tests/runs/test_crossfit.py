@@ -5,6 +5,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.collect import generate
 from deadreckon.data.spec import Box
 from deadreckon.data.split import folds
 from deadreckon.errors import UserError
@@ -164,3 +165,14 @@ def test_the_command(log, tmp_path, monkeypatch, capsys):
     fold = found.fold_of(log)
     assert np.bincount(fold).tolist() == [20, 20]
     assert (fold.reshape(10, 4) == fold[::4, None]).all()
+
+
+def test_each_episode_of_a_mixture_is_one_of_its_members(tmp_path):
+    known = generate("maze2d-umaze-v1", steps=1500, seed=0)
+    found = dr.cross_fit(BC, known, out=tmp_path / "c", episodes=1, **OPTIONS)
+    assert found.runs[0].config["task"] == "maze2d-umaze"
+    alone = np.array([dr.evaluate(run.policy, "maze2d-umaze-dense", episodes=8).returns[0] for run in found.runs])
+    mixed = dr.evaluate(found.delivered, "maze2d-umaze-dense", episodes=8).returns[0]
+    near = np.isclose(alone, mixed, rtol=1e-4)
+    assert near.any(0).all()
+    assert near.any(1).sum() > 1

@@ -70,7 +70,8 @@ class Holdout:
         count = 0
         for each in order:
             if len(taken) + 1 < len(sizes) and abs(count + sizes[each] - wanted) < abs(count - wanted):
-                taken, count = [*taken, int(each)], count + sizes[each]
+                taken.append(int(each))
+                count += sizes[each]
         return taken or [int(order[np.argmin(sizes[order])])]
 
 
