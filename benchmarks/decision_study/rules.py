@@ -71,6 +71,12 @@ class Task:
         """The same of the held-out part."""
         return fqe(self.held, list(self.policies.values()), self.problem.estimand.discount, self.seed)
 
+    @cached_property
+    def scores(self) -> np.ndarray:
+        """(policies, units) what the world knows of the held-out episodes or clusters; the oracle's alone."""
+        world = self.problem.world
+        return units(self, np.stack([world.scores(policy, self.held, self.hidden) for policy in self.policies.values()]))
+
 
 # ---- importance sampling ------------------------------------------------------------------------------------------------
 
@@ -184,8 +190,7 @@ def units(task: Task, scores: np.ndarray) -> np.ndarray:
 
 def oracle(task: Task) -> Verdict:
     """Doubly robust scores by the true values and probabilities, Student's intervals for all at once: the most to hope for."""
-    scores = np.stack([task.problem.world.scores(policy, task.held, task.hidden) for policy in task.policies.values()])
-    each = units(task, scores)
+    each = task.scores
     low, high = np.array([student(one, ALPHA / len(each)) for one in each]).T
     best = int(np.argmax(low))
     return Verdict(best if low[best] > 0 else None, each.mean(1), low, high)
