@@ -8,7 +8,6 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
-
 from decision_study.problem import LOG, TRUTH, WORLD, Estimand, Family, Normal, Problem
 
 LEAST = 10  # episodes of a log
@@ -83,7 +82,8 @@ class Simulator:
             reward = reward + noise * rng.standard_normal(n)
             columns.append((state, after, seen, action, reward, self.own.log_prob(seen, action)))
             state = after
-        state, after, seen, action, reward, log_prob = (np.concatenate(np.swapaxes(each, 0, 1)) for each in map(np.stack, zip(*columns)))
+        each = [np.concatenate(np.swapaxes(np.stack(column), 0, 1)) for column in zip(*columns)]
+        state, after, seen, action, reward, log_prob = each
         timeouts = np.zeros(len(reward), bool)
         timeouts[self.steps - 1 :: self.steps] = True
         data = Dataset.from_arrays(
@@ -93,7 +93,9 @@ class Simulator:
         )  # fmt: skip
         return data, {"state": state, "after": after}
 
-    def goes_on(self, policy: Normal, time: np.ndarray, state: np.ndarray, rng: np.random.Generator, first: Any = None) -> np.ndarray:
+    def goes_on(
+        self, policy: Normal, time: np.ndarray, state: np.ndarray, rng: np.random.Generator, first: Any = None
+    ) -> np.ndarray:
         """(rows,) discounted rewards from a state at a step to the end, after a `first` action or the policy's own."""
         total, rows = np.zeros(len(state)), np.arange(len(state))
         for k in range(self.steps):
@@ -171,7 +173,8 @@ class Linear(Simulator):
         discount = self.estimand.discount
         out.append((p, c))
         for _ in range(self.steps):
-            c = np.trace(self.pains @ var) + discount * (c + np.trace(self.b.T @ p @ self.b @ var) + self.spread**2 * np.trace(p))
+            later = c + np.trace(self.b.T @ p @ self.b @ var) + self.spread**2 * np.trace(p)
+            c = np.trace(self.pains @ var) + discount * later
             p = self.costs + gain.T @ self.pains @ gain + discount * closed.T @ p @ closed
             out.append((p, c))
         return out[::-1]
@@ -222,8 +225,10 @@ class Linear(Simulator):
             linear, found = self.policy(k), []
             gap, wrong = 0.0, 0.0
             for block in range(MOST):
-                pair = [self.returns(each, np.random.default_rng([self.seed, TRUTH, block]), BLOCK) for each in (policy, linear)]
-                found.append(pair[0] - pair[1])
+                theirs, known = (
+                    self.returns(each, np.random.default_rng([self.seed, TRUTH, block]), BLOCK) for each in (policy, linear)
+                )
+                found.append(theirs - known)
                 each = np.concatenate(found)
                 gap, wrong = each.mean(), each.std() / np.sqrt(len(each))
                 if wrong <= max(error, 1e-9):

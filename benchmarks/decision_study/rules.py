@@ -17,7 +17,6 @@ from scipy import special
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.ope.intervals import student
-
 from decision_study.fqe import fqe
 from decision_study.problem import Problem
 
@@ -31,7 +30,7 @@ class Verdict:
 
     Attributes:
         choice: the policy to deploy, by its place; None: none of them.
-        gain, low, high: (policies,) estimates of the gains, and intervals that hold for all at once; infinite where it has none.
+        gain, low, high: (policies,) estimates of the gains, and intervals that hold for all at once; infinite: it has none.
         why: in one line, where it says more.
     """
 
@@ -219,5 +218,6 @@ def new(task: Task) -> Verdict:
 
 
 RULES: dict[str, Callable[[Task], Verdict]] = {
-    "new": new, "old-train": old_train, "old-held": old_held, "oracle": oracle, "argmax-fqe": argmax_fqe, "argmax-wis": argmax_wis,
+    "new": new, "old-train": old_train, "old-held": old_held, "oracle": oracle, "argmax-fqe": argmax_fqe,
+    "argmax-wis": argmax_wis,
 }  # fmt: skip

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from deadreckon.files import read_json, write_json
-
 from decision_study import FAMILIES
 from decision_study.learn import learned
 from decision_study.problem import Family
