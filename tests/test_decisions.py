@@ -10,8 +10,8 @@ import pytest
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 ROWS = 4_000
 DISCRETE = (
-    "null-bandit", "null-sequential", "classes", "missing", "supported", "users", "many-actions", "tabular-short", "tabular-long",
-    "tabular-cut", "inventory",
+    "null-bandit", "null-sequential", "classes", "missing", "supported", "users", "many-actions", "tabular-short",
+    "tabular-long", "tabular-cut", "inventory",
 )  # fmt: skip
 CONTINUOUS = ("linear-quadratic", "pendulum", "pricing")
 
@@ -97,7 +97,8 @@ def test_a_tanh_gaussian_beside_a_linear_policy_is_worth_what_it_plays(study):
 
     problem = study.FAMILIES["linear-quadratic"].log(1, 200)
     size = problem.world.size
-    policy = Normal(lambda seen: (-0.5 * seen[:, :1] * np.ones(size), np.full((len(seen), size), 0.4)), (np.full(size, -2.0), np.full(size, 2.0)))
+    bounds = np.full(size, -2.0), np.full(size, 2.0)
+    policy = Normal(lambda seen: (-0.5 * seen[:, :1] * np.ones(size), np.full((len(seen), size), 0.4)), bounds)
     gain, error, own = problem.world.gains([policy], np.array([0.01]))
     got = problem.world.returns(policy, np.random.default_rng(9), 20_000)
     assert abs(got.mean() - own - gain[0]) < 4.5 * np.hypot(error[0], got.std() / np.sqrt(len(got)))
@@ -179,11 +180,11 @@ def test_learned_policies_are_those_of_the_package(study, monkeypatch):
 
     for name in ("missing", "pendulum"):
         problem = study.FAMILIES[name].log(0, 300)
-        kept, monkeyed = [], learn.plain
         monkeypatch.setattr(learn, "STEPS", 5)
-        monkeypatch.setattr(learn, "plain", lambda policy: kept.append(policy) or monkeyed(policy))
-        found = learn.learned(problem.log, problem.estimand.discount, 0)
-        monkeypatch.setattr(learn, "plain", monkeyed)
+        with monkeypatch.context() as patched:
+            patched.setattr(learn, "plain", lambda policy: policy)
+            kept = learn.learned(problem.log, problem.estimand.discount, 0).values()
+        found = {str(i): learn.plain(policy) for i, policy in enumerate(kept)}
         seen, taken = problem.log.observations[:50], problem.log.actions[:50]
         for policy, theirs in zip(found.values(), kept, strict=True):
             if name == "missing":

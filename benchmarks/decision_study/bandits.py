@@ -9,7 +9,6 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
-
 from decision_study.problem import LOG, TRUTH, WORLD, Choices, Estimand, Family, Problem, choose, softmax, tilted
 
 BLOCK, MOST = 20_000, 60  # contexts at a time, and blocks, of the truth
@@ -119,7 +118,8 @@ def null(known: bool) -> Callable[[int, int], Problem]:
         )  # fmt: skip
         turns = [linear(rng, size, actions) for _ in range(2)]
         candidates = {
-            f"turned {i}": Choices(lambda seen, turn=turn: tilted(chances(seen), seen @ turn, 1.0)) for i, turn in enumerate(turns)
+            f"turned {i}": Choices(lambda seen, turn=turn: tilted(chances(seen), seen @ turn, 1.0))
+            for i, turn in enumerate(turns)
         }
         return problem(world, rows, NOISES[kind], candidates, f"null-{kind}", known=known, null=True)
 
@@ -203,7 +203,8 @@ def classes(known: bool) -> Callable[[int, int], Problem]:
         world = Bandit(draw, mean, chances, seed)
         by = (rng.uniform(0.3, 1.0), -rng.uniform(0.3, 1.0))
         candidates = {
-            word: Choices(lambda seen, by=by: tilted(chances(seen), probs(seen), by)) for word, by in zip(("better", "worse"), by)
+            word: Choices(lambda seen, by=by: tilted(chances(seen), probs(seen), by))
+            for word, by in zip(("better", "worse"), by)
         }
         bernoulli = lambda rng, mean: (rng.random(len(mean)) < mean).astype(float)  # noqa: E731
         return problem(world, rows, bernoulli, candidates, f"classes-{name}", known=known)
@@ -293,8 +294,9 @@ def users(seed: int, rows: int) -> Problem:
     noise = lambda rng, mean: mean + rng.standard_normal(len(mean))  # noqa: E731
     world = Bandit(draw, mean, chances, seed)
     return problem(
-        world, rows, noise, candidates, "users", (context(rng_log, own), own), {"user": user}, cluster="user", null=bool(effect == 0.0)
-    )
+        world, rows, noise, candidates, "users", (context(rng_log, own), own), {"user": user}, cluster="user",
+        null=bool(effect == 0.0),
+    )  # fmt: skip
 
 
 # ---- many actions ----------------------------------------------------------------------------------------------------
@@ -328,7 +330,7 @@ FAMILIES = (
     Family("null-bandit-unknown", null(False), NEVER),
     Family("classes", classes(True), "always `better`, by little in the 30 % of logs whose own policy is near the best"),
     Family("classes-unknown", classes(False), "as `classes`"),
-    Family("missing", missing(False, True), "where the action that the log lacks is good, about half of the logs, or the log's own policy is not near the best, half"),
+    Family("missing", missing(False, True), "where the action that the log lacks is good, or its own policy not near the best"),
     Family("missing-unknown", missing(False, False), "as `missing`"),
     Family("supported", missing(True, True), "as `missing`, whose twin it is"),
     Family("supported-unknown", missing(True, False), "as `supported`"),

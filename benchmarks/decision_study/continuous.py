@@ -8,11 +8,10 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
-
 from decision_study.problem import LOG, TRUTH, WORLD, Estimand, Family, Normal, Problem
 
 LEAST = 10  # episodes of a log
-BLOCK, MOST = 2_000, 60  # episodes at a time, and blocks, of the truth
+BLOCK, MOST, SALES = 2_000, 60, 30  # episodes at a time, and blocks, of the truth; blocks of customers
 NEAR = 0.3  # share of the logs whose own policy is all but the best
 POINTS, WEIGHTS = (lambda x, w: (np.sqrt(2) * x, w / np.sqrt(np.pi)))(*np.polynomial.hermite.hermgauss(16))
 DRAWS = 16  # of a policy, to know what a state is worth under it
@@ -83,7 +82,8 @@ class Simulator:
             reward = reward + noise * rng.standard_normal(n)
             columns.append((state, after, seen, action, reward, self.own.log_prob(seen, action)))
             state = after
-        state, after, seen, action, reward, log_prob = (np.concatenate(np.swapaxes(each, 0, 1)) for each in map(np.stack, zip(*columns)))
+        each = [np.concatenate(np.swapaxes(np.stack(column), 0, 1)) for column in zip(*columns)]
+        state, after, seen, action, reward, log_prob = each
         timeouts = np.zeros(len(reward), bool)
         timeouts[self.steps - 1 :: self.steps] = True
         data = Dataset.from_arrays(
@@ -93,15 +93,32 @@ class Simulator:
         )  # fmt: skip
         return data, {"state": state, "after": after}
 
-    def guess(self, policy: Normal) -> Any:
-        """Of a policy, what gives (Q (rows,) of steps, states and actions), near the truth or None."""
-        return None
+    def goes_on(
+        self, policy: Normal, time: np.ndarray, state: np.ndarray, rng: np.random.Generator, first: Any = None
+    ) -> np.ndarray:
+        """(rows,) discounted rewards from a state at a step to the end, after a `first` action or the policy's own."""
+        total, rows = np.zeros(len(state)), np.arange(len(state))
+        for k in range(self.steps):
+            on = time[rows] + k < self.steps
+            rows, state = rows[on], state[on]
+            if not len(rows):
+                break
+            z = rng.standard_normal((len(rows), self.size))
+            action = first if first is not None and k == 0 else policy.at(self.seen(state), z)
+            state, reward = self.step(state, action, rng.standard_normal(state.shape))
+            total[rows] += self.estimand.discount**k * reward
+        return total
+
+    def worth(self, policy: Normal, time: np.ndarray, state: np.ndarray, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(rows,) Q of states and actions and V of states at steps, without bias: played anew."""
+        rng = np.random.default_rng([self.seed, TRUTH, MOST])
+        q = self.goes_on(policy, time, state, rng, action)
+        return q, 0.5 * (self.goes_on(policy, time, state, rng) + self.goes_on(policy, time, state, rng))
 
     def scores(self, policy: Any, log: Dataset, hidden: Any) -> np.ndarray:
-        """Importance sampling per decision with the true probabilities, about a guess of the values that biases nothing; of a
-        policy that draws nothing what its episodes are worth from the log's first states, played anew."""
+        """Doubly robust per decision with the true probabilities, about values that are played anew or known; of a policy that
+        draws nothing what its episodes are worth from the log's first states."""
         discount, time = self.estimand.discount, np.tile(np.arange(self.steps), log.episodes)
-        plain = np.bincount(log.episode_of, discount**time * log.rewards, log.episodes)
         if not policy.draws:
             first, played = hidden["state"][log.starts], np.zeros(log.episodes)
             for kind, sign in ((policy, 1.0), (self.own, -1.0)):
@@ -109,30 +126,13 @@ class Simulator:
                 played += sign * sum(self.returns(kind, rng, log.episodes, first) for _ in range(DRAWS)) / DRAWS
             return played
         logs = policy.log_prob(log.observations, log.actions) - self.own.log_prob(log.observations, log.actions)
-        logs = np.cumsum(logs.reshape(-1, self.steps), 1).ravel()
-        ratio = np.exp(np.minimum(logs, 50.0))
-        guess = self.guess(policy)
-        if guess is None:
-            return np.bincount(log.episode_of, discount**time * ratio * log.rewards, log.episodes) - plain
-        q = guess(time, hidden["state"], log.actions.astype(float))
-        v = self._mean(guess, policy, time, hidden["state"])
-        future = np.where(time + 1 < self.steps, np.append(v[1:], 0.0), 0.0)
-        pull = discount**time * ratio * (log.rewards + discount * future - q)
-        own = self.guess(self.own)
-        # The log's own return, less what its values tell of the luck in it.
-        own_q, own_v = own(time, hidden["state"], log.actions.astype(float)), self._mean(own, self.own, time, hidden["state"])
-        ahead = np.where(time + 1 < self.steps, np.append(own_v[1:], 0.0), 0.0)
-        own_pull = discount**time * (log.rewards + discount * ahead - own_q)
-        return v[log.starts] - own_v[log.starts] + np.bincount(log.episode_of, pull - own_pull, log.episodes)
-
-    def _mean(self, guess: Any, policy: Normal, time: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """(rows,) mean of the guess over the policy's own actions."""
-        rng = np.random.default_rng([self.seed, TRUTH, MOST])
-        out, half = np.zeros(len(state)), DRAWS // 2
-        for _ in range(half):
-            z = rng.standard_normal((len(state), self.size))
-            for sign in (1.0, -1.0):  # pairs, whose first moment is right
-                out += guess(time, state, policy.at(self.seen(state), sign * z)) / DRAWS
+        ratio = np.exp(np.minimum(np.cumsum(logs.reshape(-1, self.steps), 1).ravel(), 50.0))
+        out = np.zeros(log.episodes)
+        for kind, sign, weight in ((policy, 1.0, ratio), (self.own, -1.0, np.ones(len(log)))):
+            q, v = self.worth(kind, time, hidden["state"], log.actions.astype(float))
+            future = np.where(time + 1 < self.steps, np.append(v[1:], 0.0), 0.0)
+            pull = discount**time * weight * (log.rewards + discount * future - q)
+            out += sign * (v[log.starts] + np.bincount(log.episode_of, pull, log.episodes))
         return out
 
 
@@ -173,7 +173,8 @@ class Linear(Simulator):
         discount = self.estimand.discount
         out.append((p, c))
         for _ in range(self.steps):
-            c = np.trace(self.pains @ var) + discount * (c + np.trace(self.b.T @ p @ self.b @ var) + self.spread**2 * np.trace(p))
+            later = c + np.trace(self.b.T @ p @ self.b @ var) + self.spread**2 * np.trace(p)
+            c = np.trace(self.pains @ var) + discount * later
             p = self.costs + gain.T @ self.pains @ gain + discount * closed.T @ p @ closed
             out.append((p, c))
         return out[::-1]
@@ -198,17 +199,22 @@ class Linear(Simulator):
         mean = policy.at(state, np.zeros((len(state), self.size)))
         return np.linalg.lstsq(state, mean, rcond=None)[0].T
 
-    def guess(self, policy):
+    def worth(self, policy, time, state, action):
         p, c = map(np.array, zip(*self.quadratic(self.nearest(policy))))
 
-        def q(time, state, action):
+        def q(action):
             reward = self.step(state, action, np.zeros_like(state))[1]
             after = state @ self.a.T + action @ self.b.T
             later = np.einsum("ni,nij,nj->n", after, p[time + 1], after)
             more = self.spread**2 * np.trace(p, axis1=1, axis2=2)[time + 1] + c[time + 1]
             return reward - self.estimand.discount * (later + more)
 
-        return q
+        rng, v = np.random.default_rng([self.seed, TRUTH, MOST]), np.zeros(len(state))
+        for _ in range(DRAWS // 2):
+            z = rng.standard_normal((len(state), self.size))
+            for sign in (1.0, -1.0):  # pairs, whose first moment is right
+                v += q(policy.at(state, sign * z)) / DRAWS
+        return q(action), v
 
     def gains(self, policies, errors):
         """By episodes beside those of a linear policy, whose value is known; of linear policies exactly."""
@@ -219,8 +225,10 @@ class Linear(Simulator):
             linear, found = self.policy(k), []
             gap, wrong = 0.0, 0.0
             for block in range(MOST):
-                pair = [self.returns(each, np.random.default_rng([self.seed, TRUTH, block]), BLOCK) for each in (policy, linear)]
-                found.append(pair[0] - pair[1])
+                theirs, known = (
+                    self.returns(each, np.random.default_rng([self.seed, TRUTH, block]), BLOCK) for each in (policy, linear)
+                )
+                found.append(theirs - known)
                 each = np.concatenate(found)
                 gap, wrong = each.mean(), each.std() / np.sqrt(len(each))
                 if wrong <= max(error, 1e-9):
@@ -327,17 +335,17 @@ class Prices:
 
     def gains(self, policies: Sequence[Any], errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Over customers that are the same for all policies."""
-        block, found, owns = 20_000, [[] for _ in policies], []
-        gain = error = np.zeros(len(policies))
-        for number in range(30):
-            seen = np.random.default_rng([self.seed, TRUTH, number]).standard_normal((block, len(self.keen)))
+        found, owns, open_ = [[] for _ in policies], [], np.ones(len(policies), bool)
+        gain, error = np.zeros(len(policies)), np.full(len(policies), np.inf)
+        for number in range(SALES):
+            seen = np.random.default_rng([self.seed, TRUTH, number]).standard_normal((10_000, len(self.keen)))
             owns.append(self.worth(self.own, seen))
-            for each, policy in zip(found, policies):
-                each.append(self.worth(policy, seen) - owns[-1])
-            joined = [np.concatenate(each) for each in found]
-            gain = np.array([each.mean() for each in joined])
-            error = np.array([each.std() / np.sqrt(len(each)) for each in joined])
-            if (error <= errors).all():
+            for i in np.flatnonzero(open_):
+                found[i].append(self.worth(policies[i], seen) - owns[-1])
+                each = np.concatenate(found[i])
+                gain[i], error[i] = each.mean(), each.std() / np.sqrt(len(each))
+            open_ &= error > errors
+            if not open_.any():
                 break
         return gain, error, float(np.concatenate(owns).mean())
 

@@ -11,7 +11,6 @@ from deadreckon.data.spec import Discrete
 from deadreckon.data.view import View
 from deadreckon.ope.fqe import Critics
 from deadreckon.training.fit import Fit
-
 from decision_study.learn import SharedRows
 
 MEMBERS, BATCH, HIDDEN = 3, 64, (32,)

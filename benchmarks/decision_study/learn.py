@@ -24,7 +24,6 @@ from deadreckon.nets.distributions import LOG_STD_MAX, LOG_STD_MIN
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.policy import Categorical, Deployed, Deterministic, TanhGaussian
 from deadreckon.training.fit import Fit
-
 from decision_study.problem import Choices, Normal, softmax
 
 STEPS, BATCH, HIDDEN = 600, 64, (32,)

@@ -48,7 +48,7 @@ class Normal(BlackBoxPolicy):
         bounds: least and greatest action, which make it a tanh-Gaussian.
     """
 
-    def __init__(self, head: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]], bounds: Any = None, draws: bool = True):
+    def __init__(self, head: Callable[[np.ndarray], Any], bounds: Any = None, draws: bool = True):
         super().__init__(self._draw, self._density if draws else None)
         self.head, self.bounds, self.draws = head, bounds, draws
 
@@ -151,7 +151,9 @@ class Problem:
     def parts(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Episodes to learn from and those that are held out: a fifth of them, or of the clusters, at random."""
         log = self.log
-        of = np.arange(log.episodes) if self.cluster is None else np.unique(log.extras[self.cluster][log.starts], return_inverse=True)[1]
+        of = np.arange(log.episodes)
+        if self.cluster is not None:
+            of = np.unique(log.extras[self.cluster][log.starts], return_inverse=True)[1]
         units = int(of.max()) + 1
         held = np.random.default_rng([seed, HOLD]).permutation(units)[: max(round(HELD * units), 1)]
         out = np.isin(of, held)
@@ -173,7 +175,6 @@ class Family:
         sizes: numbers of rows, in turn.
         split: `development`, or `confirmatory`: nobody has ever looked at its logs while something was tuned.
         better: when its logs have a candidate that is better than the log's own policy, in words.
-        bold: whether some logs have few rows for what is asked (long episodes).
     """
 
     name: str

@@ -79,6 +79,6 @@ def tables(trials: Sequence[dict[str, Any]], rules: Sequence[str], better: dict[
         rows = [row for rule in rules if (row := described(own, rule))]
         if name == "all families":
             rows = [[*row[:7], "–", "–", *row[9:]] for row in rows]
-        lines = ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS), *("| " + " | ".join(row) + " |" for row in rows)]
+        lines = ["| " + " | ".join(row) + " |" for row in (COLUMNS, ["---"] * len(COLUMNS), *rows)]
         parts.append(head + "\n\n" + "\n".join(lines))
     return "\n\n".join(parts)

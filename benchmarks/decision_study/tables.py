@@ -9,7 +9,6 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.theory.tabular import MDP, garnet
-
 from decision_study.problem import LOG, WORLD, Choices, Estimand, Family, Problem, softmax, tilted
 
 NEAR = 0.3  # share of the logs whose own policy is all but the best
@@ -37,7 +36,7 @@ class Table:
         return np.asarray(policy.probs(self.features), float)
 
     def values(self, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Q (steps, states, actions) and V (steps + 1, states) at each step; one step for all where nothing ends by the clock."""
+        """Q (steps, states, actions) and V (steps + 1, states); one step for all where nothing ends by the clock."""
         discount, horizon = self.estimand.discount, self.estimand.horizon
         if horizon is None:
             flow = np.einsum("sat,sa->st", self.world.transitions, table)

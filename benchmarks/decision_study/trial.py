@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from deadreckon.files import read_json, write_json
-
 from decision_study import FAMILIES
 from decision_study.learn import learned
 from decision_study.problem import Family
-from decision_study.rules import RULES, Task, Verdict, units
+from decision_study.rules import RULES, Task, Verdict
 
 TENTH = 0.1  # of the held-out standard error, which the truth's may be
 CONFIRM = 1_000_000  # the first seed that nobody has looked at
@@ -60,8 +59,7 @@ def trial(family: str, seed: int, rules: Sequence[str], path: Path, rows: int | 
 def _facts(task: Task) -> dict[str, Any]:
     """Of a log, with the truth."""
     problem, policies = task.problem, list(task.policies.values())
-    scores = np.stack([problem.world.scores(policy, task.held, task.hidden) for policy in policies])
-    each = units(task, scores)
+    each = task.scores
     error = each.std(1, ddof=1) / math.sqrt(each.shape[1]) if each.shape[1] > 1 else np.full(len(each), np.inf)
     plain = task.held.returns(problem.estimand.discount).std() / math.sqrt(task.held.episodes)
     # What is known for certain of a policy that draws nothing is no measure of what a log tells of it.
