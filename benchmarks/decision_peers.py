@@ -72,8 +72,9 @@ def export(families: list[str], split: str, trials: int, out: Path) -> None:
                 break
             np.savez(
                 path, names=list(task.policies), gains=task.truth[0], discount=task.problem.estimand.discount,
-                context=log.observations, action=log.actions, reward=log.rewards.astype(float), chance=np.exp(log.extras["behavior_log_probs"]),
-                lengths=log.lengths, probs=np.stack([policy.probs(log.observations) for policy in policies]),
+                context=log.observations, action=log.actions, reward=log.rewards.astype(float),
+                chance=np.exp(log.extras["behavior_log_probs"]), lengths=log.lengths,
+                probs=np.stack([policy.probs(log.observations) for policy in policies]),
             )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def described(trials: Sequence[dict[str, Any]], rule: str) -> list[str] | None:
     cells = [rule, str(len(trials)), _share(deploys, len(trials)), _share(bad, len(trials)),
              f"{100 * wilson(bad, len(trials))[1]:.1f} %", _share(bad, deploys),
              f"{100 * wilson(bad, deploys)[1]:.1f} %" if deploys else "–", f"{np.mean(got):+.3g}",
-             f"{100 * sum(got) / most:.0f} %" if most > 0 and not trials[0]["null"] else "–"]  # fmt: skip
+             f"{100 * sum(got) / most:.0f} %" if most > 0 else "–"]  # fmt: skip
     if rule.startswith("argmax"):
         return [*cells, "–", "–", "–", "–"]
     ends = [_ends(one) for one in said]
