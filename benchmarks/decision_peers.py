@@ -70,11 +70,11 @@ def export(families: list[str], split: str, trials: int, out: Path) -> None:
             if not isinstance(log.action_space, Discrete) or not task.problem.known:
                 print(f"{name}: left out, the peers here take discrete actions with known probabilities")
                 break
-            gains = task.problem.world.gains(policies, 0.1 * task.scores.std(1) / np.sqrt(task.scores.shape[1]))[0]
             np.savez(
-                path, names=list(task.policies), gains=gains, discount=task.problem.estimand.discount, context=log.observations,
-                action=log.actions, reward=log.rewards.astype(float), chance=np.exp(log.extras["behavior_log_probs"]),
-                lengths=log.lengths, probs=np.stack([policy.probs(log.observations) for policy in policies]),
+                path, names=list(task.policies), gains=task.truth[0], discount=task.problem.estimand.discount,
+                context=log.observations, action=log.actions, reward=log.rewards.astype(float),
+                chance=np.exp(log.extras["behavior_log_probs"]), lengths=log.lengths,
+                probs=np.stack([policy.probs(log.observations) for policy in policies]),
             )  # fmt: skip
 
 

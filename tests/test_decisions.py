@@ -128,7 +128,7 @@ def test_the_oracles_scores_are_without_bias(study, name):
     gains, wrong, _ = problem.world.gains(list(problem.candidates.values()), np.full(2, 0.002))
     for policy, gain, error in zip(problem.candidates.values(), gains, wrong):
         scores = problem.world.scores(policy, problem.log, problem.hidden)
-        task = Task(problem, {}, problem.log, problem.log, problem.hidden, 0)
+        task = Task(problem, {}, problem.log, problem.log, problem.hidden, None, 0)
         each = units(task, scores[None])[0]
         assert each.mean() == pytest.approx(scores.mean())
         assert abs(scores.mean() - gain) < 4.5 * np.hypot(each.std() / np.sqrt(len(each)), error) + 1e-6
@@ -203,19 +203,33 @@ def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):
 
     evenly = {name: Choices(lambda seen: np.full((len(seen), 4), 0.25)) for name in ("bc", "iql", "cql")}
     monkeypatch.setattr(decision_study.trial, "learned", lambda log, discount, seed: evenly)
+    monkeypatch.setattr(decision_study.trial, "NONE_BETTER", 0.0)
     path = tmp_path / "missing" / "0.json"
-    first = trial("missing", 1, ["oracle", "argmax-wis", "new"], path, 200)
+    first = trial("missing", 4, ["oracle", "argmax-wis", "new"], path, 200)
     assert set(first["rules"]) == {"oracle", "argmax-wis"}  # the new one says nothing yet
     text = path.read_text()
-    assert trial("missing", 1, ["oracle"], path, 200) == json.loads(text)
+    assert trial("missing", 4, ["oracle"], path, 200) == json.loads(text)
     assert path.read_text() == text
     card = rules.Verdict(0, np.zeros(5), np.full(5, -np.inf), np.full(5, np.inf))
     monkeypatch.setitem(rules.RULES, "new", lambda task: card)
-    again = trial("missing", 1, ["oracle", "new"], path, 200)
+    again = trial("missing", 4, ["oracle", "new"], path, 200)
     assert again["rules"]["new"]["low"] == [None] * 5
     assert {**again, "rules": first["rules"], "seconds": 0} == {**first, "seconds": 0}
     page = tables([again], ["new", "oracle"], {})
     assert "| new | 1 | 100.0 % |" in page
+
+
+def test_in_some_logs_nothing_is_better(study, monkeypatch):
+    import decision_study.trial
+    from decision_study.problem import Choices
+
+    evenly = {"bc": Choices(lambda seen: np.full((len(seen), 3), 1 / 3))}
+    monkeypatch.setattr(decision_study.trial, "learned", lambda log, discount, seed: evenly)
+    for share, names in ((0.0, {"bc", "better", "worse"}), (1.0, {"worse"})):
+        monkeypatch.setattr(decision_study.trial, "NONE_BETTER", share)
+        task = decision_study.trial.prepared(study.FAMILIES["tabular-short"], 3, 300)
+        assert {"better", "worse"} & set(task.policies) == {"better", "worse"} & names
+        assert task.clone is evenly["bc"]
 
 
 def test_wilsons_interval(study):

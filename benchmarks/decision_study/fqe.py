@@ -27,8 +27,10 @@ def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np
         low, high = min(low, 0.0), max(high, 0.0)
     after = np.where(log.terminals | log.timeouts, np.arange(len(log)), np.arange(len(log)) + 1)
     weight = redrawn(log.episodes, MEMBERS, seed)
+    count, full = len(policies), 5 if isinstance(log.action_space, Discrete) else 6
+    policies = [*policies, *[policies[0]] * (full - count)]  # always as many, so that one program serves
     names = MEMBERS, len(policies) + 1
-    learner = Critics(3e-3, 1e-5, 0.05, discount, std, float(low), float(high), *names, HIDDEN, BATCH)
+    learner = Critics(3e-3, 1e-5, 0.05, discount, std, 1.0 - discount, float(low), float(high), 0.0, *names, HIDDEN, BATCH)
     extra = {"policy": _table(log, log.next_observations, policies, after, rng), "weight": weight[log.episode_of]}
     rows = SharedRows(log, learner.needs(log.spec), extra)
     steps = OFTEN if discount > 0 else ONCE
@@ -39,6 +41,7 @@ def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np
     seen = np.asarray(rows.view.observe(log.observations[starts]))
     table = _table(log, log.observations[starts], policies, starts, rng)
     values = np.stack([[_value(targets, m, p, seen, table[:, p]) for p in range(names[1])] for m in range(MEMBERS)])
+    values = np.delete(values, range(count, len(policies)), 1)
     return std / (1.0 - discount) * np.einsum("mpn,nm->mp", values, weight / weight.sum(0))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies.policy import BlackBoxPolicy
 
-LEARN, HOLD, LOG, WORLD, TRUTH, TWIN = range(6)  # purposes of randomness, beside the seed
+HOLD, LOG, WORLD, TRUTH, WORSE = range(5)  # purposes of randomness, beside the seed
 SIZES = (100, 300, 1_000, 3_000, 10_000, 30_000, 100_000)  # rows; a trial's is the next one
 HELD = 0.2  # of the episodes, or of the clusters
 

@@ -24,6 +24,7 @@ from decision_study.problem import Problem
 
 ALPHA = 0.05
 FIRST_LOOK = 0.025  # of it that the package spends when a split is looked at for the first time
+TENTH = 0.1  # of the held-out standard error, which the truth's may be
 FEW, MOSTLY, LEVEL = 10.0, 0.5, 0.99  # episodes that weights rest on; share of actions that are shown; what counts as shown
 
 
@@ -53,6 +54,7 @@ class Task:
         policies: by name.
         learning, held: the log's parts: where the policies were learned, and the rest.
         hidden: what only the world may see of `held`.
+        clone: behaviour cloning of the learning part, a model of the log's own policy.
         seed: of everything random.
     """
 
@@ -61,6 +63,7 @@ class Task:
     learning: Dataset
     held: Dataset
     hidden: Mapping[str, np.ndarray]
+    clone: Any
     seed: int
 
     @cached_property
@@ -79,6 +82,26 @@ class Task:
         world = self.problem.world
         return units(self, np.stack([world.scores(policy, self.held, self.hidden) for policy in self.policies.values()]))
 
+    @cached_property
+    def truth(self) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+        """(policies,) true gains and their errors, the value of the log's own policy, and held-out standard errors."""
+        each = self.scores
+        error = each.std(1, ddof=1) / np.sqrt(each.shape[1]) if each.shape[1] > 1 else np.full(len(each), np.inf)
+        plain = self.held.returns(self.problem.estimand.discount).std() / np.sqrt(self.held.episodes)
+        policies = list(self.policies.values())
+        # What is known for certain of a policy that draws nothing is no measure of what a log tells of it.
+        error = np.where([policy.draws for policy in policies], error, plain)
+        gains, wrong, own = self.problem.world.gains(policies, TENTH * error)
+        if self.problem.null:
+            gains, wrong = np.zeros(len(gains)), np.zeros(len(gains))
+        return gains, wrong, own, error
+
+    def without_better(self) -> "Task":
+        """The same with those candidates alone that are not better than the log's own policy, where there are some."""
+        kept = [name for name, gain in zip(self.policies, self.truth[0]) if gain <= 0]
+        policies = {name: self.policies[name] for name in kept or self.policies}
+        return Task(self.problem, policies, self.learning, self.held, self.hidden, self.clone, self.seed)
+
 
 # ---- importance sampling ------------------------------------------------------------------------------------------------
 
@@ -88,7 +111,7 @@ def log_ratios(task: Task, log: Dataset) -> np.ndarray:
     if task.problem.known:
         own = log.extras["behavior_log_probs"]
     else:
-        own = task.policies["bc"].log_prob(log.observations, log.actions)
+        own = task.clone.log_prob(log.observations, log.actions)
     never = np.full(len(log), -np.inf)  # a policy that draws nothing never does what the log did
     each = [policy.log_prob(log.observations, log.actions) if policy.draws else never for policy in task.policies.values()]
     with np.errstate(invalid="ignore"):
@@ -134,7 +157,7 @@ def weighted(task: Task) -> np.ndarray:
 
 def shown(task: Task, log: Dataset) -> np.ndarray:
     """(policies,) share of what each does that the clone of the log finds as likely as it finds 99 % of what was logged."""
-    clone, rng = task.policies["bc"], np.random.default_rng([task.seed, 7])
+    clone, rng = task.clone, np.random.default_rng([task.seed, 7])
     told = clone.log_prob(log.observations, log.actions)
     rank = int(np.ceil(LEVEL * (len(told) + 1)))
     if rank > len(told):

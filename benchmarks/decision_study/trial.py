@@ -1,6 +1,5 @@
 """One log from its seed to what each rule said and what was true, as plain numbers."""
 
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,10 +10,10 @@ import numpy as np
 from deadreckon.files import read_json, write_json
 from decision_study import FAMILIES
 from decision_study.learn import learned
-from decision_study.problem import Family
+from decision_study.problem import WORSE, Family
 from decision_study.rules import RULES, Task, Verdict
 
-TENTH = 0.1  # of the held-out standard error, which the truth's may be
+NONE_BETTER = 0.25  # share of the logs of which the candidates that are better are taken away
 CONFIRM = 1_000_000  # the first seed that nobody has looked at
 
 
@@ -25,13 +24,16 @@ def seeds(split: str, trials: int) -> range:
 
 
 def prepared(family: Family, seed: int, rows: int | None = None) -> Task:
-    """A log, its parts, and the policies that are judged."""
+    """A log, its parts, and the policies that are judged: in some logs those alone that are not better than the log's own."""
     problem = family.log(seed, rows)
     learning, held = problem.parts(seed)
     part = problem.part(learning)[0]
     out, hidden = problem.part(held)
-    policies = {**learned(part, problem.estimand.discount, seed), **problem.candidates}
-    return Task(problem, policies, part, out, hidden, seed)
+    found = learned(part, problem.estimand.discount, seed)
+    task = Task(problem, {**found, **problem.candidates}, part, out, hidden, found["bc"], seed)
+    if not problem.null and np.random.default_rng([seed, WORSE]).random() < NONE_BETTER:
+        task = task.without_better()
+    return task
 
 
 def trial(family: str, seed: int, rules: Sequence[str], path: Path, rows: int | None = None) -> dict[str, Any]:
@@ -58,15 +60,8 @@ def trial(family: str, seed: int, rules: Sequence[str], path: Path, rows: int | 
 
 def _facts(task: Task) -> dict[str, Any]:
     """Of a log, with the truth."""
-    problem, policies = task.problem, list(task.policies.values())
+    problem, (gains, wrong, own, error) = task.problem, task.truth
     each = task.scores
-    error = each.std(1, ddof=1) / math.sqrt(each.shape[1]) if each.shape[1] > 1 else np.full(len(each), np.inf)
-    plain = task.held.returns(problem.estimand.discount).std() / math.sqrt(task.held.episodes)
-    # What is known for certain of a policy that draws nothing is no measure of what a log tells of it.
-    error = np.where([policy.draws for policy in policies], error, plain)
-    gains, wrong, own = problem.world.gains(policies, TENTH * error)
-    if problem.null:
-        gains, wrong = np.zeros(len(gains)), np.zeros(len(gains))
     return {
         "log": problem.log.name, "rows": len(problem.log), "episodes": problem.log.episodes, "held": task.held.episodes,
         "clusters": each.shape[1] if problem.cluster else None, "discount": problem.estimand.discount,
