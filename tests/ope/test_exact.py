@@ -11,7 +11,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.ope import DICE, FQE, FQED, VPM, Case, DoublyRobust, ImportanceSampling
 from deadreckon.theory import MDP, chain, garnet, gridworld
-from tests.ope.worlds import as_policy, tables
+from tests.ope.worlds import as_policy, keep_nuisances, tables
 
 DISCOUNT = 0.9
 FQE_L2 = FQE(members=1, hidden=(), steps=3000, lr=2e-2, weight_decay=0.0, target_rate=0.05, batch_size=256)
@@ -174,15 +174,17 @@ def test_vpm_where_seldom_an_episode_ends():
     assert found.value[0] == pytest.approx(MDP.of(log).value(policy, 0.98), rel=0.1)
 
 
+MAGIC = WEIGHTED["magic"].replace(folds=1)  # by an ensemble, whose spread is part of its interval
+
+
 def with_values(log, policy, begin, q):
     """A case of one policy whose critics have been told: (members,) what they say at the start, and Q (states, actions)."""
     case = Case(log, [as_policy(policy)], discount=DISCOUNT)
-    magic = WEIGHTED["magic"]
     state, after = log.observations.argmax(1), log.next_observations.argmax(1)
     v = (policy * q).sum(1)
     errors = log.rewards + DISCOUNT * np.where(log.terminals, 0.0, v[after]) - q[state, log.actions]
     begins = np.stack([v[state[log.starts]] + each for each in begin])
-    case.once(("errors", magic.fqe, magic.samples), lambda: (errors[None].astype(float), begins[:, None]))
+    keep_nuisances(case, MAGIC, begins[:, None], errors[None].astype(float))
     return case
 
 
@@ -190,7 +192,7 @@ def test_magic_corrects_where_that_is_worth_it():
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, near, far = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0], tables(true, 1, 4.0, seed=2)[0]
     log = true.log(behavior, 400, 60, np.random.default_rng(0))
-    magic, full = WEIGHTED["magic"], WEIGHTED["magic"].replace(kind="wdr")
+    magic, full = MAGIC, MAGIC.replace(kind="wdr")
     # Critics that are wrong by far, on a log that knows better.
     wrong = with_values(log, near, np.zeros(3), true.q(near, DISCOUNT) + 5.0)
     exact, told = true.value(near, DISCOUNT), full.on(wrong)
@@ -210,7 +212,7 @@ def test_magic_of_one_critic_knows_no_interval():
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     log, q = true.log(behavior, 60, 60, np.random.default_rng(0)), true.q(target, DISCOUNT)
     begins = np.zeros(1), np.array([-0.3, 0.0, 0.3])
-    one, three = (WEIGHTED["magic"].on(with_values(log, target, begin, q)) for begin in begins)
+    one, three = (MAGIC.on(with_values(log, target, begin, q)) for begin in begins)
     assert np.isnan(one.low[0])
     assert np.isfinite(one.value[0])
     assert three.low[0] < true.value(target, DISCOUNT) < three.high[0]

@@ -12,7 +12,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope import FQE, Case, DoublyRobust, ImportanceSampling, intervals
 from deadreckon.ope.weights import Episodes
 from deadreckon.theory import garnet
-from tests.ope.worlds import as_policy, tables
+from tests.ope.worlds import as_policy, keep_nuisances, tables
 
 
 def test_constants_by_hand():
@@ -57,8 +57,8 @@ COVERED = {
     "pdis, bootstrap": ImportanceSampling(normalised=False),
     "wpdis, t": ImportanceSampling(interval="t"),
     "wpdis, bootstrap": ImportanceSampling(),
-    "dr, t": DoublyRobust(kind="dr"),
-    "wdr, bootstrap": DoublyRobust(kind="wdr"),
+    "dr, t": DoublyRobust(kind="dr", folds=1),
+    "wdr, bootstrap": DoublyRobust(kind="wdr", folds=1),
 }
 
 
@@ -78,9 +78,7 @@ def logs():
         v = (target * q).sum(1)
         errors = case.data.rewards + 0.9 * np.where(case.data.terminals, 0.0, v[after]) - q[state, case.data.actions]
         for each in ("dr, t", "wdr, bootstrap"):
-            estimator = COVERED[each]
-            kept = errors[None].astype(float), v[state[case.data.starts]][None, None]
-            case.once(("errors", estimator.fqe, estimator.samples), lambda kept=kept: kept)
+            keep_nuisances(case, COVERED[each], v[state[case.data.starts]][None, None], errors[None].astype(float))
         return case
 
     return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(400)], true.value(target, 0.9)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deadreckon.ope.critics import OutOfFold
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.theory.tabular import MDP, softmax
 
@@ -20,3 +21,10 @@ def tables(world: MDP, count: int, spread: float, seed: int = 0) -> list[np.ndar
     """Random policies: the larger `spread`, the more decided."""
     rng = np.random.default_rng(seed)
     return [softmax(spread * rng.standard_normal((world.states, world.actions))) for _ in range(count)]
+
+
+def keep_nuisances(case, estimator, begins: np.ndarray, errors: np.ndarray) -> None:
+    """Tells a doubly robust estimator of one fold what its critics say: (members, policies, episodes) and (policies, rows)."""
+    assert estimator.folds == 1
+    told = OutOfFold(begins.mean(0), errors, None, None, np.ones(len(errors), bool))
+    case.once(("errors", estimator.fqe, estimator.samples), lambda: (told, begins))

@@ -61,43 +61,40 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, begins = self._nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, lows, highs, effective, redraws, influence, tails = [], [], [], [], [], [], []
+        values, effective, redraws, influence, tails, doubts = [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             sums = episodes.sums(log_rho, errors[i], normalised=self.kind != "dr", alive_only=self.alive_only)
             start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
                 value, redrawn, pulled, uncorrected = self._blend(episodes, sums, start, drawn)
-                # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of one
-                # critic that is not known, and there is no interval.
-                low, high = spread(begins[:, i].mean(-1)) if begins is not None else (np.nan, np.nan)
-                noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
-                if uncorrected > 0:
+                if uncorrected > 0 and begins is not None:
+                    # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of
+                    # one critic that is not known, and there is no interval.
+                    low, high = spread(begins[:, i].mean(-1))
+                    noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
                     redrawn = redrawn + uncorrected * (high - low) / (2 * NORMAL) * noise
+                    doubts.append(i)
             else:
                 value, redrawn, pulled = start + sums.value(), drawn + sums.redraw(episodes.counts), sums.influence()
             pulls = pulls + pulled
-            if self.kind == "dr" and episodes.even:  # a mean over episodes, whose deviation is known
-                low, high = inference.student(np.array([value]), pulls[:, None])
-                low, high = float(low[0]), float(high[0])
-            else:
-                low, high = episodes.percentiles(redrawn, sums.effective)
-            if not sums.effective > 0:
-                low, high = -np.inf, np.inf
             values.append(value)
             redraws.append(redrawn)
             influence.append(pulls)
-            lows.append(low)
-            highs.append(high)
             effective.append(sums.effective)
-            tails.append(pareto_k(log_rho[case.data.ends]))
+            tails.append(pareto_k(episodes.typical(log_rho, whole=False)))
         effective = np.asarray(effective)
         warnings = [*episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances)]
-        return Estimates(
-            self.label, case.names, np.asarray(values), np.asarray(lows), np.asarray(highs), case.estimand,
-            redraws=np.stack(redraws, 1), influence=np.stack(influence, 1), effective=effective, corrected=True,
-            warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails)},
+        if self.kind == "magic" and begins is None:
+            warnings.append("its interval knows the variance of the corrections that are blended and not the bias of their lack")
+        found = Estimates.of_influence(
+            self.label, case, np.asarray(values), np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
+            corrected=True, warnings=tuple(warnings),
+            diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails)},
         )  # fmt: skip
+        for i in doubts:  # the critics' share of doubt is in the redraws alone
+            found.low[i], found.high[i] = episodes.percentiles(found.redraws[:, i], effective[i])
+        return found
 
     def _nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
         """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""

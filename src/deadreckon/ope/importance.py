@@ -3,6 +3,7 @@
 Precup, Sutton and Singh 2000. What is summed, and how ended and cut-off episodes count, is in `ope/weights.py`.
 """
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -50,26 +51,24 @@ class ImportanceSampling(Estimator):
             values.append(sums.value())
             influence.append(sums.influence())
             redraws.append(sums.redraw(episodes.counts))
-            if self.interval == "bootstrap":
-                low, high = episodes.percentiles(redraws[-1], sums.effective)
-            else:
+            if self.interval != "bootstrap":
                 each = sums.value() + sums.influence()
                 if not self.normalised and episodes.even:
                     each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
                 low, high = self._interval(each, bounds) if sums.effective > 0 else (-np.inf, np.inf)
-            lows.append(low)
-            highs.append(high)
+                lows.append(low)
+                highs.append(high)
             effective.append(sums.effective)
-            tails.append(pareto_k(log_rho[case.data.ends]))
+            tails.append(pareto_k(episodes.typical(log_rho, whole=self.kind == "trajectory")))
         effective, values = np.asarray(effective), np.asarray(values)
         warnings = episodes.warnings(case.names, effective, whole=self.kind == "trajectory")
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
-        return Estimates(
-            self.label, case.names, values, np.asarray(lows), np.asarray(highs), case.estimand, redraws=np.stack(redraws, 1),
-            influence=np.stack(influence, 1), effective=effective, corrected=True, warnings=tuple(warnings),
-            diagnostics={"pareto k": np.array(tails)},
+        found = Estimates.of_influence(
+            self.label, case, values, np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
+            corrected=True, warnings=tuple(warnings), diagnostics={"pareto k": np.array(tails)},
         )  # fmt: skip
+        return replace(found, low=np.asarray(lows), high=np.asarray(highs)) if lows else found
 
     @property
     def label(self) -> str:

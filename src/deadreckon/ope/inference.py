@@ -26,38 +26,62 @@ def student(value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA) -> t
     return value - half, value + half
 
 
-def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0, redraws: int = REDRAWS) -> float:
+def studentised(influence: np.ndarray, seed: int = 0, redraws: int = REDRAWS) -> np.ndarray:
+    """(redraws, policies) |t| of the means of influence functions over redrawn units (bootstrap-t: Efron and Tibshirani 1993, 12.5).
+
+    A redraw of equal units has no spread: its t is infinite, or zero where it is at the mean itself.
+    """
+    n = len(influence)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        psi = (influence - influence.mean(0)) / influence.std(0)
+    counts = np.random.default_rng([seed, 5]).multinomial(n, np.full(n, 1 / n), redraws).astype(np.float64)
+    mean = counts @ psi / n
+    variance = np.maximum(counts @ np.square(psi) / n - np.square(mean), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.abs(mean) * np.sqrt(n - 1) / np.sqrt(variance)
+    return np.where(variance > 1e-12, t, np.where(np.abs(mean) > 1e-9, np.inf, 0.0))
+
+
+def _reach(t: np.ndarray, n: int, alpha: float) -> np.ndarray:
+    """The quantile of (redraws, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of freedom,
+    which is exact for one normal estimate; infinite where the redraws do not reach so far."""
+    rank = int(np.ceil((1 - alpha) * (len(t) + 1)))
+    found = np.sort(t, 0)[rank - 1] if rank <= len(t) else np.full(t.shape[1:], np.inf)
+    return np.maximum(found, special.stdtrit(n - 1, 1 - alpha / 2))
+
+
+def intervals(
+    value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """(policies,) ends of intervals, each for itself, by redrawn units; they adapt to skewed scores. Endless for one unit."""
+    n, error = len(influence), errors(influence)
+    if n < 2:
+        return np.full(len(value), -np.inf), np.full(len(value), np.inf)
+    with np.errstate(invalid="ignore"):
+        half = np.where(error > 0, _reach(studentised(influence, seed), n, alpha) * error, 0.0)
+    return value - half, value + half
+
+
+def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0) -> float:
     """The factor c for which value +- c times the standard error holds for all policies at once, at level 1 - alpha.
 
-    The quantile of max_j |t_j| over redrawn units, where t_j is the studentised mean of the j-th influence function (bootstrap-t:
-    Efron and Tibshirani 1993, 12.5; of a maximum: Romano and Wolf 2005). It adapts to skewed scores and to estimates that vary
-    together. It is never below Student's quantile for n - 1 degrees of freedom, which is exact for one normal estimate.
+    The quantile of max_j |t_j| over redrawn units, where t_j is the studentised mean of the j-th influence function (Romano and
+    Wolf 2005). It adapts to skewed scores and to estimates that vary together.
 
     Args:
         influence: (units, policies), mean zero.
         alpha: share of logs for which one of the intervals may miss.
         seed: of the redraws.
-        redraws: how many.
 
     Returns:
         The factor; infinite where there are fewer than two units, or where the redraws do not reach so far.
     """
     n = len(influence)
     psi = influence[:, influence.std(0) > 0]
-    floor = float(special.stdtrit(n - 1, 1 - alpha / 2)) if n > 1 else np.inf
-    if n < 2 or not psi.shape[1]:
-        return floor
-    psi = (psi - psi.mean(0)) / psi.std(0)
-    counts = np.random.default_rng([seed, 5]).multinomial(n, np.full(n, 1 / n), redraws).astype(np.float64)
-    mean = counts @ psi / n
-    variance = np.maximum(counts @ np.square(psi) / n - np.square(mean), 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.abs(mean) * np.sqrt(n - 1) / np.sqrt(variance)
-    # A redraw of equal units has no spread: its t is as large as can be, unless it is zero itself.
-    t = np.where(variance > 1e-12, t, np.where(np.abs(mean) > 1e-9, np.inf, 0.0))
-    rank = int(np.ceil((1 - alpha) * (redraws + 1)))
-    worst = np.sort(t.max(1))
-    return max(floor, float(worst[rank - 1])) if rank <= redraws else np.inf
+    if n < 2:
+        return np.inf
+    t = studentised(psi, seed).max(1) if psi.shape[1] else np.zeros(REDRAWS)
+    return float(_reach(t, n, alpha))
 
 
 def gains(

@@ -180,6 +180,15 @@ class Episodes:
         share = np.cumsum(fade[order]) / fade.sum()
         return Sums(numerators, denominators, float(effective[order][np.searchsorted(share, QUARTER)]))
 
+    def typical(self, log_rho: np.ndarray, *, whole: bool) -> np.ndarray:
+        """(episodes,) logarithm of each episode's weight: its last, or the discounted mean of those of its steps."""
+        if whole:
+            return log_rho[self.first + self.lengths - 1]
+        fade = self.time * np.log(self.discount) if self.discount > 0 else np.where(self.time == 0, 0.0, -np.inf)
+        out = np.full(self.count, -np.inf)
+        np.logaddexp.at(out, self.of, log_rho + fade)
+        return out
+
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool) -> np.ndarray:
         """(episodes,) what each adds without normalisation: where cut-offs are `even`, their mean is the estimate."""
         with np.errstate(over="ignore"):
