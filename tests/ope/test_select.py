@@ -9,6 +9,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.ope import ESTIMATORS, FQE, LOGGED, Case, DoublyRobust, ImportanceSampling, ModelBased, dope, estimator, select
+from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimate import BehaviorModel, Estimates
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
@@ -41,11 +42,13 @@ def test_the_logs_own_policy_is_judged_like_the_others(case, estimator):
     found = estimator.on(case)
     assert found.names == ("worse", "better", LOGGED)
     assert abs(found.value[2] - case.exact[2]) < 0.1 * abs(case.exact[1] - case.exact[0])
-    choice = select([found])
+    choice = select([found], accept_model_based=True)
     assert choice.name == "better"
     assert choice.deploy
     assert choice.low < case.exact[1] - case.exact[2] < choice.high
     assert "DEPLOY better: +" in str(choice)
+    # Nothing corrects an error of a fitted model, so it decides only where that is accepted.
+    assert select([found]).deploy == found.corrected
 
 
 def test_a_paired_difference_is_surer_than_two_values(case):
@@ -57,9 +60,10 @@ def test_a_paired_difference_is_surer_than_two_values(case):
 
 def test_decisions_against_deploying(case):
     only_worse = Case(case.data, case.policies[:1], discount=0.9, names=["worse"], logged=True)
-    choice = select([TABULAR.on(only_worse)])
+    choice = select([TABULAR.on(only_worse)], accept_model_based=True)
     assert not choice.deploy
     assert "may be chance" in choice.reason
+    assert "model-based only" in select([TABULAR.on(only_worse)]).reason
     sharp = as_policy(np.eye(3)[np.random.default_rng(1).integers(0, 3, 6)])
     few = ImportanceSampling(kind="trajectory").on(Case(case.data, [sharp], discount=0.9, names=["sharp"], logged=True))
     assert not select([few]).deploy
@@ -76,13 +80,13 @@ def test_others_are_evidence(case):
     assert choice.evidence[0].endswith("agrees that it is best")
 
 
-def estimates(method, gains, redraws, effective=None):
+def estimates(method, gains, redraws, effective=None, corrected=True):
     """Of policies a, b, ... and the log's own, which has 0."""
     value = np.array([*gains, 0.0])
     names = (*"abcdef"[: len(gains)], LOGGED)
     effective = None if effective is None else np.array([*effective, 1000.0])
     redraws = np.concatenate([redraws, np.zeros((len(redraws), 1))], 1)
-    return Estimates(method, names, value, value, value, 0.9, redraws=redraws, effective=effective)
+    return Estimates(method, names, value, value, value, Estimand(0.9), redraws=redraws, effective=effective, corrected=corrected)
 
 
 def test_a_policy_without_overlap_comes_last():
@@ -169,7 +173,7 @@ def test_estimators_by_name(name):
     public = with_fields(found, PUBLIC)
     assert getattr(public, "alive_only", True)
     fitted = [each for each in (found, getattr(found, "fqe", None), getattr(found, "model", None)) if hasattr(each, "steps")]
-    assert fitted
+    assert fitted or name == "fqe-linear"  # which is solved
     assert all(each.steps == 7 for each in fitted)
     assert ESTIMATORS[name][1]
 
