@@ -60,22 +60,26 @@ class Effects(NamedTuple):
             twice = both, episodes - 1.0
         return cls(tuple(sources), twice)
 
-    def interval(self, mean: float) -> Interval:
+    def interval(self, mean: float, miss: float = 0.05) -> Interval:
         """The mean with the interval of Banerjee (1961): each source's variance times its own Student's t, squared, in sum.
 
         One t with Satterthwaite's degrees of freedom is narrower, and too narrow: where the few seeds happen to agree it takes
         its degrees of freedom from the many episodes.
+
+        Args:
+            mean: of all values.
+            miss: how often the interval may miss.
         """
         if not self.sources:  # one policy in one episode
             return Interval(float(mean), math.nan, math.nan)
-        parts = [_reach(variance, freedom) for variance, freedom in self.sources]
-        half = math.sqrt(max(sum(parts) - _reach(*self.twice), *parts))
+        parts = [_reach(variance, freedom, miss) for variance, freedom in self.sources]
+        half = math.sqrt(max(sum(parts) - _reach(*self.twice, miss), *parts))
         return Interval(float(mean), float(mean) - half, float(mean) + half)
 
 
-def _reach(variance: float, freedom: float) -> float:
+def _reach(variance: float, freedom: float, miss: float) -> float:
     """The square of half of the interval of a normal mean whose estimated variance has that many degrees of freedom."""
-    return float(stdtrit(freedom, 0.975)) ** 2 * variance
+    return float(stdtrit(freedom, 1.0 - miss / 2)) ** 2 * variance
 
 
 def mean_interval(values: np.ndarray) -> Interval:
