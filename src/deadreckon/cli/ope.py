@@ -138,7 +138,7 @@ def bench(args: Sequence[str]) -> None:
     for metric, words in dope.METRICS.items():
         print(f"\n{words}\n\n{dope.markdown(results, metric, clip=clip)}")
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
-    print(f"\nDeploying by estimates: gain for risk, and errors against the log's own policy\n\n{dope.risks(results)}")
+    print(f"\nDeploying by estimates: gain for risk, and errors against the behaviour policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
 
 
