@@ -109,8 +109,8 @@ def told(gains: dict[str, tuple[float, float, float]], deploy: bool = True, *, c
     truth = {"task": TASK, "episodes": 100, "mean": [v + 1 for v in values[:-1]], "error": [1.0] * len(names)}
     return {
         "log": "maze2d-umaze-v1@dr1", "seed": 0, "truth": truth if checked else None, "results": [result],
-        "estimand": {"discount": 0.99, "horizon": 300, "greedy": False,
-                     "words": "expected discounted return (discount 0.99) of the first 300 steps of an episode; sampled actions"},
+        "estimand": {"discount": 0.99, "horizon": 300, "greedy": False, "words":
+                     "expected discounted return (discount 0.99) of the first 300 steps of an episode; sampled actions"},
         "policies": [{"name": name, "run": name.split()[0], "seed": int(name[-1])} for name in names],
         "judged": {"words": "133 held-out episodes of 667", "episodes": 133, "of": 667, "fresh": True, "units": 100,
                    "cluster": None, "clusters": 133},

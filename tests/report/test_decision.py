@@ -74,9 +74,9 @@ def test_policies_with_objections_are_hollow_in_the_gains(runs):
 
 def whiskers(svg):
     """Left and right end of each whisker, and where arrows are."""
-    ends = [tuple(map(float, each)) for each in re.findall(r'x1="([\d.]+)" x2="([\d.]+)" y1="[\d.]+" y2="[\d.]+" class="whisker"', svg)]
-    arrows = [(float(x), int(turn)) for x, turn in re.findall(r'translate\(([\d.]+) [\d.]+\) rotate\((-?\d+)\)" class="arrow"', svg)]
-    return ends, arrows
+    ends = re.findall(r'x1="([\d.]+)" x2="([\d.]+)" y1="[\d.]+" y2="[\d.]+" class="whisker"', svg)
+    arrows = re.findall(r'translate\(([\d.]+) [\d.]+\) rotate\((-?\d+)\)" class="arrow"', svg)
+    return [(float(a), float(b)) for a, b in ends], [(float(x), int(turn)) for x, turn in arrows]
 
 
 def test_one_wide_interval_does_not_flatten_the_others():

@@ -7,8 +7,8 @@ from run_folders import TASK, write_run
 
 from deadreckon.report.entries import read
 from deadreckon.report.rows import against, paired, rows, versus
-from deadreckon.report.terminal import headline, table
 from deadreckon.report.simulated import MISS, compare
+from deadreckon.report.terminal import headline, table
 from deadreckon.runs.evaluate import Interval, mean_interval
 from deadreckon.tasks import registry
 

@@ -39,18 +39,18 @@ def test_values_are_those_of_days_that_are_played():
         assert abs(total.mean() - exact) < 4 * total.std() / np.sqrt(DAYS)
         assert (battery.values(chances) <= best + 1e-9).all()
     reference = battery.TASK.reference
-    assert battery.start_value(battery.values(uniform)) == pytest.approx(reference.random, abs=0.01)
-    assert battery.start_value(best) == pytest.approx(reference.expert, abs=0.01)
+    assert battery.start_value(battery.values(uniform)) == pytest.approx(reference.random, abs=0.001)
+    assert battery.start_value(best) == pytest.approx(reference.expert, abs=0.001)
 
 
 def test_an_outcome_by_hand():
-    """Sold at 90 x 1.1 less 5 %; bought at 35 x 0.7 and 5 % more; nothing to sell; no room; what is left is worth 25 each."""
+    """Sold at 9 x 1.1 less 5 %; bought at 3.5 x 0.7 and 5 % more; nothing to sell; no room; what is left is worth 2.5 each."""
     of = lambda *x: [float(v[0]) for v in battery.outcome(*(np.array([y]) for y in x))]  # noqa: E731
-    assert of(6, 2, 2, SELL) == pytest.approx([0.95 * 99.0, 1])
-    assert of(0, 0, 0, BUY) == pytest.approx([-24.5 / 0.95, 1])
+    assert of(6, 2, 2, SELL) == pytest.approx([0.95 * 9.9, 1])
+    assert of(0, 0, 0, BUY) == pytest.approx([-2.45 / 0.95, 1])
     assert of(3, 0, 1, SELL) == [0.0, 0]
     assert of(3, 3, 1, BUY) == [0.0, 3]
-    assert of(7, 3, 1, WAIT) == [75.0, 3]
+    assert of(7, 3, 1, WAIT) == [7.5, 3]
 
 
 def test_copies_depend_on_their_own_seed_and_go_on_where_they_were():

@@ -8,7 +8,7 @@ from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
 
-AGENTS = ("bc", "iql", "cql", "rem")
+AGENTS = ("bc", "bcq", "iql", "cql", "rem")
 HIDDEN = (64, 64)  # small networks: the demo is to be seen within minutes on two cores
 HELD = 0.2  # of the days are held out to judge on
 EPISODES = 400  # of each policy in the simulator
@@ -16,13 +16,13 @@ EPISODES = 400  # of each policy in the simulator
 
 @dataclass
 class Demo:
-    """Log a battery's operator, learn from it four ways, decide from held-out days alone, and check that. Again: reuses all."""
+    """Log a battery's operator, learn from it five ways, decide from held-out days alone, and check that. Again: reuses all."""
 
     out: str = "runs/demo"  # folder of the log, the runs and report.html
     seed: int = 0  # of the log and the first of each agent's
     seeds: int = 3  # an agent
     days: int = 2_000  # logged
-    steps: int = 10_000  # updates an agent
+    steps: int = 6_000  # updates an agent
 
 
 def demo(args: Sequence[str]) -> None:
@@ -51,7 +51,8 @@ def demo(args: Sequence[str]) -> None:
     for name in AGENTS:
         folder = out / name
         with Bar(f"{name:<7}", options.steps, "updates") as bar:
-            agent = agent_class(name)().replace(hidden=HIDDEN)
+            agent = agent_class(name)()
+            agent = agent.replace(**{field: HIDDEN for field in ("hidden", "behavior_hidden") if hasattr(agent, field)})
             train(
                 agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK, holdout=HELD, out=folder,
                 resume=folder.exists(), watch=lambda progress, steps, bar=bar: bar(progress.step, steps),

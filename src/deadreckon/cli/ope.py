@@ -39,7 +39,7 @@ class Ope:
 
     data: str  # log: a name of the catalogue, or a file
     policies: tuple[str, ...]  # run folders, cross-fits, policy files (.npz; DOPE's .pkl), or a task of the package's policies
-    estimators: Annotated[str, _NAMES] = "auto"  # names, the one to decide by first (see --list); auto: chosen by the log's design
+    estimators: Annotated[str, _NAMES] = "auto"  # names, the one to decide by first (see --list); auto: by the log's design
     discount: float = 0.995  # discount of the rewards per step; 1 where episodes end or --horizon is given
     horizon: int | None = None  # steps of an episode that count; None: all, or the length at which all episodes were cut
     seed: int = 0  # random seed

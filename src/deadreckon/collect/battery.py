@@ -1,4 +1,4 @@
-"""The battery's log: an operator who goes by the clock and tries something else now and then, with the chance of what was done."""
+"""The battery's log: an operator who goes by the clock and now and then does something else, and how likely that was."""
 
 import numpy as np
 
@@ -35,7 +35,8 @@ def collect_battery(days: int, seed: int = 0) -> Dataset:
         chances.append(likely[np.arange(days), taken])
         seen, earned, _, _ = simulator.step(taken)
         rewards.append(earned)
-    columns = [np.stack(each, 1).reshape(days * BLOCKS, *each[0].shape[1:]) for each in (observations, actions, rewards, chances)]
+    found = observations, actions, rewards, chances
+    columns = [np.stack(each, 1).reshape(days * BLOCKS, *each[0].shape[1:]) for each in found]
     provenance = Provenance(
         "collected", seed=seed, versions={"numpy": np.__version__, "deadreckon": __version__},
         extra={"task": TASK.name, "days": days, "tried": TRIED},
@@ -43,5 +44,6 @@ def collect_battery(days: int, seed: int = 0) -> Dataset:
     terminals = np.tile(np.arange(BLOCKS) == BLOCKS - 1, days)
     return Dataset.from_arrays(
         observations=columns[0], actions=columns[1], rewards=columns[2], terminals=terminals, final_observations=seen,
-        action_space=TASK.action_space, name="battery-by-the-clock", provenance=provenance, behavior_log_probs=np.log(columns[3]),
+        action_space=TASK.action_space, name="battery-by-the-clock", provenance=provenance,
+        behavior_log_probs=np.log(columns[3]),
     )  # fmt: skip

@@ -308,7 +308,7 @@ def _whisker(axis: _Axis, low: float, high: float, at: float, upright: bool = Fa
     if math.isnan(low) or math.isnan(high):
         return []
     inside = sorted((axis.start, axis.end))
-    ends = [float(np.clip(axis(end), *inside)) for end in (low, high)]
+    ends = [min(max(float(axis(end)), inside[0]), inside[1]) for end in (low, high)]
     line = dict(x1=at, x2=at, y1=f"{ends[0]:.1f}", y2=f"{ends[1]:.1f}") if upright else dict(
         x1=f"{ends[0]:.1f}", x2=f"{ends[1]:.1f}", y1=at, y2=at
     )  # fmt: skip

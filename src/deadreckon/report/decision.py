@@ -55,10 +55,10 @@ def card(page: Page) -> Markup | None:
     against = _against(told, chosen)
     after = tag(
         "div", tag("h3", "Checked afterwards in the simulator" if told["truth"] else "Not checked"),
-        tag("p", _check(told)), class_="check",
+        tag("p", _check(told, chosen)), class_="check",
     )  # fmt: skip
     return tag(
-        "div", tag("div", left, _gains(page, told), class_="split"),
+        "div", tag("div", left, _gains(page, told), class_="split top"),
         tag("div", tag("div", tag("h3", "What it rests on"), listed), against, class_="split lower"), after,
         class_=f"card {kind}",
     )  # fmt: skip
@@ -75,8 +75,8 @@ def _tiles(told: dict[str, Any], chosen: int) -> list[Markup]:
     covered = tag(
         "div", tag("small", "its actions without support"), tag("b", percent(missing)), tag("span", "in the log"), class_="tile"
     )
-    return [tile("estimated gain over the behaviour policy", Interval(*map(_number, choice["gain"])), True, level, number), held,
-            covered]  # fmt: skip
+    gain = Interval(*map(_number, choice["gain"]))
+    return [tile("estimated gain over the behaviour policy", gain, True, level, number), held, covered]
 
 
 def _number(value: float | None) -> float:
@@ -110,7 +110,9 @@ def _against(told: dict[str, Any], chosen: int) -> Markup:
     said = {f"{name}: {'; '.join(own)}" for name, own in others}
     lines = [*choice["evidence"], *(line for line in choice["warnings"] if line not in said)]
     lines = [*choice["objections"][chosen], *lines]
-    items = tag("ul", [tag("li", line) for line in lines], class_="caveats") if lines else tag("p", "Nothing that can be checked.")
+    items = tag("p", "Nothing that can be checked.")
+    if lines:
+        items = tag("ul", [tag("li", line) for line in lines], class_="caveats")
     more = None
     if others:
         rest = tag("ul", [tag("li", tag("b", name), f": {'; '.join(own)}") for name, own in others], class_="caveats")
@@ -119,9 +121,14 @@ def _against(told: dict[str, Any], chosen: int) -> Markup:
     return tag("div", tag("h3", "What speaks against it, and what else was said"), items, more, unseen)
 
 
-def _check(told: dict[str, Any]) -> str:
+def _check(told: dict[str, Any], chosen: int) -> str:
     said = checked(told)
-    return f"{said[:1].upper()}{said[1:]}."
+    said = f"{said[:1].upper()}{said[1:]}."
+    if told["truth"] is None:
+        return said
+    first = told["results"][0]
+    value, low, high = (number(_number(first[end][chosen])) for end in ("value", "low", "high"))
+    return f"{said} From the log it was estimated at {value} [{low}, {high}]."
 
 
 def _gains(page: Page, told: dict[str, Any]) -> Markup | None:

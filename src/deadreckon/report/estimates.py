@@ -18,8 +18,8 @@ def section(page: Page) -> Markup | None:
         return None
     truth, level = told["truth"], f"{100 * told['choice']['level']:.3g} %"
     how = note(
-        f"Values: {told['estimand']['words']}; 95 % intervals, each for itself. Gains: over the behaviour policy, estimated by the "
-        f"same method on the same episodes, with intervals of {level} for all policies at once; the first method decides. ",
+        f"Values: {told['estimand']['words']}; 95 % intervals, each for itself. Gains: over the behaviour policy, estimated by "
+        f"the same method on the same episodes, with intervals of {level} for all policies at once; the first method decides. ",
         "ESS: effective sample size, the number of equally weighted episodes that the weights amount to. "
         if any(each["effective"] for each in told["results"]) else None,
         "Without support: the share of a policy's actions, in states of the log, that the behaviour policy hardly takes. "
@@ -31,7 +31,8 @@ def section(page: Page) -> Markup | None:
         slots = colours(page, told)
         labels = {folder.path.name: e.label for e in page.entries for folder, _ in e.folders}
         runs = dict.fromkeys(each["run"] for each in told["policies"])
-        legend = charts.keys([(labels.get(run, run), slots[run]) for run in runs], "estimate = true value")
+        named = [(str(labels.get(run, run)), slots[run]) for run in runs]
+        legend = charts.keys(named, "estimate = true value")
         drawn = join(legend, tag("div", [_scatter(told, each, slots) for each in told["results"]], class_="charts two"))
     return join(drawn, scroll(_table(told)), how)
 
@@ -50,12 +51,14 @@ def _table(told: dict[str, Any]) -> Markup:
     heads = ["policy", *(["true value"] if truth else [])]
     for each in results:
         heads += [each["method"], "gain", *(["ESS"] if each["effective"] else [])]
-    heads += ["without support", "what speaks against it"]
+    heads += ["without support", "objections"]
     rows = []
     names = [each["name"] for each in told["policies"]] + [LOGGED]
     for i, name in enumerate(names):
         known = i < len(told["policies"])
-        badge = ("deploy" if choice["deploy"] else "best candidate") if name == choice["name"] else None if known else "made the log"
+        badge = None if known else "made the log"
+        if name == choice["name"]:
+            badge = "deploy" if choice["deploy"] else "best candidate"
         cells = [tag("th", name, tag("small", badge) if badge else None, scope="row")]
         if truth:
             cells.append(_true(truth["mean"][i], truth["error"][i]) if known else tag("td", number(None)))
@@ -65,7 +68,7 @@ def _table(told: dict[str, Any]) -> Markup:
             cells += [tag("td", number(each["effective"][i]))] if each["effective"] else []
         cells.append(tag("td", percent(told["support"]["missing"][i] if known else None)))
         own = choice["objections"][i] if known else []
-        said = [tag("small", line) for line in own] if own else tag("small", "nothing found" if known else number(None))
+        said = [tag("small", line) for line in own] if own else tag("small", "none" if known else number(None))
         rows.append(tag("tr", cells, tag("td", said, class_="text"), class_=None if known else "log"))
     return tag("table", heads_of(heads), tag("tbody", rows))
 

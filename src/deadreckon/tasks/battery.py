@@ -16,11 +16,11 @@ from deadreckon.tasks.task import Reference, Simulator, Starts, Task
 
 SELL, WAIT, BUY = range(3)
 BLOCKS, FULL = 8, 3  # blocks of a day; units that the battery holds
-BASE = np.array([35.0, 31.0, 50.0, 70.0, 46.0, 44.0, 90.0, 62.0])  # price of a unit by the block, in euros
+BASE = np.array([3.5, 3.1, 5.0, 7.0, 4.6, 4.4, 9.0, 6.2])  # price of a unit of 100 kWh by the block, in euros
 LEVELS = np.array([0.7, 0.9, 1.1, 1.3])  # what the level multiplies it by
 WANDER = 0.3  # chance that the level falls from one block to the next, and that it rises
 LOSS = 0.95  # of a unit that is sold, and of what is bought
-LEFT = 25.0  # euros for a unit that is left at the end
+LEFT = 2.5  # euros for a unit that is left at the end
 
 
 def prices(blocks: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -115,7 +115,8 @@ class Copies:
 
     def state(self) -> dict[str, np.ndarray]:
         """See `Simulator.state`."""
-        return self._starts.state() | {"levels": self._levels.copy(), "block": self._block.copy(), "charge": self._charge.copy()}
+        own = {"levels": self._levels, "block": self._block, "charge": self._charge}
+        return self._starts.state() | {name: column.copy() for name, column in own.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """See `Simulator.restore`."""
@@ -140,6 +141,7 @@ def _day(generator: np.random.Generator) -> np.ndarray:
 
 TASK = Battery(
     name="battery", domain="battery", horizon=BLOCKS, observation_shape=(3,), action_space=Discrete(3),
-    gym_id="deadreckon/Battery-v1", reference=Reference(-38.21, 96.66, "exact: uniform actions, and the best policy (`values`)"),
+    gym_id="deadreckon/Battery-v1",
+    reference=Reference(-3.821, 9.666, "exact: uniform actions, and the best policy (`values`)"),
     summary="buy and sell power over a day; small enough to be solved exactly",
 )  # fmt: skip

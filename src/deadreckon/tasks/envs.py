@@ -3,8 +3,8 @@
 `gymnasium.make("deadreckon.tasks.envs:deadreckon/Maze2D-UMaze-v1")` imports it by itself. It stands apart from
 `deadreckon.tasks` because importing Gymnasium costs every command 150 ms. Of the Gym-MuJoCo tasks, Ant and Humanoid have
 environments of ours, `deadreckon/Ant-v5` and `deadreckon/Humanoid-v5`; the others are Gymnasium's own. Those of Adroit and
-the kitchen, such as `deadreckon/AdroitDoor-v1`, of AntMaze and of the battery are the tasks' simulators: gymnasium-robotics' have other
-rewards, bodies and ends.
+the kitchen, such as `deadreckon/AdroitDoor-v1`, of AntMaze and of the battery are the tasks' simulators: gymnasium-robotics'
+have other rewards, bodies and ends.
 """
 
 from gymnasium.envs.registration import register

@@ -26,7 +26,7 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         space = self.task.action_space
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, self.task.observation_shape, np.float32)
         if isinstance(space, Discrete):
-            self.action_space = gymnasium.spaces.Discrete(space.n)
+            self.action_space: Any = gymnasium.spaces.Discrete(space.n)
         else:
             low, high = (np.asarray(side, np.float32) for side in (space.low, space.high))
             self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
