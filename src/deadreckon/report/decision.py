@@ -44,7 +44,6 @@ def card(page: Page) -> Markup | None:
         tag("span", candidate, class_="which" if choice["deploy"] else "which lesser"),
     )
     reason = choice["reason"][:1].upper() + choice["reason"][1:]
-    left = tag("div", head, tag("p", f"{reason}.", class_="because"), tag("div", _tiles(told, chosen), class_="tiles"))
     facts = [
         ("estimated", told["estimand"]["words"]),
         ("judged on", told["judged"]["words"] + _clusters(told)),
@@ -52,14 +51,16 @@ def card(page: Page) -> Markup | None:
         ("support", _support(told, chosen)),
     ]
     listed = tag("dl", [(tag("dt", name), tag("dd", text)) for name, text in facts], class_="grounds")
-    against = _against(told, chosen)
+    left = tag(
+        "div", head, tag("p", f"{reason}.", class_="because"), tag("div", _tiles(told, chosen), class_="tiles"), listed
+    )
     after = tag(
         "div", tag("h3", "Checked afterwards in the simulator" if told["truth"] else "Not checked"),
         tag("p", _check(told, chosen)), class_="check",
     )  # fmt: skip
     return tag(
         "div", tag("div", left, _gains(page, told), class_="split top"),
-        tag("div", tag("div", tag("h3", "What it rests on"), listed), against, class_="split lower"), after,
+        tag("div", _against(told, chosen), after, class_="split lower"),
         class_=f"card {kind}",
     )  # fmt: skip
 
