@@ -43,7 +43,6 @@ def card(page: Page) -> Markup | None:
         tag("strong", "DEPLOY" if choice["deploy"] else "DO NOT DEPLOY", class_=f"stamp {kind}"),
         tag("span", candidate, class_="which" if choice["deploy"] else "which lesser"),
     )
-    reason = choice["reason"][:1].upper() + choice["reason"][1:]
     facts = [
         ("estimated", told["estimand"]["words"]),
         ("judged on", told["judged"]["words"] + _clusters(told)),
@@ -52,7 +51,7 @@ def card(page: Page) -> Markup | None:
     ]
     listed = tag("dl", [(tag("dt", name), tag("dd", text)) for name, text in facts], class_="grounds")
     left = tag(
-        "div", head, tag("p", f"{reason}.", class_="because"), tag("div", _tiles(told, chosen), class_="tiles"), listed
+        "div", head, tag("p", f"{choice['reason']}.", class_="because"), tag("div", _tiles(told, chosen), class_="tiles"), listed
     )
     after = tag(
         "div", tag("h3", "Checked afterwards in the simulator" if told["truth"] else "Not checked"),

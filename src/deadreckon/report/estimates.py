@@ -23,7 +23,7 @@ def section(page: Page) -> Markup | None:
         "ESS: effective sample size, the number of equally weighted episodes that the weights amount to. "
         if any(each["effective"] for each in told["results"]) else None,
         "Without support: the share of a policy's actions, in states of the log, that the behaviour policy hardly takes. "
-        "Model-based: no logged reward corrects the model's errors. ",
+        "Arrows: an interval goes on beyond its chart. Model-based: no logged reward corrects the model's errors. ",
         f"True values are means of {truth['episodes']} episodes." if truth else None,
     )  # fmt: skip
     drawn = None
