@@ -55,11 +55,12 @@ def demo(args: Sequence[str]) -> None:
             agent = agent.replace(**{field: HIDDEN for field in ("hidden", "behavior_hidden") if hasattr(agent, field)})
             train(
                 agent, log, steps=options.steps, seeds=options.seeds, seed=options.seed, task=TASK, holdout=HELD, out=folder,
-                episodes=EPISODES // 2, resume=folder.exists(), watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
+                episodes=EPISODES // 2, resume=folder.exists(),
+                watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
             )  # fmt: skip
         folders.append(folder)
-    # A day ends by itself, so nothing needs discounting. What is deployed takes its best action: without what the operator tries
-    # now and then even a clone earns more. The simulator is asked after the decision.
+    # A day ends by itself, so nothing needs discounting. What is deployed takes its best action: even a clone earns more without
+    # what the operator tries now and then. The simulator is asked after the decision.
     with Watch() as watch:
         judged = judge(
             folders, log, "auto", out=out / "ope", task=TASK, episodes=EPISODES, discount=1.0, greedy=True, seed=options.seed,

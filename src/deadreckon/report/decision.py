@@ -50,9 +50,8 @@ def card(page: Page) -> Markup | None:
         ("support", _support(told, chosen)),
     ]
     listed = tag("dl", [(tag("dt", name), tag("dd", text)) for name, text in facts], class_="grounds")
-    left = tag(
-        "div", head, tag("p", f"{choice['reason']}.", class_="because"), tag("div", _tiles(told, chosen), class_="tiles"), listed
-    )
+    because = tag("p", f"{choice['reason']}.", class_="because")
+    left = tag("div", head, because, tag("div", _tiles(told, chosen), class_="tiles"), listed)
     after = tag(
         "div", tag("h3", "Checked afterwards in the simulator" if told["truth"] else "Not checked"),
         tag("p", _check(told, chosen)), class_="check",

@@ -97,8 +97,8 @@ def section(page: Page, found: Comparison | None) -> Markup | None:
     why = tag("div", tag("h3", "What beats imitation, and why"), lines, class_="why") if lines else None
     many = found.compared > 1
     how = note(
-        "Means over seeds and episodes of the last evaluation, with deterministic (greedy) actions, each with its own 95 % interval, in which both seeds and "
-        "episodes count as chance. Differences are paired where episodes start alike"
+        "Means over seeds and episodes of the last evaluation, with deterministic (greedy) actions, each with its own 95 % "
+        "interval, in which both seeds and episodes count as chance. Differences are paired where episodes start alike"
         + (f"; their intervals hold for all {found.compared} comparisons of this page at once (Bonferroni). " if many else ". ")
         + (f"The behaviour policy's worth is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
     )

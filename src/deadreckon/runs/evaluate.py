@@ -90,8 +90,8 @@ def mean_interval(values: np.ndarray) -> Interval:
     should; percentiles of redrawn seeds, which are common, cover the true value in no more than 80 % of cases then.
 
     Measured with normal values, 2, 3, 5 and 10 policies of 5, 20 and 100 episodes, deviations between policies and between
-    starts of 0 to 3 times the rest's: the interval covers the true value in 94.6 to 99.5 % of cases, 96.6 % on average. That of one
-    t with Satterthwaite's degrees of freedom held it in 85.5 to 97.7 %. The price is its width: with two policies up to 4.5
+    starts of 0 to 3 times the rest's: the interval covers the true value in 94.6 to 99.5 % of cases, 96.6 % on average. That of
+    one t with Satterthwaite's degrees of freedom held it in 85.5 to 97.7 %. The price is its width: with two policies up to 4.5
     times that of an interval for which all variances are known, with three up to 2.1 times, with five 1.6.
     """
     values = np.atleast_2d(np.asarray(values, np.float64))
