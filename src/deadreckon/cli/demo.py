@@ -59,8 +59,8 @@ def demo(args: Sequence[str]) -> None:
                 watch=lambda progress, steps, bar=bar: bar(progress.step, steps),
             )  # fmt: skip
         folders.append(folder)
-    # A day ends by itself, so nothing needs discounting. What is deployed takes its best action: even a clone earns more without
-    # what the operator tries now and then. The simulator is asked after the decision.
+    # A day ends by itself, so nothing needs discounting. What is deployed takes its best action: even a clone earns more
+    # without what the operator tries now and then. The simulator is asked after the decision.
     with Watch() as watch:
         judged = judge(
             folders, log, "auto", out=out / "ope", task=TASK, episodes=EPISODES, discount=1.0, greedy=True, seed=options.seed,
