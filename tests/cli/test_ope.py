@@ -27,16 +27,32 @@ def test_from_files_to_a_decision(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--discount", "0.9", *SMALL]
     assert main([*common, "--estimators", "fqe,is", "--select", "--out", str(made / "ope")]) == 0
     out = capsys.readouterr().out
-    for title in ("fqe (FQE-L2)", "is (WPDIS)"):
-        assert f"{title}, discounted return (0.9) with 95 % intervals" in out
+    assert out.startswith("judged on 8 held-out episodes of 40\n")
+    asked = "expected discounted return (discount 0.9) of the first 20 steps of an episode; sampled actions; 95 % intervals"
+    assert f"fqe (FQE-L2), model-based: {asked}" in out
+    assert f"is (WPDIS): {asked}" in out
     assert "bc seed 1" in out
-    assert "the log" in out
-    assert "effective episodes" in out
-    assert "DEPLOY bc seed" in out
-    # Given again, it takes up what is there.
-    assert main([*common, "--estimators", "fqe", "--select", "--out", str(made / "ope")]) == 0
+    assert "behaviour policy" in out
+    assert "effective sample size" in out
+    assert "share of each policy's actions without support in the log" in out
+    assert "DO NOT DEPLOY: bc seed" in out
+    assert "model-based only" in out
+    # Given again, it takes up what is there, and is the same look at these episodes.
+    assert main([*common, "--estimators", "fqe,is", "--select", "--out", str(made / "ope")]) == 0
     again = capsys.readouterr().out
-    assert again.splitlines()[:4] == out.splitlines()[:4]
+    assert again == out
+
+
+def test_options_of_what_is_estimated(made, capsys):
+    """A horizon, clusters that are no column, and who says that the policies are new to the log."""
+    common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe-linear"]
+    assert main([*common, "--horizon", "5", "--discount", "1", "--unseen", "--accept-model-based"]) == 0
+    out = capsys.readouterr().out
+    assert "judged on 40 episodes, which no policy has learned from as the user says, although 32 of them equal" in out
+    assert "FQE-linear, model-based: expected return of the first 5 steps of an episode; sampled actions" in out
+    assert "DEPLOY" not in out  # nobody asked for a decision
+    assert main([*common, "--cluster", "user"]) == 2
+    assert "user" in capsys.readouterr().err
 
 
 def test_list(capsys):
@@ -53,7 +69,8 @@ def test_bad_input_in_one_line(made, capsys):
         ([*data, *policies, "--episodes", "99"], "--episodes must be 1 .. 40"),
         ([*data, "--policies", "hoper"], "there are no policies of 'hoper'"),
         ([*data, "--policies", str(made / "none.npz")], "no file"),
-        ([*data, *policies, "--discount", "1.0"], "discount must be 0 .. 1 without 1"),
+        ([*data, *policies, "--discount", "1.5"], "discount must be in [0, 1], got 1.5"),
+        ([*data, *policies, "--horizon", "0"], "horizon must be a number of steps, 1 or more, got 0"),
         (["--policies", "hopper"], "--data"),
     ]:
         assert main(["ope", *args, *SMALL]) == 2

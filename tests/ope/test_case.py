@@ -158,7 +158,7 @@ def test_best_guesses_of_functions_are_their_likeliest_actions():
     np.testing.assert_array_equal(found[:, 0], likeliest)
     assert (found[:, 1] == likeliest).all(1).mean() > 0.9  # counted from draws, among which near ties are chance
     noisy = BlackBoxPolicy(lambda seen, rng: seen + rng.standard_normal(seen.shape), log_prob=lambda seen, a: a[:, 0])
-    with pytest.raises(UserError, match="policy 0 draws its actions and does not tell its best guess"):
+    with pytest.raises(UserError, match="policy 0 samples its actions and does not tell a deterministic"):
         Case(lqr(-0.5, 0.5, 3, 5), noisy, greedy=True)
 
 
@@ -191,7 +191,7 @@ def test_policies_that_do_not_fit_the_log_are_told_in_a_line():
             ImportanceSampling().estimate(discrete, as_policy(wrong))
     with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(1,\), mdp has one of 2 choices"):
         ImportanceSampling().estimate(discrete, deterministic(1, observations=4))
-    with pytest.raises(UserError, match="names must differ, and from 'the log', got the log"):
+    with pytest.raises(UserError, match="names must differ, and from 'behaviour policy', got behaviour policy"):
         Case(log, flat, names=[LOGGED])
 
 

@@ -68,7 +68,7 @@ def test_decisions_against_deploying(case):
     few = ImportanceSampling(kind="trajectory").on(Case(case.data, [sharp], discount=0.9, names=["sharp"], logged=True))
     assert not select([few]).deploy
     assert "its weights rest on" in select([few]).reason
-    with pytest.raises(UserError, match="was not asked about the log's own policy"):
+    with pytest.raises(UserError, match="was not asked about the behaviour policy"):
         select([ImportanceSampling().on(Case(case.data, case.policies, discount=0.9))])
     with pytest.raises(UserError, match="different policies"):
         select([few, ImportanceSampling().on(case)])

@@ -11,6 +11,7 @@ from deadreckon.runs.folder import Folder
 from deadreckon.tasks import registry
 
 TASK = "maze2d-umaze"
+OBJECTION = "its weights rest on 1.4 episodes, 10 are needed"
 
 
 def write_run(
@@ -89,3 +90,34 @@ def write_run(
         np.savez_compressed(folder.trajectories, trajectories=walk.astype(np.float32))
         np.savez_compressed(folder.log, segments=walk[0].astype(np.float32))
     return path
+
+
+def told(gains: dict[str, tuple[float, float, float]], deploy: bool = True, *, checked: bool = True, **changes) -> dict:
+    """What `judge` tells of policies "RUN seed K" with these gains over a behaviour policy of 50, the first of them chosen.
+
+    The second, where there is one, has an objection.
+    """
+    names = list(gains)
+    values = [50 + gain for gain, _, _ in gains.values()] + [50.0]
+    objections = [[OBJECTION] if i == 1 else [] for i in range(len(names))]
+    gain, low, high = gains[names[0]]
+    result = {
+        "method": "DRL", "title": "drl (DRL)", "corrected": True, "value": values, "low": [v - 5 for v in values],
+        "high": [v + 5 for v in values], "gain": [list(each) for each in gains.values()], "seconds": 1.0, "warnings": [],
+        "effective": [90.0] * len(values), "diagnostics": {},
+    }  # fmt: skip
+    truth = {"task": TASK, "episodes": 100, "mean": [v + 1 for v in values[:-1]], "error": [1.0] * len(names)}
+    return {
+        "log": "maze2d-umaze-v1@dr1", "seed": 0, "truth": truth if checked else None, "results": [result],
+        "estimand": {"discount": 0.99, "horizon": 300, "greedy": False, "words":
+                     "expected discounted return (discount 0.99) of the first 300 steps of an episode; sampled actions"},
+        "policies": [{"name": name, "run": name.split()[0], "seed": int(name[-1])} for name in names],
+        "judged": {"words": "133 held-out episodes of 667", "episodes": 133, "of": 667, "fresh": True, "units": 100,
+                   "cluster": None, "clusters": 133},
+        "looks": {"number": 2, "policies": 7, "alpha": 0.0125, "counted": True},
+        "support": {"missing": [0.04] * len(names), "ratio": [0.99] * len(names), "degenerate": [False] * len(names)},
+        "choice": {"name": names[0], "deploy": deploy, "gain": [gain, low, high], "level": 0.9875,
+                   "reason": f"{gain:+.2f} [{low:+.2f}, {high:+.2f}] against the behaviour policy by DRL",
+                   "evidence": ["DR-linear: +9.00 [+1.00, +17.00], agrees that it is best"],
+                   "warnings": [f"{names[1]}: {OBJECTION}"] if len(names) > 1 else [], "objections": objections},
+    } | changes  # fmt: skip

@@ -2,6 +2,9 @@
 
 import html
 
+from run_folders import told
+
+from deadreckon.files import write_json
 from deadreckon.report import write
 
 CHECK = """<script>
@@ -32,6 +35,11 @@ frame.addEventListener("load", () => {
   const page = frame.contentDocument, root = page.documentElement;
   page.querySelectorAll("details").forEach((part) => { part.open = true; });
   const shown = { inside: frame.contentWindow.innerWidth, width: root.scrollWidth, body: page.body.scrollWidth };
+  frame.contentWindow.dispatchEvent(new Event("resize"));
+  const tables = [...page.querySelectorAll(".scroll")];
+  const hint = (box) => getComputedStyle(box.parentElement.querySelector(".hint")).display !== "none";
+  shown.silent = tables.filter((box) => box.scrollWidth > box.clientWidth + 8 && !hint(box)).length;
+  shown.wide = tables.filter((box) => box.scrollWidth > box.clientWidth + 8).length;
   document.body.append(Object.assign(document.createElement("pre"), { id: "found", textContent: JSON.stringify(shown) }));
 });
 </script>"""
@@ -48,7 +56,7 @@ def test_page_works_in_a_browser(runs, tmp_path, browse):
     assert found["sort"] == "descending"
     assert found["up"] == found["down"][::-1]
     assert found["missing"][-2:] == ["", ""]  # the log and cloning promise nothing: last, whatever the order
-    assert found["names"] == ["BC", "behaviour (log)", "TD3", "TD3+BC"]
+    assert found["names"] == ["BC", "behaviour policy", "TD3", "TD3+BC"]
     assert found["light"] == found["again"] != found["dark"]
     assert found["hidden"]
     assert found["others"] == 0
@@ -58,10 +66,14 @@ def test_page_works_in_a_browser(runs, tmp_path, browse):
 
 
 def test_page_fits_a_phone(runs, tmp_path, browse):
-    text = write(runs, tmp_path / "page.html").read_text()
+    gains = {f"{path.name} seed 0": (12.0, 6.0, 18.0) for path in runs}
+    write_json(tmp_path / "estimates.json", told(gains))
+    text = write(runs, tmp_path / "page.html", estimates=tmp_path).read_text()
     page = tmp_path / "phone.html"
     page.write_text(PHONE % html.escape(text))
     found, _ = browse(page, "")
     assert found["inside"] == 390
     assert found["width"] <= 390
     assert found["body"] <= 390
+    assert found["wide"] >= 2  # tables that go on beyond the edge
+    assert found["silent"] == 0  # each of them says so

@@ -13,7 +13,7 @@ from deadreckon.report import headline, picture, table
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
 from deadreckon.report.provenance import command
-from deadreckon.report.verdict import verdict
+from deadreckon.report.simulated import compare
 
 TURNS = {"copies": 4, "explore": 40, "updates_per_step": 0.5, "block": 20}  # 10 updates after every 20 steps
 
@@ -30,10 +30,10 @@ def shown(text):
 def test_a_page_of_online_runs_speaks_of_no_log(tmp_path):
     page = read([online(tmp_path / "run", metrics={"critic_loss": 5.0})])
     text = render(page)
-    assert re.findall(r'<section id="(\w+)"', text) == ["decision", "scores", "learning", "values", "training", "provenance"]
+    assert re.findall(r'<section id="(\w+)"', text) == ["simulator", "scores", "learning", "values", "training", "provenance"]
     seen = shown(text)
     assert "Policies learned online in halfcheetah" in seen
-    assert "No decision" in seen
+    assert "In the simulator: SAC online, score" in seen
     for nonsense in ("MMD", "0 rows", "fingerprint", "Offline", "imitation", "trained on a log", "cloning", "None", "nan"):
         assert not re.search(rf"\b{nonsense}\b", seen)
     assert "440 environment steps a seed, of them 40 of uniform actions at first" in seen
@@ -52,15 +52,15 @@ def test_curves_are_drawn_against_environment_steps(tmp_path):
 
 
 def test_nothing_is_said_to_be_better_than_a_log_that_is_not_there(tmp_path):
-    found = verdict(read([online(tmp_path / "run")]))
-    assert (found.deploy, found.beaten, found.best.label) == (None, [], "SAC online")
-    assert "no logged behaviour" in found.reason
+    found = compare(read([online(tmp_path / "run")]))
+    assert (found.compared, found.versus_log, found.beaten, found.best.label) == (0, None, [], "SAC online")
     assert "simulator that it learned in" in found.caveats[0]
-    assert "not finished" in verdict(read([online(tmp_path / "now", finished=False)])).headline
-    assert "1 of 2 lanes" in verdict(read([online(tmp_path / "lane", failures={0: ("q", 100)})])).headline
+    assert "not finished" in compare(read([online(tmp_path / "now", finished=False)])).caveats[0]
+    assert "1 of 2 seeds" in compare(read([online(tmp_path / "seed", failures={0: ("q", 100)})])).caveats[0]
     for part in (tmp_path / "now" / "evaluations").iterdir():
         part.unlink()
-    assert verdict(read([tmp_path / "now"])).reason == "No evaluation is finished yet."
+    assert compare(read([tmp_path / "now"])) is None
+    assert headline([tmp_path / "now"]) == "No evaluation is finished yet."
 
 
 def test_beside_runs_on_a_log_it_is_shown_and_not_chosen(tmp_path):
@@ -69,11 +69,11 @@ def test_beside_runs_on_a_log_it_is_shown_and_not_chosen(tmp_path):
     runs.append(online(tmp_path / "run"))
     page = read(runs)
     assert [e.label for e in page.entries] == ["BC", "SAC", "SAC online"]
-    found = verdict(page)
-    assert (found.deploy, found.best.label) == (True, "SAC")
+    found = compare(page)
+    assert found.best.label == "SAC"
     assert "SAC online learned by acting" in " ".join(found.caveats)
     assert "SAC online" not in " ".join(found.beaten)
-    assert headline(runs).startswith("Deploy SAC:")
+    assert headline(runs).startswith("Best in the simulator: SAC,")
     text = render(page)
     assert 'data-across="updates"' in text
     assert 'data-across="environment steps"' not in text

@@ -16,7 +16,7 @@ from deadreckon.report.text import number, score
 from deadreckon.runs.folder import Folder
 from deadreckon.tasks import registry
 
-SECTIONS = ["decision", "scores", "learning", "values", "distance", "training", "mazes", "provenance"]
+SECTIONS = ["simulator", "scores", "learning", "values", "distance", "training", "mazes", "provenance"]
 
 
 def test_page_is_whole_and_loads_nothing(runs, tmp_path):
@@ -28,7 +28,7 @@ def test_page_is_whole_and_loads_nothing(runs, tmp_path):
     assert "$" not in re.sub(r"<script>.*?</script>", "", text, flags=re.S)  # no unfilled place in the template
     assert len(text) < 500_000
     assert [p.name for p in out.parent.iterdir()] == ["page.html"]
-    for label in ("BC", "TD3+BC", "TD3", "behaviour (log)"):
+    for label in ("BC", "TD3+BC", "TD3", "behaviour policy"):
         assert f">{label}<" in text
     for r in rows(read(runs)):
         assert score(r.score.mean) in text
@@ -50,9 +50,16 @@ def test_hostile_names_are_shown_and_never_run(tmp_path):
 def test_without_a_task(tmp_path):
     paths = [write_run(tmp_path / agent, agent, task=None) for agent in ("bc", "bear")]
     text = render(read(paths))
-    assert re.findall(r'<section id="(\w+)"', text) == ["decision", "scores", "distance", "training", "provenance"]
-    assert "No decision" in text
-    assert "BEAR" in table(paths)
+    assert re.findall(r'<section id="(\w+)"', text) == ["scores", "distance", "training", "provenance"]
+    assert "Not judged yet: no simulator was named" in text
+    shown = table(paths)
+    assert "BEAR" in shown
+    heads = shown.splitlines()[0].split()
+    for column in ("score", "return", "estimated", "realised"):  # which nothing is known for
+        assert column not in heads
+        assert f">{column}</button>" not in text
+    assert "MMD" in heads
+    assert "\N{EM DASH}" not in text.split('id="score-table"')[1].split("</table>")[0]
 
 
 def test_bad_numbers_are_gaps(tmp_path):

@@ -7,15 +7,15 @@ from run_folders import TASK, write_run
 
 from deadreckon.report.entries import read
 from deadreckon.report.rows import against, paired, rows, versus
+from deadreckon.report.simulated import MISS, compare
 from deadreckon.report.terminal import headline, table
-from deadreckon.report.verdict import verdict
 from deadreckon.runs.evaluate import Interval, mean_interval
 from deadreckon.tasks import registry
 
 
 def test_rows_equal_an_independent_computation(runs):
     found = {r.label: r for r in rows(read(runs))}
-    assert list(found) == ["behaviour (log)", "TD3+BC", "BC", "TD3"]
+    assert list(found) == ["behaviour policy", "TD3+BC", "BC", "TD3"]
     last = pq.read_table(runs[1] / "evaluations" / "0000000200.parquet").to_pandas()
     row = found["TD3+BC"]
     assert row.returns.mean == pytest.approx(last["return"].mean())
@@ -30,7 +30,7 @@ def test_rows_equal_an_independent_computation(runs):
     assert found["TD3"].entry.failed == [(1, "critic_loss", 150)]
     assert found["BC"].baseline
     assert found["BC"].value is None
-    log = found["behaviour (log)"]
+    log = found["behaviour policy"]
     reference = registry.task(TASK).reference
     assert log.score.mean == pytest.approx(100 * (25 - reference.random) / (reference.expert - reference.random))
 
@@ -76,36 +76,52 @@ def test_interval_covers(seeds, between):
     assert 0.93 <= gains / 600 < 1.0  # of two sets of three seeds that do not differ, it is wider than it need be
 
 
-def test_verdict_rules(tmp_path, runs):
-    found = verdict(read(runs))
-    assert found.deploy is True
+def test_the_simulator_compares_and_decides_nothing(tmp_path, runs):
+    found = compare(read(runs))
     assert found.best.label == "TD3+BC"
+    assert found.headline.startswith("Best in the simulator: TD3+BC, score ")
+    assert "eploy" not in found.headline
+    assert found.compared == 3 + 2  # each with the behaviour policy, and all but cloning with cloning
     assert found.versus_log.worth.low > 0
     assert found.versus_cloning.worth.mean == pytest.approx(found.best.score.mean - found.cloning.score.mean)
     text = " ".join(found.beaten)
     assert "Clearly better than behaviour cloning (BC): TD3+BC by" in text
     assert "Not clearly better: TD3" in text
-    assert "TD3 promised 3.0e7" in text
-    lane = write_run(tmp_path / "lane", "sac", 300.0, failures={0: ("q", 100)})
-    found = verdict(read([*runs, lane]))
-    assert (found.best.label, found.deploy) == ("SAC", False)
-    assert "1 of 2 lanes" in found.reason
-    assert "chance" in verdict(read([write_run(tmp_path / "same", "sac", 25.0)])).reason
-    assert "worse" in verdict(read([write_run(tmp_path / "worse", "sac", -80.0)])).reason
-    assert "not finished" in verdict(read([write_run(tmp_path / "now", "sac", 300.0, finished=False)])).reason
-    assert "not known" in verdict(read([write_run(tmp_path / "none", "sac", 300.0, behavior=None)])).reason
+    assert "TD3's critic estimated 3.0e7" in text
+    seed = write_run(tmp_path / "seed", "sac", 300.0, failures={0: ("q", 100)})
+    found = compare(read([*runs, seed]))
+    assert found.best.label == "SAC"
+    assert "1 of 2 seeds of SAC failed" in " ".join(found.caveats)
+    assert "chance" in compare(read([write_run(tmp_path / "same", "sac", 25.0)])).headline
+    assert "below the behaviour policy" in compare(read([write_run(tmp_path / "worse", "sac", -80.0)])).headline
+    assert "not finished" in compare(read([write_run(tmp_path / "now", "sac", 300.0, finished=False)])).caveats[0]
+    unknown = compare(read([write_run(tmp_path / "none", "sac", 300.0, behavior=None)]))
+    assert (unknown.compared, unknown.versus_log) == (0, None)
+
+
+def test_differences_hold_for_all_that_are_compared(tmp_path):
+    """Bonferroni: the more is compared, the wider; as wide as the interval at that level, computed anew."""
+    runs = [write_run(tmp_path / f"a{i}", "sac", 80.0 - i, seeds=4, seed=i) for i in range(4)]
+    few, many = compare(read(runs[:1])), compare(read(runs))
+    assert (few.compared, many.compared) == (1, 4)
+    best = many.best
+    reach = lambda gap: gap.worth.high - gap.worth.low  # noqa: E731
+    assert reach(many.versus_log) > 1.2 * reach(few.versus_log)
+    assert many.versus_log.worth == versus(best, many.log, MISS / 4).worth
+    one = paired(best.entry.last("score"), np.zeros((1, 6)), 0.05)
+    assert paired(best.entry.last("score"), np.zeros((1, 6)), 0.05 / 4).high > one.high
 
 
 def test_without_a_gain_the_page_does_not_claim_one(tmp_path):
     page = read([write_run(tmp_path / "a", "bc", 60.0), write_run(tmp_path / "b", "sac", 60.0, seed=1)])
-    assert verdict(page).beaten[0].startswith("No agent clearly beats BC")
+    assert compare(page).beaten[0].startswith("No agent clearly beats BC")
 
 
 def test_a_private_task_is_shown_in_returns(tmp_path):
     page = read([write_run(tmp_path / "a", "bc", 60.0, task="mine"), write_run(tmp_path / "b", "sac", 200.0, task="mine")])
     log, best, _ = rows(page)
     assert log.score is None
-    assert versus(best, log, page.task).worth.mean == pytest.approx(best.returns.mean - 25)
+    assert versus(best, log).worth.mean == pytest.approx(best.returns.mean - 25)
 
 
 def test_terminal_table_shows_the_same_numbers(runs):
@@ -114,4 +130,5 @@ def test_terminal_table_shows_the_same_numbers(runs):
     for r in rows(read(runs)):
         line = next(line for line in text.splitlines() if line.startswith(r.label + " "))
         assert f"{r.score.mean:.1f} [{r.score.low:.1f}, {r.score.high:.1f}]" in line
-    assert headline(runs).startswith("Deploy TD3+BC: score ")
+    assert headline(runs).startswith("Best in the simulator: TD3+BC, score ")
+    assert headline(runs).isascii()

@@ -19,7 +19,7 @@ class Evaluate:
     task: str | None = None  # simulator; None: the run's own
     episodes: int = 100  # a policy
     seed: int = 0  # of starts and draws
-    sample: bool = False  # draw actions instead of taking the policy's best guess
+    sample: bool = False  # sample actions instead of taking the deterministic (greedy) ones
     out: str | None = None  # also write one row an episode to this Parquet file
 
 

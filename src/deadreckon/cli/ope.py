@@ -39,7 +39,7 @@ class Ope:
 
     data: str  # log: a name of the catalogue, or a file
     policies: tuple[str, ...]  # run folders, cross-fits, policy files (.npz; DOPE's .pkl), or a task of the package's policies
-    estimators: Annotated[str, _NAMES] = "auto"  # names, the one to decide by first (see --list); auto: chosen by the log's design
+    estimators: Annotated[str, _NAMES] = "auto"  # names, the one to decide by first (see --list); auto: by the log's design
     discount: float = 0.995  # discount of the rewards per step; 1 where episodes end or --horizon is given
     horizon: int | None = None  # steps of an episode that count; None: all, or the length at which all episodes were cut
     seed: int = 0  # random seed
@@ -138,7 +138,7 @@ def bench(args: Sequence[str]) -> None:
     for metric, words in dope.METRICS.items():
         print(f"\n{words}\n\n{dope.markdown(results, metric, clip=clip)}")
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
-    print(f"\nDeploying by estimates: gain for risk, and errors against the log's own policy\n\n{dope.risks(results)}")
+    print(f"\nDeploying by estimates: gain for risk, and errors against the behaviour policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
 
 

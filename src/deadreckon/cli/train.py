@@ -162,13 +162,13 @@ def _holdout(share: float | None, by: str | None):
 
 
 def _note(progress) -> str:
-    """The few metrics that fit on a line: means over the healthy lanes."""
+    """The few metrics that fit on a line: means over the healthy seeds."""
     import numpy as np
 
     wanted = [m for m in ("critic_loss", "q", "behavior_nll", "behavior_error", "mmd") if m in progress.metrics][:3]
     alive = [f is None for f in progress.failures]
     if not any(alive):
-        return "all lanes failed"
+        return "all seeds failed"
     return "  ".join(f"{m} {np.mean(progress.metrics[m][alive]):.3g}" for m in wanted)
 
 
@@ -181,7 +181,7 @@ def summary(run) -> str:
     count = len(run.seeds)
     shown = [f"{k} {np.nanmean(v[-count:]):.4g}" for k, v in metrics.items()
              if k not in ("step", "seed", "environment_steps") and not np.isnan(v[-count:]).all()]  # fmt: skip
-    lines.append("last metrics: " + ", ".join(shown) if shown else "no healthy lane at the end")
+    lines.append("last metrics: " + ", ".join(shown) if shown else "no healthy seed at the end")
     evaluations = run.evaluations.to_pydict()
     if evaluations:
         last = np.asarray(evaluations["step"]) == max(evaluations["step"])

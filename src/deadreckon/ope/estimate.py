@@ -33,7 +33,7 @@ from deadreckon.training.learner import check_fields, described, static
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
-LOGGED = "the log"  # the name of the policy that made it
+LOGGED = "behaviour policy"  # the name of the policy that made the log
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def gains(found: Estimates, alpha: float = ALPHA) -> np.ndarray:
         UserError: the behaviour policy was not judged.
     """
     if LOGGED not in found.names or (found.redraws is None and found.influence is None):
-        raise UserError(f"{found.method} was not asked about the log's own policy; use Case(..., logged=True)")
+        raise UserError(f"{found.method} was not asked about the behaviour policy; use Case(..., logged=True)")
     logged = found.names.index(LOGGED)
     if found.influence is not None:
         known = None if found.effective is None else found.effective > 0

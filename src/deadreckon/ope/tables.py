@@ -33,7 +33,7 @@ class Actor:
         policies: with continuous actions, or all discrete ones.
         names: one each.
         spec: of the log.
-        greedy: each policy's best guess instead of draws.
+        greedy: deterministic (greedy) instead of sampled actions.
         seed: of all draws; row `i` of a table is drawn alike whatever is asked for besides it.
         noise: standard deviation, on the scale where actions are in [-1, 1], that deterministic policies of continuous actions are
             given where weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have those
@@ -52,7 +52,7 @@ class Actor:
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
             if self.greedy and not self.spec.discrete and not isinstance(policy, Deployed) and policy.has_log_prob:
-                raise UserError(f"{name} draws its actions and does not tell its best guess; judge its draws (greedy=False)")
+                raise UserError(f"{name} samples its actions and does not tell a deterministic (greedy) one; judge sampled actions (greedy=False)")
             wanted = _observation_size(policy)
             if wanted not in (None, self.spec.observation_size):
                 raise UserError(

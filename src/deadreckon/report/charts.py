@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -223,6 +224,17 @@ def marker(slot: int, x: float, y: float) -> Markup:
     return tag("path", d=_SHAPES[slot], transform=f"translate({x:.1f} {y:.1f})", class_="marker")
 
 
+def keys(names: Sequence[tuple[str, int]], line: str | None = None) -> Markup:
+    """What colours and shapes mean, and a dotted line, beside charts that nothing is hidden in."""
+    shown = []
+    if line is not None:
+        drawn = tag("svg", tag("path", d="M0 7H26", class_="reference"), viewBox="0 0 26 14")
+        shown.append(tag("span", drawn, line, class_="key"))
+    for name, slot in names:
+        shown.append(tag("span", tag("svg", marker(slot, 13, 7), viewBox="0 0 26 14", class_=f"s{slot}"), name, class_="key"))
+    return tag("div", shown, class_="keys")
+
+
 def legend(names: Sequence[tuple[str, int]]) -> Markup:
     """Buttons that hide an agent in every chart."""
     buttons = []
@@ -233,28 +245,85 @@ def legend(names: Sequence[tuple[str, int]]) -> Markup:
     return tag("div", buttons, class_="legend", role="group", aria_label="show or hide agents")
 
 
-def forest(bars: Sequence[tuple[str, int | None, Interval]], unit: str, references: Sequence[tuple[str, float]] = ()) -> Markup:
-    """Means with their intervals, one under another; `None` for a slot is the log."""
-    width, row, top, left, right = 480, 30, 24, 128, 466
-    height = top + row * len(bars) + 26
-    ends = [v for _, _, i in bars for v in (i.low, i.high, i.mean) if math.isfinite(v)] + [v for _, v in references]
-    x = _Axis(min(ends), max(ends), left, right)
-    parts = [tag("title", f"{unit}: mean and 95 % interval of each policy")]
+class Mark(NamedTuple):
+    """A row of `forest`.
+
+    Attributes:
+        name: on the left.
+        slot: colour; None: the behaviour policy.
+        spread: mean and interval, whose ends may be infinite.
+        dots: values that the mean is of, such as seeds'.
+        hollow: something speaks against it.
+    """
+
+    name: str
+    slot: int | None
+    spread: Interval
+    dots: Sequence[float] = ()
+    hollow: bool = False
+
+
+def forest(marks: Sequence[Mark], unit: str, references: Sequence[tuple[str, float]] = ()) -> Markup:
+    """Means with their intervals, one under another, and named upright lines. What is much wider ends in arrows."""
+    width, row, top, left, right = 480, 30, 24, 140, 462
+    height = top + row * len(marks) + 26
+    points = [v for m in marks for v in (m.spread.mean, *m.dots)] + [v for _, v in references]
+    x = _Axis(*_robust(points, [m.spread for m in marks]), left, right)
+    parts = [tag("title", unit)]
     parts += _columns(x, top, height)
     for name, value in references:
         at = float(x(value))
         parts.append(tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=top - 4, y2=height - 24, class_="reference"))
-        parts.append(tag("text", name, x=f"{min(at, width - 26):.1f}", y=13, class_="name mid"))
-    for k, (name, slot, spread) in enumerate(bars):
-        y = top + row * (k + 0.5)
-        inner = [tag("title", f"{name}: {spread}"), tag("text", _cut(name), x=left - 14, y=y + 4.5, class_="label end")]
-        if math.isfinite(spread.low):  # one seed in one episode has no interval
-            inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
-        inner.append(marker(0 if slot is None else slot, float(x(spread.mean)), y))
-        parts.append(tag("g", inner, class_="log" if slot is None else f"s{slot}"))
-    return tag(
-        "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=f"{unit} of each policy", class_=f"chart v{width}"
-    )
+        half = 3.4 * len(name)
+        parts.append(tag("text", name, x=f"{min(max(at, half), width - half):.1f}", y=13, class_="name mid"))
+    for k, mark in enumerate(marks):
+        y, spread = top + row * (k + 0.5), mark.spread
+        ends = f" [{number(spread.low)}, {number(spread.high)}]" if not math.isnan(spread.low) else ""
+        inner = [tag("title", f"{mark.name}: {number(spread.mean)}{ends}")]
+        inner.append(tag("text", _inner_cut(mark.name), x=left - 12, y=y + 4.5, class_="label end"))
+        inner += _whisker(x, spread.low, spread.high, y)
+        if len(mark.dots) > 1:
+            inner += [tag("circle", cx=f"{x(v):.1f}", cy=y + 8, r=2.2, class_="seed") for v in mark.dots if math.isfinite(v)]
+        inner.append(marker(mark.slot or 0, float(x(spread.mean)), y))
+        colour = "log" if mark.slot is None else f"s{mark.slot}"
+        parts.append(tag("g", inner, class_=f"{colour} hollow" if mark.hollow else colour))
+    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=unit, class_=f"chart v{width}")
+
+
+def _robust(points: Sequence[float], spreads: Sequence[Interval]) -> tuple[float, float]:
+    """Least and greatest value to draw: all points, and the ends of intervals that are not much further out than the others'.
+
+    One interval from two seeds, a hundred times as wide as the rest, would leave the rest no room to differ.
+    """
+    points = [v for v in points if math.isfinite(v)]
+    low, high = min(points), max(points)
+    halves = [(s.high - s.low) / 2 for s in spreads if math.isfinite(s.low) and math.isfinite(s.high)]
+    room = max(high - low, 1.5 * float(np.median(halves)) if halves else 0.0) or 0.5 * abs(high) or 1.0
+    ends = [v for s in spreads for v in (s.low, s.high) if not math.isnan(v)]
+    return max(low - room, min([low, *ends])), min(high + room, max([high, *ends]))
+
+
+def _whisker(axis: _Axis, low: float, high: float, at: float, upright: bool = False) -> list[Markup]:
+    """A line between two ends, with an arrow where an end is beyond the axis; nothing where there is no interval."""
+    if math.isnan(low) or math.isnan(high):
+        return []
+    inside = sorted((axis.start, axis.end))
+    ends = [min(max(float(axis(end)), inside[0]), inside[1]) for end in (low, high)]
+    line = dict(x1=at, x2=at, y1=f"{ends[0]:.1f}", y2=f"{ends[1]:.1f}") if upright else dict(
+        x1=f"{ends[0]:.1f}", x2=f"{ends[1]:.1f}", y1=at, y2=at
+    )  # fmt: skip
+    parts = [tag("line", **line, class_="whisker")]
+    for end, pixel, sign in ((low, ends[0], -1), (high, ends[1], 1)):
+        if abs(float(axis(end)) - pixel) > 0.5:
+            turn = (-90 if sign > 0 else 90) if upright else (0 if sign > 0 else 180)
+            place = f"{at:.1f} {pixel:.1f}" if upright else f"{pixel:.1f} {at:.1f}"
+            parts.append(tag("path", d="M0-5.5L9 0L0 5.5Z", transform=f"translate({place}) rotate({turn})", class_="arrow"))
+    return parts
+
+
+def _inner_cut(name: str) -> str:
+    """A name that keeps its end, which tells seeds apart."""
+    return name if len(name) <= LETTERS + 2 else f"{name[: LETTERS - 6]}\N{HORIZONTAL ELLIPSIS}{name[-7:]}"
 
 
 def _columns(x: _Axis, top: float, height: float) -> list[Markup]:
@@ -300,7 +369,7 @@ def _ends(rows: Sequence[tuple[str, int, Interval, float | None]]) -> tuple[floa
 def scatter(
     points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str, diagonal: bool = True
 ) -> Markup:
-    """Points with whiskers both ways, and the diagonal on which both axes agree.
+    """Points with whiskers both ways, and the diagonal on which both axes agree. What is much wider ends in arrows.
 
     Args:
         points: name, colour, and x with its half-width, and y with its lower and upper end, each.
@@ -308,18 +377,13 @@ def scatter(
         unit: of the vertical one, written above it.
         diagonal: whether both axes measure the same.
     """
-    width, height, left, right, top, bottom = 480, 340, 58, 466, 30, 302
+    width, height, left, right, top, bottom = 480, 340, 58, 462, 30, 302
     finite = [p for p in points if math.isfinite(p[2]) and math.isfinite(p[4])]
     if not finite:
         return tag("p", "nothing finite to draw", class_="empty")
-    values = [p[4] for p in finite]
-    low, high = min(values), max(values)
-    # Whiskers may be many times longer than the points are apart; they are cut where they leave the chart.
-    edge = 0.35 * (high - low or abs(high) or 1.0)
-    ends = [v for p in finite for v in (p[5], p[6]) if math.isfinite(v)]
-    x = _Axis(min(p[2] - p[3] for p in finite), max(p[2] + p[3] for p in finite), left, right)
-    y = _Axis(max(low - edge, min([low, *ends])), min(high + edge, max([high, *ends])), bottom, top)
-    cut = lambda value: min(max(float(y(value)), top), bottom)  # noqa: E731
+    wide = [Interval(p[2], p[2] - p[3], p[2] + p[3]) for p in finite]
+    x = _Axis(*_robust([p[2] for p in finite], wide), left, right)
+    y = _Axis(*_robust([p[4] for p in finite], [Interval(*p[4:]) for p in finite]), bottom, top)
     parts = [tag("title", f"{unit} against {across}")]
     for t in y.ticks:
         parts.append(tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
@@ -333,12 +397,10 @@ def scatter(
         parts.append(tag("line", **where, class_="reference"))
     for name, slot, across_value, half, value, lower, upper in finite:
         px, py = float(x(across_value)), float(y(value))
-        said = f"{name}: {unit} {number(value)}, {across} {number(across_value)}"
-        inner = [tag("title", said)]
-        ends = {"x1": f"{x(across_value - half):.1f}", "x2": f"{x(across_value + half):.1f}"}
-        inner.append(tag("line", **ends, y1=py, y2=py, class_="whisker"))
-        if math.isfinite(lower) and math.isfinite(upper):
-            inner.append(tag("line", x1=px, x2=px, y1=f"{cut(lower):.1f}", y2=f"{cut(upper):.1f}", class_="whisker"))
+        ends = f" [{number(lower)}, {number(upper)}]" if not math.isnan(lower) else ""
+        inner = [tag("title", f"{name}: {unit} {number(value)}{ends}, {across} {number(across_value)}")]
+        inner += _whisker(x, across_value - half, across_value + half, py)
+        inner += _whisker(y, lower, upper, px, upright=True)
         inner.append(marker(slot, px, py))
         parts.append(tag("g", inner, class_=f"s{slot}"))
     said = f"{unit} against {across}"

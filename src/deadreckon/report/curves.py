@@ -32,7 +32,7 @@ def learning(page: Page) -> Markup | None:
         return None
     logs = {e.config["data"]["fingerprint"]: e for e in page.entries}.values()
     worths = [worth for e in logs if (returns := behavior(e)) and (worth := _worth(page, returns))]
-    references = [("logged behaviour", worth.mean) for worth in worths]
+    references = [("behaviour policy", worth.mean) for worth in worths]
     references += [("expert", 100.0)] if unit == "score" else []
     options = {"title": f"{unit} against {page.across}", "unit": unit, "references": references, "across": page.across}
     both = [
@@ -57,21 +57,21 @@ def _worth(page: Page, returns: Interval) -> Interval | None:
 
 
 def values(page: Page) -> Markup | None:
-    """Promised against delivered value, a panel an agent (thesis, Figures 4.1 and A.2)."""
+    """Estimated against realised return, a panel an agent (thesis, Figures 4.1 and A.2)."""
     shown = [e for e in page.entries if "estimated_value" in e.evaluations and "discounted_return" in e.evaluations]
     if not shown:
         return None
     figures = []
     for e in shown:
-        promised, delivered = (e.curve(name, page.online) for name in ("estimated_value", "discounted_return"))
-        known = np.abs(promised[1][np.isfinite(promised[1])])
-        true = np.abs(delivered[1][np.isfinite(delivered[1])])
+        estimated, realised = (e.curve(name, page.online) for name in ("estimated_value", "discounted_return"))
+        known = np.abs(estimated[1][np.isfinite(estimated[1])])
+        true = np.abs(realised[1][np.isfinite(realised[1])])
         far = bool(len(known)) and known.max() > EXPLODED * max(1.0, true.max() if len(true) else 1.0)
         series = [
-            charts.Series.over_seeds("promised", page.slot(e), *promised),
-            charts.Series.over_seeds("delivered", page.slot(e), *delivered, dashed=True),
+            charts.Series.over_seeds("estimated", page.slot(e), *estimated),
+            charts.Series.over_seeds("realised", page.slot(e), *realised, dashed=True),
         ]
-        title = f"{e.label}: estimated value and return"
+        title = f"{e.label}: estimated and realised return"
         chart = charts.lines(series, title=title, unit="discounted return", symlog=far, size=(320, 240), across=page.across)
         figures.append(figure(chart, e.label, data_agent=page.slot(e)))
     without = [e.label for e in page.entries if e not in shown]
@@ -84,15 +84,15 @@ def values(page: Page) -> Markup | None:
             "p",
             learned,
             "Where the solid line (",
-            tag("b", "promised"),
-            ": estimated value at the start) runs above the dashed one (",
-            tag("b", "delivered"),
-            ": Monte-Carlo discounted return of the same starts), it believes its own guesses (thesis, Figures 4.1 and A.2).",
+            tag("b", "estimated"),
+            ": the critic's value at the start) runs above the dashed one (",
+            tag("b", "realised"),
+            ": Monte-Carlo discounted return of the same starts), it overestimates (thesis, Figures 4.1 and A.2).",
         ),
         tag("div", figures, class_="charts"),
         note(
             "Bands: lowest to highest seed. An episode stops at the horizon, the critic's value does not: a policy that "
-            f"collects reward to the end is promised a little more than an episode can deliver. {bonus}"
+            f"collects reward to the end is estimated at a little more than an episode can realise. {bonus}"
             "Axes differ between panels." + (f" No critic: {', '.join(without)}." if without else "")
         ),
     )

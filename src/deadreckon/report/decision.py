@@ -1,73 +1,147 @@
-"""The decision card."""
+"""The card: what `ope.select` decided from the log alone. There is no other verdict on a page."""
 
 import math
+from typing import Any
 
+from deadreckon.ope.estimate import LOGGED
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
-from deadreckon.report.parts import figure, note, unit_of
-from deadreckon.report.rows import Difference, rows
-from deadreckon.report.text import brackets, score
-from deadreckon.report.verdict import Verdict
+from deadreckon.report.parts import colours, figure, note, tile
+from deadreckon.report.text import number, percent
 from deadreckon.runs.evaluate import Interval
+from deadreckon.runs.offline import checked
 
 
-def decision(page: Page, found: Verdict) -> Markup:
-    """What to do, by how much it is better, why, and what that does not show."""
-    best = found.best
-    unit = unit_of(page)
-    words = {None: "No decision", True: "Deploy", False: "Do not deploy"}[found.deploy]
-    kind = {None: "unknown", True: "yes", False: "no"}[found.deploy]
-    if best is None:
-        body = [tag("p", tag("strong", words, class_=f"stamp {kind}")), tag("p", found.reason)]
-        return tag("div", body, _caveats(found), class_=f"card {kind}")
-    stamp = tag("p", tag("strong", words, class_=f"stamp {kind}"), tag("span", best.label, class_="which"))
-    tiles = [_tile(f"{unit}, {best.label}", best.worth, False)]
-    if found.versus_log:
-        tiles.append(_tile("beyond the logged behaviour", found.versus_log.worth, True, found.versus_log))
-    if found.versus_cloning and found.cloning:
-        tiles.append(_tile(f"beyond {found.cloning.label}, paired", found.versus_cloning.worth, True, found.versus_cloning))
-    text = [stamp, tag("p", f"{words}, because {found.reason}.", class_="because"), tag("div", tiles, class_="tiles")]
-    lines = [tag("p", line) for line in found.beaten]
-    why = tag("div", tag("h3", "What beats imitation, and why"), lines, class_="why") if lines else None
-    how = note(
-        "Numbers are means over seeds and episodes of the last evaluation; brackets are 95 % intervals, in which both seeds "
-        "and episodes count as chance. Differences between agents are paired: episode i starts alike for all. "
-        + (f"The logged behaviour's worth is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
+def headline(told: dict[str, Any]) -> str:
+    """The decision in one sentence."""
+    choice = told["choice"]
+    return f"Deploy {choice['name']}: {choice['reason']}." if choice["deploy"] else f"Do not deploy: {choice['reason']}."
+
+
+def unjudged(page: Page) -> str:
+    """Why there is neither a decision nor a comparison, in one sentence."""
+    if page.task_name is not None:
+        return "No evaluation is finished yet."
+    return (
+        "Not judged yet: no simulator was named for this log. The page shows how training went and how far each policy moved "
+        "away from the log; `deadreckon ope --select` decides from the log alone."
     )
-    limits = tag("div", tag("h3", "What this does not show"), _caveats(found))
-    lower = tag("div", why, limits, class_="split lower" if why else "lower")
+
+
+def card(page: Page) -> Markup | None:
+    """What was decided, on what evidence, what speaks against it, and how it turned out where that could be checked."""
+    told = page.estimates
+    if told is None:
+        return None
+    choice, kind = told["choice"], "yes" if told["choice"]["deploy"] else "no"
+    names = [each["name"] for each in told["policies"]]
+    chosen = names.index(choice["name"])
+    candidate = choice["name"] if choice["deploy"] else f"best candidate: {choice['name']}"
+    head = tag(
+        "p",
+        tag("strong", "DEPLOY" if choice["deploy"] else "DO NOT DEPLOY", class_=f"stamp {kind}"),
+        tag("span", candidate, class_="which" if choice["deploy"] else "which lesser"),
+    )
+    facts = [
+        ("estimated", told["estimand"]["words"]),
+        ("judged on", told["judged"]["words"] + _clusters(told)),
+        ("level", _level(told)),
+        ("support", _support(told, chosen)),
+    ]
+    listed = tag("dl", [(tag("dt", name), tag("dd", text)) for name, text in facts], class_="grounds")
+    because = tag("p", f"{choice['reason']}.", class_="because")
+    left = tag("div", head, because, tag("div", _tiles(told, chosen), class_="tiles"), listed)
+    after = tag(
+        "div", tag("h3", "Checked afterwards in the simulator" if told["truth"] else "Not checked"),
+        tag("p", _check(told, chosen)), class_="check",
+    )  # fmt: skip
     return tag(
-        "div", tag("div", tag("div", text), _forest(page), class_="split"), lower, how,
+        "div", tag("div", left, _gains(page, told), class_="split top"),
+        tag("div", _against(told, chosen), after, class_="split lower"),
         class_=f"card {kind}",
     )  # fmt: skip
 
 
-def _how(page: Page) -> str:
-    known = [str(e.behavior["how"]) for e in page.entries if e.behavior and e.behavior.get("how")]
-    return known[0] if known else "return found in the log"
+def _tiles(told: dict[str, Any], chosen: int) -> list[Markup]:
+    choice, judged = told["choice"], told["judged"]
+    level = f"{100 * choice['level']:.3g} % for all policies at once"
+    missing = told["support"]["missing"][chosen]
+    held = tag(
+        "div", tag("small", "held-out episodes" if judged["fresh"] else "episodes, not held out"),
+        tag("b", f"{judged['episodes']:,}"), tag("span", f"of {judged['of']:,}"), class_="tile",
+    )  # fmt: skip
+    covered = tag(
+        "div", tag("small", "its actions without support"), tag("b", percent(missing)), tag("span", "in the log"), class_="tile"
+    )
+    gain = Interval(*map(_number, choice["gain"]))
+    return [tile("estimated gain over the behaviour policy", gain, True, level, number), held, covered]
 
 
-def _tile(name: str, value: Interval | None, signed: bool, gap: Difference | None = None) -> Markup:
-    extra = None
-    if gap and gap.score:
-        r = gap.returns
-        extra = tag("small", f"return {score(r.mean, signed=True)} {brackets(r, signed=True)}")
-    shown = tag("b", score(value.mean if value else None, signed=signed)), tag("span", brackets(value, signed=signed))
-    return tag("div", tag("small", name), shown, extra, class_="tile")
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
-def _caveats(found: Verdict) -> Markup:
-    return tag("ul", [tag("li", line) for line in found.caveats], class_="caveats")
+def _clusters(told: dict[str, Any]) -> str:
+    cluster = told["judged"]["cluster"]
+    count = told["judged"].get("clusters")
+    return "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
 
 
-def _forest(page: Page) -> Markup | None:
-    unit = unit_of(page)
-    bars = []
-    for r in rows(page):
-        spread = r.score if unit == "score" else r.returns
-        if spread and math.isfinite(spread.mean):
-            bars.append((r.label, page.slot(r.entry) if r.entry else None, spread))
-    if not bars:
+def _level(told: dict[str, Any]) -> str:
+    looks, level = told["looks"], f"{100 * told['choice']['level']:.3g} %"
+    policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
+    if not looks["counted"]:
+        return f"{level} for all {policies} at once; looks at these episodes were not counted"
+    return f"{level} for all policies at once: look {looks['number']} at these episodes, {policies} so far in all looks"
+
+
+def _support(told: dict[str, Any], chosen: int) -> str:
+    missing, ratio = told["support"]["missing"][chosen], told["support"]["ratio"][chosen]
+    said = "not known" if missing is None else f"{percent(missing)} of its actions have no support in the log"
+    return said if ratio is None else f"{said}; its weights average {ratio:.2f} a step (1 where there is support)"
+
+
+def _against(told: dict[str, Any], chosen: int) -> Markup:
+    """What other estimators say, warnings, and the objections to the other policies, folded away where they are many."""
+    choice, names = told["choice"], [each["name"] for each in told["policies"]]
+    others = [(name, own) for i, (name, own) in enumerate(zip(names, choice["objections"])) if i != chosen and own]
+    said = {f"{name}: {'; '.join(own)}" for name, own in others}
+    lines = [*choice["evidence"], *(line for line in choice["warnings"] if line not in said)]
+    lines = [*choice["objections"][chosen], *lines]
+    items = tag("p", "Nothing that can be checked.")
+    if lines:
+        items = tag("ul", [tag("li", line) for line in lines], class_="caveats")
+    more = None
+    if others:
+        rest = tag("ul", [tag("li", tag("b", name), f": {'; '.join(own)}") for name, own in others], class_="caveats")
+        more = tag("details", tag("summary", f"Objections to other policies ({len(others)} of {len(names) - 1})"), rest)
+    unseen = note("Not in a log: whether something that was not recorded made the logged actions (confounding).")
+    return tag("div", tag("h3", "What speaks against it, and what else was said"), items, more, unseen)
+
+
+def _check(told: dict[str, Any], chosen: int) -> str:
+    said = checked(told)
+    said = f"{said[:1].upper()}{said[1:]}."
+    if told["truth"] is None:
+        return said
+    first = told["results"][0]
+    value, low, high = (number(_number(first[end][chosen])) for end in ("value", "low", "high"))
+    return f"{said} From the log it was estimated at {value} [{low}, {high}]."
+
+
+def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
+    """Every policy's gain with its simultaneous interval."""
+    first, slots = told["results"][0], colours(page, told)
+    marks = []
+    for each, gain, own in zip(told["policies"], first["gain"], told["choice"]["objections"]):
+        spread = Interval(*map(_number, gain))
+        if math.isfinite(spread.mean):
+            marks.append(charts.Mark(each["name"], slots[each["run"]], spread, hollow=bool(own)))
+    if not marks:
         return None
-    return figure(charts.forest(bars, unit, [("expert", 100.0)] if unit == "score" else []))
+    marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.mean))
+    level = f"{100 * told['choice']['level']:.3g} %"
+    hollow = "; hollow: something speaks against it" if any(mark.hollow for mark in marks) else ""
+    drawn = charts.forest(marks, f"estimated gain over the behaviour policy, {level} for all at once", [(LOGGED, 0.0)])
+    return figure(drawn, f"Estimated gain over the behaviour policy ({first['method']}, {level} for all at once{hollow})")

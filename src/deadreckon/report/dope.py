@@ -128,9 +128,9 @@ def _risks(results: Sequence[Result]) -> Markup:
             rows.append(tag("tr", tag("th", r.log, scope="row"), tag("td", r.method), found))
     head = heads_of(("log", "estimator", *heads))
     text = note(
-        f"SharpeRatio@{TRIED}: what the best of the {TRIED} policies with the highest estimates gains over the log's own "
+        f"SharpeRatio@{TRIED}: what the best of the {TRIED} policies with the highest estimates gains over the behaviour "
         f"policy, for the deviation among the {TRIED} (Kiyohara et al. 2024). Type I: of the policies truly worse than the "
-        "log's, the share that is estimated to be as good or better; type II: of the others, the share that is not."
+        "behaviour policy, the share that is estimated to be as good or better; type II: of the others, the share that is not."
     )
     return join(scroll(tag("table", head, tag("tbody", rows))), text)
 

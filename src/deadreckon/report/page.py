@@ -9,14 +9,12 @@ from string import Template
 from typing import Any
 
 from deadreckon.files import replacing
-from deadreckon.report import curves, provenance
-from deadreckon.report.decision import decision
+from deadreckon.report import curves, decision, provenance, simulated
+from deadreckon.report import estimates as estimated
 from deadreckon.report.entries import Page, read
-from deadreckon.report.estimates import section
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.parts import note
+from deadreckon.report.parts import coded, note
 from deadreckon.report.scores import scores
-from deadreckon.report.verdict import verdict
 from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
 
@@ -46,23 +44,28 @@ def write(
 
 def render(page: Page, title: str | None = None) -> str:
     """The page as text."""
-    found = verdict(page)
+    found, told = simulated.compare(page), page.estimates
+    if told is not None:
+        lead = decision.headline(told)
+    else:
+        lead = decision.unjudged(page) if found is None else found.headline
     logs = list(dict.fromkeys(e.config["data"]["name"] for e in page.entries if not e.online))
     kind = "Policies learned online in" if page.online else "Offline policies for"
     title = title or f"{kind} {page.task_name or ', '.join(logs)}"
     sections = [
-        ("decision", "Decision", decision(page, found)),
-        ("estimates", "From the log alone", section(page)),
-        ("scores", "Scores", scores(page)),
+        ("decision", "Decision", decision.card(page)),
+        ("estimates", "From the log alone", estimated.section(page)),
+        ("simulator", "In the simulator" if told is None else "Checked in the simulator", simulated.section(page, found)),
+        ("scores", "Scores" if found else "Runs", scores(page)),
         ("learning", "Learning curves", curves.learning(page)),
-        ("values", "Promised and delivered", curves.values(page)),
+        ("values", "Estimated and realised return", curves.values(page)),
         ("distance", "Distance to the log", curves.distance(page)),
         ("training", "Training", curves.training(page)),
         ("mazes", "Trajectories", curves.trajectories(page)),
         ("provenance", "Provenance", provenance.section(page)),
     ]
     again = any("@dr" in name for name in logs)
-    return document(title, found.headline, _facts(page, logs), sections, note(tag("code", "@dr1"), AGAIN) if again else None)
+    return document(title, lead, _facts(page, logs), sections, note(tag("code", "@dr1"), AGAIN) if again else None)
 
 
 def document(
@@ -87,7 +90,7 @@ def document(
     header = tag(
         "header",
         tag("div", tag("h1", title), tag("button", "theme", type="button", id="theme", title="light or dark"), class_="top"),
-        tag("p", lead, class_="lead"),
+        tag("p", coded(lead), class_="lead"),
         tag("dl", [tag("div", tag("dt", name), tag("dd", value)) for name, value in facts], class_="facts"),
         remark,
         links,

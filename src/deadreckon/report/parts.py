@@ -1,16 +1,23 @@
 """Pieces that several sections share."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
+from deadreckon.report.text import brackets, score
+from deadreckon.runs.evaluate import Interval
 
 
 def note(*text: Any) -> Markup:
     """A paragraph that explains."""
     return tag("p", *text, class_="note")
+
+
+def coded(text: str) -> list[Any]:
+    """Text whose parts between backquotes are commands."""
+    return [tag("code", part) if i % 2 else part for i, part in enumerate(text.split("`"))]
 
 
 def figure(chart: Markup, caption: str | None = None, **attributes: Any) -> Markup:
@@ -29,8 +36,31 @@ def unit_of(page: Page) -> str:
 
 
 def scroll(table: Markup) -> Markup:
-    """A table that scrolls by itself where the page is narrow."""
-    return tag("div", table, class_="scroll", tabindex="0", role="region", aria_label="table, scrolls sideways")
+    """A table that scrolls by itself where the page is narrow, and says so there."""
+    hint = tag("p", "more columns: scroll sideways \N{RIGHTWARDS ARROW}", class_="hint", aria_hidden="true")
+    inner = tag("div", table, class_="scroll", tabindex="0", role="region", aria_label="table, scrolls sideways")
+    return tag("div", hint, inner, class_="scrolls")
+
+
+def tile(
+    name: str, value: Interval | None, signed: bool, more: str | None = None, shown: Callable[..., str] = score
+) -> Markup:
+    """A number with its interval, its name above and more below."""
+    if value is None:
+        return tag("div", tag("small", name), tag("b", shown(None)), class_="tile")
+    if shown is score:
+        ends = brackets(value, signed=signed)
+    else:
+        ends = f"[{shown(value.low, signed=signed)}, {shown(value.high, signed=signed)}]"
+    small = tag("small", more) if more else None
+    return tag("div", tag("small", name), tag("b", shown(value.mean, signed=signed)), tag("span", ends), small, class_="tile")
+
+
+def colours(page: Page, told: dict[str, Any]) -> dict[str, int]:
+    """The colour of each run that was estimated: that of the page, or one that is left."""
+    known = {folder.path.name: page.slot(e) for e in page.entries for folder, _ in e.folders}
+    others = dict.fromkeys(each["run"] for each in told["policies"] if each["run"] not in known)
+    return known | {run: (len(page.entries) + i) % 8 for i, run in enumerate(others)}
 
 
 def heads_of(names: Iterable[str]) -> Markup:

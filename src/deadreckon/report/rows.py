@@ -4,22 +4,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deadreckon.ope.estimate import LOGGED
 from deadreckon.report.entries import Entry, Page
 from deadreckon.runs.evaluate import MANY, Effects, Interval, mean_interval
 from deadreckon.tasks.task import Task
 
+BEHAVIOR = LOGGED
 
 @dataclass(frozen=True)
 class Row:
     """What one run's policies were worth at the last evaluation; None where it was not measured.
 
     Attributes:
-        label: of the agent, or "behaviour (log)".
-        entry: the run; None for the log's own policy.
+        label: of the agent, or `BEHAVIOR`.
+        entry: the run; None for the behaviour policy.
         returns: undiscounted, mean over seeds and episodes.
         score: the same on the scale from random (0) to expert (100).
         per_seed: mean score (or return, if there is no score) of each seed.
-        value: what the critic promised at the start of the episodes.
+        value: the critic's estimate at the start of the episodes.
         truth: the discounted return that came of it.
         mmd: distance of the policy's actions to the logged ones.
         outside: share of its actions beyond the log's range.
@@ -56,13 +58,13 @@ class Row:
 
     @property
     def over(self) -> float | None:
-        """Overestimation: what was promised beyond what came."""
+        """Overestimation: the critic's estimate minus the realised return."""
         return None if self.value is None or self.truth is None else self.value - self.truth
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Mean of one policy's worth minus another's, with 95 % intervals, in returns and (where known) in scores."""
+    """Mean of one policy's worth minus another's, with intervals, in returns and (where known) in scores."""
 
     returns: Interval
     score: Interval | None
@@ -73,8 +75,8 @@ class Difference:
         return self.score or self.returns
 
 
-def paired(a: np.ndarray, b: np.ndarray) -> Interval:
-    """Mean of a - b with its 95 % interval, both (seeds, episodes) over the same starts.
+def paired(a: np.ndarray, b: np.ndarray, miss: float = 0.05) -> Interval:
+    """Mean of a - b with an interval, both (seeds, episodes) over the same starts.
 
     Episodes are compared one by one, so that a hard start counts against both; seeds share nothing. If one has more episodes,
     the common first ones are compared.
@@ -86,14 +88,14 @@ def paired(a: np.ndarray, b: np.ndarray) -> Interval:
     if episodes > 1:
         sources.append((float((a.mean(0) - b.mean(0)).var(ddof=1)) / episodes, episodes - 1.0))
     twice = mine.twice[0] + theirs.twice[0], min(mine.twice[1], theirs.twice[1])
-    return Effects(tuple(sources), twice).interval(a.mean() - b.mean())
+    return Effects(tuple(sources), twice).interval(a.mean() - b.mean(), miss)
 
 
-def against(values: np.ndarray, other: Interval) -> Interval:
+def against(values: np.ndarray, other: Interval, miss: float = 0.05) -> Interval:
     """Mean of (seeds, episodes) values minus an independent estimate, whose interval is taken as that of a normal."""
     own = Effects.of(values)
     error = (other.high - other.low) / (2 * 1.959964)
-    return Effects((*own.sources, (error**2, MANY)), own.twice).interval(values.mean() - other.mean)
+    return Effects((*own.sources, (error**2, MANY)), own.twice).interval(values.mean() - other.mean, miss)
 
 
 def to_score(task: Task | None, returns: Interval) -> Interval | None:
@@ -109,21 +111,27 @@ def behavior(entry: Entry) -> Interval | None:
     return Interval(known["mean"], known["low"], known["high"]) if known else None
 
 
-def versus(a: Row, b: Row, task: Task | None) -> Difference | None:
-    """How much `a`, a run, is worth beyond `b`, a run or the log's own policy."""
+def versus(a: Row, b: Row, miss: float = 0.05) -> Difference | None:
+    """How much `a`, a run, is worth beyond `b`, a run or the behaviour policy.
+
+    Args:
+        a: a run.
+        b: what it is compared with.
+        miss: how often the interval may miss.
+    """
     assert a.entry is not None
     mine = a.entry.last("return")
     if mine is None or b.returns is None:
         return None
     scores = a.entry.last("score")
     if b.entry is None:
-        score = against(scores, b.score) if scores is not None and b.score is not None else None
-        return Difference(against(mine, b.returns), score)
+        score = against(scores, b.score, miss) if scores is not None and b.score is not None else None
+        return Difference(against(mine, b.returns, miss), score)
     theirs, their_scores = b.entry.last("return"), b.entry.last("score")
     if theirs is None:
         return None
-    score = paired(scores, their_scores) if scores is not None and their_scores is not None else None
-    return Difference(paired(mine, theirs), score)
+    score = paired(scores, their_scores, miss) if scores is not None and their_scores is not None else None
+    return Difference(paired(mine, theirs, miss), score)
 
 
 def row(entry: Entry) -> Row:
@@ -150,7 +158,7 @@ def log_rows(page: Page) -> list[Row]:
     for entry in reversed(logs.values()):
         returns = behavior(entry)
         assert returns is not None
-        label = "behaviour (log)" if len(logs) == 1 else f"behaviour ({entry.config['data']['name']})"
+        label = BEHAVIOR if len(logs) == 1 else f"{BEHAVIOR} ({entry.config['data']['name']})"
         out.append(Row(label, None, returns, to_score(page.task, returns)))
     return out
 
@@ -158,11 +166,11 @@ def log_rows(page: Page) -> list[Row]:
 def log_row(page: Page, entry: Entry) -> Row | None:
     """The row of the policy behind this run's log."""
     returns = behavior(entry)
-    return None if returns is None else Row("behaviour (log)", None, returns, to_score(page.task, returns))
+    return None if returns is None else Row(BEHAVIOR, None, returns, to_score(page.task, returns))
 
 
 def rows(page: Page) -> list[Row]:
-    """All rows: the log's own policy, then the runs, best first."""
+    """All rows: the behaviour policy, then the runs, best first."""
     runs = [row(entry) for entry in page.entries]
     runs.sort(key=lambda r: -np.inf if r.worth is None or np.isnan(r.worth.mean) else r.worth.mean, reverse=True)
     return log_rows(page) + runs

@@ -13,8 +13,6 @@ from deadreckon.report.text import brackets, count, number, percent, score
 from deadreckon.runs.evaluate import Interval
 
 Cell = Callable[[Row], tuple[Any, float | None]]  # what is shown, and what it is sorted by
-TO_LOG = ("MMD", "outside")  # columns that mean nothing where no run learned from a log
-ACTED = ("steps",)  # nor this where none acted
 
 
 def _two(value: Interval | None) -> tuple[Any, float | None]:
@@ -27,7 +25,7 @@ def _failures(r: Row) -> tuple[Any, float | None]:
     if r.entry is None:
         return number(None), None
     failed = r.entry.failed
-    lines = [tag("small", f"seed {seed}: {metric} at {step:,}") for seed, metric, step in failed]
+    lines = [tag("small", f"seed {seed}: {metric} at {step:,}", class_="wrap") for seed, metric, step in failed]
     return (join(tag("b", f"{len(failed)} of {len(r.entry.seeds)}", class_="bad"), lines) if failed else "none"), len(failed)
 
 
@@ -46,26 +44,26 @@ COLUMNS: tuple[tuple[str, str, Cell], ...] = (
     ("score", "0 random, 100 expert", lambda r: _two(r.score)),
     ("return", "undiscounted", lambda r: _two(r.returns)),
     ("by seed", "mean of each", _each),
-    ("promised", "Q at the start", lambda r: (number(r.value), r.value)),
-    ("delivered", "discounted return", lambda r: (number(r.truth), r.truth)),
-    ("over\N{SOFT HYPHEN}estimate", "promised \N{MINUS SIGN} delivered", lambda r: (number(r.over, signed=True), r.over)),
+    ("estimated", "Q at the start", lambda r: (number(r.value), r.value)),
+    ("realised", "discounted return", lambda r: (number(r.truth), r.truth)),
+    ("over\N{SOFT HYPHEN}estimate", "estimated \N{MINUS SIGN} realised", lambda r: (number(r.over, signed=True), r.over)),
     ("MMD", "to the log", lambda r: (number(r.mmd), r.mmd)),
     ("outside", "the log's range", lambda r: (percent(r.outside), r.outside)),
     ("steps", "in the environment", lambda r: (count(r.acted), r.acted)),
     ("updates", "of the networks", lambda r: (count(r.updates), r.updates)),
-    ("failed", "lanes", _failures),
+    ("failed", "seeds", _failures),
 )
 
 
 def scores(page: Page) -> Markup:
     """Sortable rows, and below, apart, what was published."""
-    without = left_out(page)
-    columns = [column for column in COLUMNS if column[0] not in without]
+    found = rows(page)
+    columns = [column for column in COLUMNS if any(column[2](r)[1] is not None for r in found)]
     head = [tag("th", tag("button", "agent", type="button"), scope="col")]
     head += [tag("th", tag("button", name, type="button"), tag("small", sub), scope="col") for name, sub, _ in columns]
     lines = []
-    for r in rows(page):
-        badge = "baseline" if r.baseline else None if r.entry else "what the log did"
+    for r in found:
+        badge = "baseline" if r.baseline else None if r.entry else "made the log"
         badge = "learned in the simulator" if r.online and not page.online else badge
         swatch = tag("i", class_=f"dot s{page.slot(r.entry)}" if r.entry else "dot log")
         cells = [tag("th", swatch, r.label, tag("small", badge) if badge else None, scope="row", data_value=r.label)]
@@ -75,21 +73,18 @@ def scores(page: Page) -> Markup:
             cells.append(tag("td", shown, data_value=f"{key:.9g}" if finite and key is not None else ""))
         lines.append(tag("tr", cells, class_=None if r.entry else "log"))
     table = tag("table", tag("thead", tag("tr", head)), tag("tbody", lines), class_="sortable", id="score-table")
-    text = (
-        "Click a heading to sort. Promised: the critic's value of the policy's own actions at the starts of the judged "
-        "episodes; delivered: the discounted return that followed."
-    )
-    if not page.online:
+    text = "Click a heading to sort."
+    if any(r.value is not None for r in found):
+        text += (
+            " Estimated: the critic's value of the policy's own actions at the starts of the judged episodes; realised: the "
+            "discounted return that followed."
+        )
+    if any(r.mmd is not None for r in found):
         text += (
             " MMD: Gaussian-kernel two-sample distance between (state, logged action) and (state, policy's action) on 1,024 "
             "logged rows; a perfect copy has about 0."
         )
     return join(scroll(table), note(text), _published(page))
-
-
-def left_out(page: Page) -> tuple[str, ...]:
-    """Columns that would be empty."""
-    return TO_LOG if page.online else () if any(e.online for e in page.entries) else ACTED
 
 
 def _published(page: Page) -> Markup | None:

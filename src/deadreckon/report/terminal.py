@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from deadreckon.report.decision import headline as decided
+from deadreckon.report.decision import unjudged
 from deadreckon.report.entries import read
 from deadreckon.report.rows import Row, rows
-from deadreckon.report.scores import left_out
-from deadreckon.report.text import brackets, count, number, percent, score
-from deadreckon.report.verdict import verdict
+from deadreckon.report.simulated import compare
+from deadreckon.report.text import NONE, brackets, count, number, percent, score
 from deadreckon.runs.evaluate import Interval
+from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
 
 
@@ -20,8 +22,8 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("seeds", lambda r: count(len(r.entry.seeds) if r.entry else None)),
     ("score [95 %]", lambda r: _with_interval(r.score)),
     ("return [95 %]", lambda r: _with_interval(r.returns)),
-    ("promised", lambda r: number(r.value)),
-    ("delivered", lambda r: number(r.truth)),
+    ("estimated", lambda r: number(r.value)),
+    ("realised", lambda r: number(r.truth)),
     ("MMD", lambda r: number(r.mmd)),
     ("outside", lambda r: percent(r.outside)),
     ("steps", lambda r: count(r.acted)),
@@ -31,17 +33,19 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
 
 
 def table(runs: Sequence[Path | str | Run]) -> str:
-    """One line a policy: the log's own behaviour, then the runs, best first.
+    """One line a policy: the behaviour policy, then the runs, best first.
 
-    Promised is the critic's value at the start of the judged episodes, delivered the discounted return that followed.
+    Estimated is the critic's value at the start of the judged episodes, realised the discounted return that followed. Columns
+    that nothing is known for are left out.
 
     Raises:
         UserError: nothing to show, a path that is no run, or runs of different tasks.
     """
     page = read(runs)
-    columns = [column for column in COLUMNS if column[0] not in left_out(page)]
+    found = rows(page)
+    columns = [column for column in COLUMNS if any(column[1](r) != NONE for r in found)]
     lines = [("agent", *(name for name, _ in columns))]
-    lines += [(r.label, *(cell(r) for _, cell in columns)) for r in rows(page)]
+    lines += [(r.label, *(cell(r) for _, cell in columns)) for r in found]
     widths = [max(map(len, column)) for column in zip(*lines)]
     text = ["  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:]))]) for line in lines]
     text.insert(1, "  ".join("-" * w for w in widths))
@@ -49,6 +53,15 @@ def table(runs: Sequence[Path | str | Run]) -> str:
     return "\n".join(line.rstrip() for line in text).translate(plain)
 
 
-def headline(runs: Sequence[Path | str | Run]) -> str:
-    """The page's one-sentence verdict."""
-    return verdict(read(runs)).headline.replace("\N{MINUS SIGN}", "-")
+def headline(runs: Sequence[Path | str | Run], estimates: Path | str | None = None) -> str:
+    """What the page says first: the decision where there are estimates from the log, else what the simulator says.
+
+    Args:
+        runs: run folders.
+        estimates: folder that `runs.offline.judge` wrote to.
+    """
+    page = read(runs)
+    if estimates is not None:
+        return decided(read_estimates(estimates))
+    found = compare(page)
+    return (unjudged(page) if found is None else found.headline).replace("\N{MINUS SIGN}", "-")

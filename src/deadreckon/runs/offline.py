@@ -229,7 +229,8 @@ def judge(
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": seed, "truth": truth,
         "policies": [{"name": name, "run": g.run, "seed": g.seed} for name, g in zip(names, found)],
         "judged": {"words": rows.told, "episodes": len(rows.held), "of": data.episodes, "fresh": not any(rows.against),
-                   "units": int(case.units.max()) + 1, "cluster": cluster},
+                   "units": int(case.units.max()) + 1, "cluster": cluster,
+                   "clusters": len(np.unique(case.clusters[case.held]))},
         "looks": {"number": spent.number, "policies": spent.policies, "alpha": spent.alpha, "counted": counted},
         "support": {"missing": shares(checks.missing), "ratio": shares(checks.ratio), "degenerate": checks.degenerate.tolist()},
         "results": [
@@ -268,9 +269,11 @@ def checked(told: dict[str, Any]) -> str:
     lost, spread = float(means.max() - means[chosen]), float(np.ptp(means))
     share = f", {100 * lost / spread:.0f} % of the range of all" if spread > 0 else ""
     rank = int((means > means[chosen]).sum()) + 1
+    found = f"in the simulator {names[chosen]} has {means[chosen]:.2f} ± {truth['error'][chosen]:.2f} and is "
+    if rank == 1:
+        return f"{found}the best of {len(names)}"
     return (
-        f"in the simulator {names[chosen]} has {means[chosen]:.2f} ± {truth['error'][chosen]:.2f} and is number {rank} of "
-        f"{len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of {lost:.2f}{share}"
+        f"{found}number {rank} of {len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of {lost:.2f}{share}"
     )
 
 

@@ -2,7 +2,7 @@
 
 from deadreckon.data.catalogue import ENTRIES
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import adroit, antmaze, flow, gym_mujoco, kitchen, maze2d
+from deadreckon.tasks import adroit, antmaze, battery, flow, gym_mujoco, kitchen, maze2d
 from deadreckon.tasks.task import Task
 
 _TASKS: dict[str, Task] = {}
@@ -38,5 +38,6 @@ def register(task: Task) -> None:
     _TASKS[task.name] = task
 
 
-for _task in (*maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS):
+_MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS
+for _task in (*_MANY, battery.TASK):
     register(_task)

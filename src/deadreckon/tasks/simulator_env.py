@@ -6,8 +6,7 @@ import gymnasium
 import numpy as np
 from gymnasium.utils import EzPickle
 
-from deadreckon.data.spec import Box
-from deadreckon.errors import UserError
+from deadreckon.data.spec import Discrete
 from deadreckon.tasks import registry
 
 
@@ -25,11 +24,12 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         self.task = registry.task(task)
         self.render_mode = render_mode
         space = self.task.action_space
-        if not isinstance(space, Box):
-            raise UserError(f"{task}: its actions are not continuous")
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, self.task.observation_shape, np.float32)
-        low, high = (np.asarray(side, np.float32) for side in (space.low, space.high))
-        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        if isinstance(space, Discrete):
+            self.action_space: Any = gymnasium.spaces.Discrete(space.n)
+        else:
+            low, high = (np.asarray(side, np.float32) for side in (space.low, space.high))
+            self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         self.simulator: Any = None  # until the first reset, which gives it its seed
         self._size, self._renderer = (height, width), None
 

@@ -22,6 +22,16 @@ for (const table of all("table.sortable")) {
   }));
 }
 
+// Tables that go on beyond the right edge say so.
+for (const box of all(".scroll")) {
+  const tell = () => box.parentElement.classList.toggle("more", box.scrollWidth - box.clientWidth - box.scrollLeft > 8);
+  box.addEventListener("scroll", tell, { passive: true });
+  addEventListener("resize", tell);
+  addEventListener("load", tell);
+  box.closest("details")?.addEventListener("toggle", tell);
+  tell();
+}
+
 // Legends: one click hides an agent everywhere.
 for (const key of all("[data-toggle]")) {
   key.addEventListener("click", () => {

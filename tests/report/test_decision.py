@@ -1,0 +1,105 @@
+"""One verdict on a page, and charts that one wide interval does not flatten."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from run_folders import OBJECTION, told, write_run
+
+from deadreckon.files import write_json
+from deadreckon.report import charts, headline, write
+from deadreckon.report.entries import read
+from deadreckon.report.page import render
+from deadreckon.runs.evaluate import Interval
+
+GAINS = {"good seed 0": (12.0, 6.0, 18.0), "wild seed 0": (30.0, 9.0, 51.0), "bc seed 0": (1.0, -4.0, 6.0)}
+
+
+def shown(text):
+    """What a reader sees."""
+    return " ".join(re.sub(r"<[^>]*>", " ", re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S)).split())
+
+
+def page_of(runs, estimates):
+    return render(dataclasses.replace(read(runs), estimates=estimates))
+
+
+@pytest.mark.parametrize("deploy", [True, False])
+def test_a_page_has_one_verdict_that_of_the_log_alone(runs, deploy):
+    """In the simulator another policy is best; that is told beneath, and no second stamp."""
+    text = page_of(runs, told(GAINS, deploy))
+    stamps = re.findall(r'class="stamp (yes|no)">([^<]*)<', text)
+    assert stamps == [("yes", "DEPLOY") if deploy else ("no", "DO NOT DEPLOY")]
+    assert re.findall(r'<section id="(\w+)"', text)[:3] == ["decision", "estimates", "simulator"]
+    seen = shown(text)
+    assert seen.count("DEPLOY") == 1
+    for said in (
+        "good seed 0", "133", "of 667", "sampled actions", "98.8 % for all policies at once",
+        "look 2 at these episodes, 7 policies so far in all looks", "4.0 % of its actions have no support",
+        "agrees that it is best", "Objections to other policies (1 of 2)", OBJECTION, "Checked afterwards in the simulator",
+        "Checked in the simulator", "Best in the simulator",
+    ):  # fmt: skip
+        assert said in seen, said
+    lead = re.search(r'class="lead">([^<]*)<', text)[1]
+    assert lead.startswith("Deploy good seed 0: +12.00" if deploy else "Do not deploy: +12.00")
+    for word in ("promised", "delivered", "lanes", "best guess", "draws", "log's own policy"):
+        assert word not in seen
+
+
+def test_a_log_of_ones_own_is_decided_and_nothing_says_that_it_was_not(tmp_path):
+    runs = [write_run(tmp_path / agent, agent, task=None) for agent in ("bc", "good")]
+    text = page_of(runs, told({"good seed 0": (12.0, 6.0, 18.0)}, checked=False))
+    seen = shown(text)
+    assert "not judged" not in seen.lower()
+    assert "Not checked: no simulator was named" in seen
+    assert 'id="simulator"' not in text
+    assert "estimate against true value" not in seen
+
+
+def test_the_terminal_says_what_the_page_says(runs, tmp_path):
+    write_json(tmp_path / "estimates.json", told(GAINS, deploy=False))
+    assert headline(runs, tmp_path).startswith("Do not deploy: +12.00")
+    assert headline(runs, tmp_path) in write(runs, tmp_path / "page.html", estimates=tmp_path).read_text()
+
+
+def test_policies_with_objections_are_hollow_in_the_gains(runs):
+    text = page_of(runs, told(GAINS))
+    drawn = text.split("Estimated gain over the behaviour policy (DRL")[1].split("</svg>")[0]
+    rows = re.findall(r'<g class="([^"]*)"><title>([^:]*):', drawn)
+    assert [(name, "hollow" in kind) for kind, name in rows] == [
+        ("good seed 0", False), ("bc seed 0", False), ("wild seed 0", True),
+    ]  # fmt: skip
+
+
+def whiskers(svg):
+    """Left and right end of each whisker, and where arrows are."""
+    ends = re.findall(r'x1="([\d.]+)" x2="([\d.]+)" y1="[\d.]+" y2="[\d.]+" class="whisker"', svg)
+    arrows = re.findall(r'translate\(([\d.]+) [\d.]+\) rotate\((-?\d+)\)" class="arrow"', svg)
+    return [(float(a), float(b)) for a, b in ends], [(float(x), int(turn)) for x, turn in arrows]
+
+
+def test_one_wide_interval_does_not_flatten_the_others():
+    sure = [charts.Mark(f"m{i}", i, Interval(i, i - 2.0, i + 2.0), (i - 1.0, i + 1.0)) for i in range(5)]
+    wide = charts.Mark("two seeds", 5, Interval(3.0, -314.0, 341.0))
+    ends, arrows = whiskers(charts.forest([*sure, wide], "score"))
+    lengths = [right - left for left, right in ends]
+    assert min(lengths[:5]) > 60  # of the 322 there are; 2 if nothing were cut
+    assert len(arrows) == 2
+    assert [turn for _, turn in arrows] == [180, 0]
+    assert arrows[0][0] == ends[5][0]
+    assert arrows[1][0] == ends[5][1]
+    assert charts.forest(sure, "score").count('class="seed"') == 10
+    # Where all are as wide, none is cut; what is endless always is.
+    alike = [charts.Mark(f"m{i}", i, Interval(i, i - 300.0, i + 300.0)) for i in range(5)]
+    assert whiskers(charts.forest(alike, "score"))[1] == []
+    endless = charts.Mark("nothing known", 5, Interval(3.0, -np.inf, np.inf))
+    assert len(whiskers(charts.forest([*sure, endless], "score"))[1]) == 2
+
+
+def test_whiskers_of_the_scatter_are_cut_with_an_arrow():
+    points = [(f"p{i}", i, float(i), 0.1, float(i), i - 1.0, i + 1.0) for i in range(5)]
+    assert "arrow" not in charts.scatter(points, "true value", "estimate")
+    drawn = charts.scatter([*points, ("wild", 5, 2.0, 0.1, 3.0, -900.0, 900.0)], "true value", "estimate")
+    assert drawn.count('class="arrow"') == 2
+    assert 'class="reference"' in drawn
