@@ -80,6 +80,9 @@ class Estimates:
     ) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions; intervals are Student's, each for itself."""
         low, high = inference.student(value, influence)
+        effective = more.get("effective")
+        if effective is not None:  # weights of zero know nothing, which is no certainty
+            low, high = np.where(effective > 0, low, -np.inf), np.where(effective > 0, high, np.inf)
         return cls(method, case.names, value, low, high, case.estimand, influence=influence, **more)
 
     @property

@@ -61,7 +61,7 @@ class Features:
         found = np.unique(np.concatenate([np.unique(np.asarray(log.observations), axis=0), log.final_observations]), axis=0)
         return found if len(found) <= most else None
 
-    def _codes(self, observations: np.ndarray) -> np.ndarray:
+    def codes(self, observations: np.ndarray) -> np.ndarray:
         """(rows,) index of each observation in the table."""
         assert self.table is not None
         both = np.concatenate([self.table, np.asarray(observations, self.table.dtype)])
@@ -92,7 +92,7 @@ class Features:
             return found.reshape(rows, policies, samples, self.size).mean(2)
         if self.table is not None:
             out = np.zeros((rows, policies, len(self.table), self.actions), np.float32)
-            out[np.arange(rows), :, self._codes(observations)] = table
+            out[np.arange(rows), :, self.codes(observations)] = table
             return out.reshape(rows, policies, self.size)
         seen = self._seen(observations)
         angle = seen @ self.frequencies
