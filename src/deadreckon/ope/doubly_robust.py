@@ -74,7 +74,7 @@ class DoublyRobust(Estimator):
             return self._trusting(case)
         plain, episodes = self.kind in ("dr", "mrdr"), case.episodes
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
-        nuisances, begins = self._nuisances(case)
+        nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
         values, lows, highs, effective, redraws, influence, tails = [], [], [], [], [], [], []
         for i, row in enumerate(ratios):
@@ -114,7 +114,7 @@ class DoublyRobust(Estimator):
             warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails)},
         )  # fmt: skip
 
-    def _nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
+    def nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
         """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""
         if self.kind == "mrdr":
             return case.once(("out of fold", self), lambda: self._of_least_variance(case)), None
@@ -151,8 +151,8 @@ class DoublyRobust(Estimator):
         return out_of_fold(case, Fit(self.fqe, case), self.folds, propensities)
 
     def scores(self, case: Case) -> np.ndarray:
-        """(policies, episodes) whose means are plain doubly robust estimates: what each episode adds, without normalisation."""
-        episodes, nuisances = case.episodes, self._nuisances(case)[0]
+        """(policies, episodes) whose means are plain doubly robust estimates: what each adds, without normalisation."""
+        episodes, nuisances = case.episodes, self.nuisances(case)[0]
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         return np.stack([
             nuisances.begins[i] + episodes.contributions(episodes.cumulate(row), nuisances.errors[i])
@@ -169,7 +169,7 @@ class DoublyRobust(Estimator):
             raise UserError(f"kind={self.kind!r} needs folds of 2 or more: others choose how far weights are trusted")
         episodes, fold, data = case.episodes, case.folds(self.folds), case.data
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
-        nuisances, _ = self._nuisances(case)
+        nuisances, _ = self.nuisances(case)
         kept, span = np.exp(episodes.log_kept), self._span(case)
         values, influence, effective, tails, left = [], [], [], [], []
         for i, row in enumerate(ratios):
@@ -242,7 +242,7 @@ class DoublyRobust(Estimator):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:
             raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not have seen the rows they weigh")
-        nuisances, _ = self._nuisances(case)
+        nuisances, _ = self.nuisances(case)
         assert nuisances.weighted is not None
         assert nuisances.weights is not None
         episodes = case.episodes
