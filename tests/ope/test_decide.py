@@ -188,7 +188,9 @@ def test_gains_by_group():
     together = sum(each["episodes"] * each["gain"] for each in table) / 1810
     assert together == pytest.approx(found.choice.gain, abs=0.01)
     with pytest.raises(UserError, match="has 1,810 values, more than 50 groups"):
-        by_group(case_of(log), 0, Groups("row", tuple(map(str, range(1810))), np.arange(1810)), MODEL)
+        decide(case_of(log), [LINEAR], groups=Groups("row", tuple(map(str, range(1810))), np.arange(1810)))
+    with pytest.raises(UserError, match="above 0 and at most 1, got 2"):
+        decide(case_of(log), [LINEAR], tail=2.0)
 
 
 def test_intervals_of_groups_hold_at_once():

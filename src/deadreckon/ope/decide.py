@@ -18,10 +18,12 @@ from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.registry import PROPENSITIES, as_estimator
 from deadreckon.ope.select import Choice, select
+from deadreckon.ope.sensitivity import weight_box
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
 
 UNSEEN = "no check can see confounding: something that was not recorded and made both the logged actions and the rewards"
+GROUPS = 50  # whose gains are told apart at most
 MOST = 100.0  # factor of odds up to which the tipping point is searched
 ENOUGH = 0.1  # of the judged episodes, which weights of whole episodes must amount to for every policy
 
@@ -74,8 +76,7 @@ def decide(
     Raises:
         UserError: input that does not fit, or that what is asked for cannot be known from.
     """
-    if guarantee:
-        refuse(case, return_range)  # before anything is fitted
+    check(case, guarantee, return_range, confounding, groups, tail)
     found = automatic(case, model, accept_model_based) if isinstance(estimators, str) and estimators == "auto" else estimators
     found = [found] if isinstance(found, str) else found
     checked = support(case, model)
@@ -87,11 +88,33 @@ def decide(
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
     more["confounding"], choice = _confounded(case, choice, model, alpha, confounding)
     if groups is not None:
-        more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha)}
+        try:
+            more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha)}
+        except UserError as error:
+            more["groups"] = {"column": groups.column, "refused": str(error)}
     if tail is not None:
         more["tail"], line = _tail(case, which, tail, model, alpha)
         choice = replace(choice, evidence=(*choice.evidence, line))
     return Decision(results, checked, choice, more)
+
+
+def check(
+    case: Case, guarantee: bool, return_range: tuple[float, float] | None, confounding: float | None, groups: Groups | None,
+    tail: float | None,
+) -> None:
+    """Refuses what cannot be asked of a case, before anything is fitted or looked at; arguments as of `decide`.
+
+    Raises:
+        UserError: in one line.
+    """  # fmt: skip
+    if guarantee:
+        refuse(case, return_range)
+    if confounding is not None:
+        weight_box(np.zeros(1), confounding)
+    if groups is not None and len(groups.names) > GROUPS:
+        raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
+    if tail is not None and not 0 < tail <= 1:
+        raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {tail:g}")
 
 
 def _demanded(choice: Choice, bound: float, words: str) -> Choice:

@@ -17,7 +17,6 @@ from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
 from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import LinearFQE
 
-MOST = 50  # groups
 UNITS = 20  # episodes or clusters of a group below which it has no interval
 
 
@@ -46,12 +45,10 @@ def by_group(case: Case, which: int, groups: Groups, model: BehaviorModel, alpha
         alpha: share of logs for which one of the intervals may miss.
 
     Raises:
-        UserError: weights that mean nothing, or very many groups.
+        UserError: weights that mean nothing.
     """
     if case.degenerate[which]:
         raise UserError(f"gains by group {WEIGHTLESS}")
-    if len(groups.names) > MOST:
-        raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {MOST} groups; merge some")
     scores = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).scores(case)
     score = scores[which] - scores[len(case.policies)]
     code, unit, units = groups.codes[case.held], case.episodes.group, case.episodes.groups

@@ -13,7 +13,7 @@ from deadreckon.data.split import clusters as clusters_of
 from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, write_json
-from deadreckon.ope.decide import decide
+from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimate import BehaviorModel, Case, CrossFitted, Estimates, Watcher
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.intervals import ALPHA
@@ -225,6 +225,7 @@ def judge(
         out=None if out is None else Path(out) / "fits", watch=watch, held=rows.held, noise=None,
         clusters=None if cluster is None else clusters_of(data, cluster),
     )  # fmt: skip
+    check(case, guarantee, return_range, confounding, groups, tail)  # what is refused is no look
     spent = Look(1, ALPHA, len(found))
     if counted:
         spent = look(data.episode_ids[rows.held], digest([case.manner, case.estimand.as_json()], 16), len(found))
@@ -304,6 +305,8 @@ def supports(told: dict[str, Any]) -> str:
 def groups(told: dict[str, Any]) -> str:
     """The gain of the chosen policy in each group, a line each, where that was asked for."""
     found = told["choice"]["groups"]
+    if "refused" in found:
+        return f"gains by {found['column']} are not known: {found['refused']}"
     width = max(len(each["name"]) for each in found["values"])
     level = f"{100 * told['choice']['level']:.3g} %, for all groups at once"
     lines = [f"gain of {told['choice']['name']} by {found['column']} ({level})"]
