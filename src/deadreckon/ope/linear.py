@@ -22,7 +22,7 @@ from deadreckon.ope.features import Features
 from deadreckon.ope.intervals import percentiles
 from deadreckon.training.learner import static
 
-BLOCK = 4096  # rows at a time
+BLOCK = 1024  # rows at a time
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
 PILOT = 10.0
 SUMMED = ("gram", "next", "reward", "start", "rows", "episodes")
@@ -145,12 +145,13 @@ class Fit:
         )
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
+        self.counts_next = case.discount > 0 and self.horizon != 1
         self._factors: dict[tuple[bytes, float], Any] = {}  # the policies share them
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
-    def sums(self, case: Case, group: np.ndarray, groups: int) -> Sums:
-        """Of the episodes of `case.data`, by their (episodes,) group."""
+    def sums(self, case: Case, group: np.ndarray, groups: int, *, start: bool = True) -> Sums:
+        """Of the episodes of `case.data`, by their (episodes,) group; without `start` none of the initial observations."""
         data, d, count = case.data, self.features.size, case.count
         out = Sums(
             np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
@@ -167,12 +168,12 @@ class Fit:
                 out.gram[g] += phi.T @ phi
                 out.reward[g] += phi.T @ (np.asarray(data.rewards[part], np.float32) / np.float32(self.std))
                 goes_on = ~case.ended[part]
-                if goes_on.any() and case.discount > 0 and self.horizon != 1:
+                if goes_on.any() and self.counts_next:
                     own = part[goes_on]
                     follows = self.features.expected(data.next_observations_at(own), after[own])
                     for i in range(count):
                         out.next[g, i] += phi[goes_on].T @ follows[:, i]
-            for part in blocks(np.flatnonzero(group == g)):
+            for part in blocks(np.flatnonzero(group == g)) if start else ():
                 seen = data.observations[data.starts[part]]
                 out.start[g] += self.features.expected(seen, first[part]).sum(0, dtype=np.float64)
         return out
@@ -270,10 +271,10 @@ class Fit:
         case = self.case
         fold, teach = case.folds(folds), case.teaching()
         folds = int(fold.max()) + 1
-        judged = self.sums(case, fold, folds)
+        judged = self.sums(case, fold, folds, start=marginal)
         if teach is not None:
             part = np.random.default_rng([case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
-            more = self.sums(teach, part, PARTS)
+            more = self.sums(teach, part, PARTS, start=marginal)
             judged = Sums(*(np.concatenate([getattr(judged, n), getattr(more, n)]) for n in SUMMED),
                           min(judged.low, more.low), max(judged.high, more.high))  # fmt: skip
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
@@ -313,6 +314,8 @@ class Fit:
 
         def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
             phi = self.features.taken(data.observations[part], data.actions[part])
+            if not self.counts_next or case.ended[part].all():
+                return (self._errors(part, phi, None, critic, bounds, marginal) for critic in critics)
             follows = self.features.expected(data.next_observations_at(part), after[part])
             return (self._errors(part, phi, follows[:, i], critic, bounds, marginal) for i, critic in enumerate(critics))
 
@@ -337,14 +340,18 @@ class Fit:
         return np.clip(x, low, high) * self.std
 
     def _errors(
-        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray, critic: Critic, bounds: tuple[float, float],
+        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray | None, critic: Critic, bounds: tuple[float, float],
         marginal: bool,
     ) -> dict[str, np.ndarray]:
-        """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies."""
+        """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies.
+
+        Features of what follows are None where nothing that follows counts.
+        """
         case, discount = self.case, self.case.discount
         rewards = np.asarray(case.data.rewards[part], np.float64)
         known, goes_on = case.followed[part], ~case.ended[part]
-        q, following = phi @ critic.weights.T, follows @ critic.weights.T  # (rows, steps)
+        q = phi @ critic.weights.T  # (rows, steps)
+        following = np.zeros_like(q) if follows is None else follows @ critic.weights.T
         if self.horizon is None:
             v = self._value(following[:, 0], None, bounds) * goes_on
             error = np.where(known, rewards + discount * v - self._value(q[:, 0], None, bounds), 0.0)
