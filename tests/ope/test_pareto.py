@@ -53,3 +53,9 @@ def test_the_limit():
     assert k_limit(100) == pytest.approx(0.5)
     assert k_limit(10**6) == 0.7
     assert k_limit(5) == 0.0
+
+
+def test_two_weights_have_no_tail():
+    """The largest of them is the largest there is, however few exceed the threshold."""
+    assert pareto_k(np.log(np.repeat([0.9, 1.1], [800, 200]))) == -np.inf
+    assert pareto_k(np.log(np.repeat([0.9, 1.1], [990, 10]))) == -np.inf

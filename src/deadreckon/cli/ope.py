@@ -48,6 +48,11 @@ class Ope:
     cluster: str | None = None  # column whose values are redrawn as one, such as a user; None: that of --holdout-by
     unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
     accept_model_based: bool = False  # deploy also by estimates that no logged reward corrects
+    guarantee: bool = False  # deploy only by a lower bound of the gain that holds for any number of episodes (--return-range)
+    return_range: tuple[float, float] | None = None  # least and greatest return that an episode can have
+    confounding: float | None = None  # deploy only if the gain is sure where odds of logged actions are off by this factor
+    by_group: str | None = None  # column, such as a site, for whose values the gain is told
+    tail: float | None = None  # share of episodes, such as 0.1, the worst of which are told apart
     episodes: int | None = None  # use only the log's first episodes; None: all
     task: str | None = None  # simulator to check the choice in, where there is one
     out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed estimate goes on there
@@ -85,7 +90,7 @@ def ope(args: Sequence[str]) -> None:
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
     from deadreckon.ope.registry import PROPENSITIES, titled, with_fields
-    from deadreckon.runs.offline import checked, judge, supports
+    from deadreckon.runs.offline import checked, groups, judge, supports
 
     found = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
@@ -98,7 +103,9 @@ def ope(args: Sequence[str]) -> None:
             options.policies, data, found, out=options.out, discount=options.discount,
             horizon="auto" if options.horizon is None else options.horizon, greedy=options.greedy, task=options.task,
             seed=options.seed, model=with_fields(PROPENSITIES, options.fits.given), cluster=options.cluster,
-            unseen=options.unseen, accept_model_based=options.accept_model_based, watch=watch,
+            unseen=options.unseen, accept_model_based=options.accept_model_based, guarantee=options.guarantee,
+            return_range=options.return_range, confounding=options.confounding, by_group=options.by_group, tail=options.tail,
+            watch=watch,
         )  # fmt: skip
     print(f"judged on {judged.told['judged']['words']}\n")
     for each in judged.estimates:
@@ -106,6 +113,8 @@ def ope(args: Sequence[str]) -> None:
     print(f"{supports(judged.told)}\n")
     if options.select:
         print(judged.choice)
+    if options.by_group:
+        print(f"\n{groups(judged.told)}")
     if options.task:
         print(f"checked: {checked(judged.told)}")
     return None

@@ -108,8 +108,11 @@ def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
     Raises:
         UserError: the log has no such column, or it changes within an episode.
     """
-    if by in (RANDOM, TIME):
-        return np.arange(log.episodes)
+    return np.arange(log.episodes) if by in (RANDOM, TIME) else groups(log, by)[1]
+
+
+def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
+    """The values of a column that has one an episode, and (episodes,) the number of each episode's; see `clusters`."""
     columns = {name: column for name, column in log.extras.items() if column.size == len(log)}
     if by not in columns:
         known = unknown("column", by, [*columns, RANDOM, TIME])
@@ -122,7 +125,8 @@ def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
         episode = int(log.episode_of[row])
         told = f"{values[first[episode]]} in row {log.starts[episode]} and {values[codes[row]]} in row {row}"
         raise UserError(f"{log.name}: column {by} changes within episode {episode} ({told}); one value an episode is needed")
-    return np.unique(first, return_inverse=True)[1]
+    there, first = np.unique(first, return_inverse=True)
+    return values[there], first
 
 
 def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray:

@@ -24,6 +24,8 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Categorical, create_actor
 from deadreckon.training.learner import static
 
+# What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
+PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
 CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
 
 

@@ -151,6 +151,7 @@ class OutOfFold:
             over the log's rows; None where that was not asked for.
         weights: (policies, rows) these ratios, whose mean over rows is one; likewise.
         settled: (policies,) whether the critics' backup converged.
+        fitted: (policies,) mean square of the errors on rows that taught the critics: what `errors` are compared with.
     """
 
     begins: np.ndarray
@@ -158,12 +159,14 @@ class OutOfFold:
     weighted: np.ndarray | None
     weights: np.ndarray | None
     settled: np.ndarray
+    fitted: np.ndarray
 
     @classmethod
     def empty(cls, policies: int, episodes: int, rows: int, marginal: bool) -> "OutOfFold":
         """Room for them."""
-        more = [np.zeros((policies, rows)) if marginal else None for _ in range(2)]
-        return cls(np.zeros((policies, episodes)), np.zeros((policies, rows)), *more, np.ones(policies, bool))
+        more = lambda: np.zeros((policies, rows)) if marginal else None  # noqa: E731
+        begins, errors, fitted = np.zeros((policies, episodes)), np.zeros((policies, rows)), np.zeros(policies)
+        return cls(begins, errors, more(), more(), np.ones(policies, bool), fitted)
 
     @classmethod
     def of_values(cls, case: Any, begins: np.ndarray, now: np.ndarray, last: np.ndarray, chosen: np.ndarray) -> "OutOfFold":

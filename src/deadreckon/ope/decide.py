@@ -1,20 +1,30 @@
 """The whole way from a case to a decision: which estimators, what they say, what can be checked, and the rule."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.errors import UserError
+from deadreckon.ope.confounding import Confounding, one_step
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
+from deadreckon.ope.groups import Groups, by_group
+from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.registry import PROPENSITIES, as_estimator
 from deadreckon.ope.select import Choice, select
+from deadreckon.ope.sensitivity import weight_box
 from deadreckon.ope.support import Support, support
+from deadreckon.ope.tail import tails
 
+UNSEEN = "no check can see confounding: something that was not recorded and made both the logged actions and the rewards"
+GROUPS = 50  # whose gains are told apart at most
+MOST = 100.0  # factor of odds up to which the tipping point is searched
 ENOUGH = 0.1  # of the judged episodes, which weights of whole episodes must amount to for every policy
 
 
@@ -25,11 +35,13 @@ class Decision(NamedTuple):
         estimates: one an estimator.
         support: of the policies in the log.
         choice: by the first of the estimates.
+        more: of the chosen policy, as JSON values: `confounding`, and where asked for `guarantee`, `groups` and `tail`.
     """
 
     estimates: list[Estimates]
     support: Support
     choice: Choice
+    more: dict[str, Any]
 
 
 def decide(
@@ -40,6 +52,11 @@ def decide(
     accept_model_based: bool = False,
     alpha: float = ALPHA,
     model: BehaviorModel = PROPENSITIES,
+    guarantee: bool = False,
+    return_range: tuple[float, float] | None = None,
+    confounding: float | None = None,
+    groups: Groups | None = None,
+    tail: float | None = None,
 ) -> Decision:
     """Estimates a case's policies and decides which to deploy, if any.
 
@@ -50,12 +67,104 @@ def decide(
         accept_model_based: deploy also by estimates that no logged reward corrects.
         alpha: share of logs for which one of the intervals may miss.
         model: how the behaviour policy is learned, for the checks and, where propensities were not logged, by "auto".
+        guarantee: deploy only by a lower bound of the gain that holds for any number of episodes; see `ope.guarantee`.
+        return_range: least and greatest return of an episode, for the guarantee.
+        confounding: deploy only if the gain stays above zero when odds of logged actions are off by up to this factor.
+        groups: tell the gain in each of these groups of episodes.
+        tail: tell the mean return of this share of episodes, the worst.
+
+    Raises:
+        UserError: input that does not fit, or that what is asked for cannot be known from.
     """
+    check(case, guarantee, return_range, confounding, groups, tail)
     found = automatic(case, model, accept_model_based) if isinstance(estimators, str) and estimators == "auto" else estimators
     found = [found] if isinstance(found, str) else found
     checked = support(case, model)
     results = [as_estimator(each).on(case) for each in found]
-    return Decision(results, checked, select(results, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha))
+    choice = select(results, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha)
+    which, more = case.names.index(choice.name), {}
+    if guarantee:
+        more["guarantee"] = bound = guaranteed(case, which, return_range, alpha)
+        choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
+    more["confounding"], choice = _confounded(case, choice, model, alpha, confounding)
+    if groups is not None:
+        try:
+            more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha)}
+        except UserError as error:
+            more["groups"] = {"column": groups.column, "refused": str(error)}
+    if tail is not None:
+        more["tail"], line = _tail(case, which, tail, model, alpha)
+        choice = replace(choice, evidence=(*choice.evidence, line))
+    return Decision(results, checked, choice, more)
+
+
+def check(
+    case: Case, guarantee: bool, return_range: tuple[float, float] | None, confounding: float | None, groups: Groups | None,
+    tail: float | None,
+) -> None:
+    """Refuses what cannot be asked of a case, before anything is fitted or looked at; arguments as of `decide`.
+
+    Raises:
+        UserError: in one line.
+    """  # fmt: skip
+    if guarantee:
+        refuse(case, return_range)
+    if confounding is not None:
+        weight_box(np.zeros(1), confounding)
+    if groups is not None and len(groups.names) > GROUPS:
+        raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
+    if tail is not None and not 0 < tail <= 1:
+        raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {tail:g}")
+
+
+def _demanded(choice: Choice, bound: float, words: str) -> Choice:
+    """A choice that is deployed only if a bound is above zero, which is told as evidence."""
+    choice = replace(choice, evidence=(*choice.evidence, words))
+    if not choice.deploy or bound > 0:
+        return choice
+    return replace(choice, deploy=False, reason=f"{choice.name} has {choice.reason}, but {words}")
+
+
+def _confounded(
+    case: Case, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None
+) -> tuple[dict[str, Any], Choice]:
+    """Bounds under unmeasured odds as JSON values, and the choice that knows them; without a factor, what is cheap to tell."""
+    told: dict[str, Any] = {"gamma": gamma, "bounds": None, "tipping": None}
+    which, alone = case.names.index(choice.name), replace(choice, evidence=(*choice.evidence, UNSEEN))
+    try:
+        if gamma is None and not one_step(case):
+            return told, alone
+        found = Confounding(case, model, alpha)
+    except UserError:
+        if gamma is not None:
+            raise
+        return told, alone
+    tipping = found.tipping(which)
+    told["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
+    undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
+    if np.isnan(tipping):
+        undone = "its gain is not sure without any"
+    elif np.isinf(tipping):
+        undone = f"its gain stays sure where odds of logged actions are off by {MOST:g}"
+    choice = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {undone}"))
+    if gamma is None:
+        return told, choice
+    told["bounds"] = [list(found.gain(i, gamma)) for i in range(len(case.policies))]
+    low, high = told["bounds"][which]
+    words = f"if odds of logged actions are off by up to {gamma:g}, its gain is [{low:+.4g}, {high:+.4g}]"
+    return told, _demanded(choice, low, words)
+
+
+def _tail(case: Case, which: int, share: float, model: BehaviorModel, alpha: float) -> tuple[dict[str, Any], str]:
+    """The lower tail as JSON values and in a line, or why it is not known."""
+    worst = f"its worst {100 * share:g} % of episodes"
+    try:
+        told = tails(case, which, share, model, alpha)
+    except UserError as error:
+        return {"share": share, "refused": str(error)}, f"{worst} are not known: {error}"
+    gain = f"{told['gain']:+.4g} [{told['low']:+.4g}, {told['high']:+.4g}]"
+    against = f"against {told['logged']:.4g} of the behaviour policy's"
+    return told, f"{worst} return {told['value']:.4g} on average, {against}: {gain}"
 
 
 def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:

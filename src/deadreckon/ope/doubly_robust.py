@@ -7,11 +7,15 @@ which ends the sum early where that is worth its bias (both Thomas and Brunskill
 double reinforcement learning, Kallus and Uehara 2020), whose variance does not grow with the product of the weights. V is zero
 after a terminal; the public code that the thesis used forgets that.
 
+`switch` and `dros` are `dr` with weights that are trusted only so far (`ope/switch.py`, `ope/shrinkage.py`); `mrdr` is `dr` with
+critics that make its variance least (`ope/mrdr.py`).
+
 All of it rests on Q (and learned propensities and ratios) not having seen the rows that it is corrected by: a critic that has
 memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018, Kallus
 and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not judged.
 """
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -21,14 +25,21 @@ from deadreckon.ope import inference
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
-from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.importance import log_ratios, logged_probs
 from deadreckon.ope.intervals import spread
 from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.ope.mrdr import out_of_fold
 from deadreckon.ope.pareto import pareto_k
+from deadreckon.ope.shrinkage import shrinkage_scores
+from deadreckon.ope.switch import beyond, switch_scores
+from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
 from deadreckon.ope.weights import Episodes, Sums, few
 from deadreckon.training.learner import static
 
 NORMAL = 1.96  # half of a normal's 95 % interval, in standard deviations
+ALONE = {"marginal": "DRL", "switch": "SWITCH", "dros": "DRos", "mrdr": "MRDR"}  # labels whatever the critics are
+TRUSTED = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 13), [np.inf]])  # weights among which switch and dros choose
+OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warned
 
 
 class DoublyRobust(Estimator):
@@ -36,7 +47,7 @@ class DoublyRobust(Estimator):
 
     takes_horizon = True
 
-    kind: Literal["dr", "wdr", "magic", "marginal"] = static("wdr")  # plain or normalised weights, a blend, occupancy ratios
+    kind: Literal["dr", "wdr", "magic", "marginal", "switch", "dros", "mrdr"] = static("wdr")  # weights and critics: see above
     fqe: FQE | LinearFQE = static(FQE())  # the value function
     folds: int = static(5)  # each fold's critics and propensities learn from the others; 1: from the judged rows themselves
     samples: int = static(10)  # actions sampled at each row for V
@@ -50,21 +61,25 @@ class DoublyRobust(Estimator):
     @property
     def label(self) -> str:
         """What tables call it."""
-        name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC", "marginal": "DRL"}[self.kind]
-        return f"{name}-linear" if self.kind != "marginal" and isinstance(self.fqe, LinearFQE) else name
+        if self.kind in ALONE:
+            return ALONE[self.kind]
+        name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
+        return f"{name}-linear" if isinstance(self.fqe, LinearFQE) else name
 
     def solve(self, case: Case) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
         if self.kind == "marginal":
             return self._marginal(case)
-        episodes = case.episodes
+        if self.kind in ("switch", "dros"):
+            return self._trusting(case)
+        plain, episodes = self.kind in ("dr", "mrdr"), case.episodes
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
-        nuisances, begins = self._nuisances(case)
+        nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
         values, effective, redraws, influence, tails, doubts = [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
-            sums = episodes.sums(log_rho, errors[i], normalised=self.kind != "dr", alive_only=self.alive_only)
+            sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
             start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
                 value, redrawn, pulled, uncorrected = self._blend(episodes, sums, start, drawn)
@@ -96,8 +111,10 @@ class DoublyRobust(Estimator):
             found.low[i], found.high[i] = episodes.percentiles(found.redraws[:, i], effective[i])
         return found
 
-    def _nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
+    def nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
         """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""
+        if self.kind == "mrdr":
+            return case.once(("out of fold", self), lambda: self._of_least_variance(case)), None
         if isinstance(self.fqe, LinearFQE):
             key = ("out of fold", self.fqe, self.folds, self.kind == "marginal")
             fit = Fit(self.fqe, case)
@@ -115,17 +132,103 @@ class DoublyRobust(Estimator):
         last = fitted.values(data.final_observations, case.final_actions(self.samples)).mean(0)
         chosen = fitted.of_actions(data.observations, data.actions).mean(0)
         out = OutOfFold.of_values(case, begins.mean(0), now, last, chosen)
-        return out, begins
+        return replace(out, fitted=np.square(out.errors).mean(1)), begins
+
+    def _of_least_variance(self, case: Case) -> OutOfFold:
+        """By critics of `ope/mrdr.py`."""
+        if not isinstance(self.fqe, LinearFQE) or self.folds < 2:
+            raise UserError("kind='mrdr' needs fqe=LinearFQE(), whose features it takes, and folds of 2 or more")
+
+        def propensities(each: Case) -> tuple[np.ndarray, np.ndarray | None]:
+            # What is not judged needs no models out of fold, and may have none that learned from what is.
+            folds = self.folds if each is case else 1
+            ratios = log_ratios(each, self.behavior, self.model, self.log_ratio_range, folds)
+            return ratios, logged_probs(each, self.behavior, self.model, folds) if each.data.spec.discrete else None
+
+        return out_of_fold(case, Fit(self.fqe, case), self.folds, propensities)
+
+    def scores(self, case: Case) -> np.ndarray:
+        """(policies, episodes) whose means are plain doubly robust estimates: what each adds, without normalisation."""
+        episodes, nuisances = case.episodes, self.nuisances(case)[0]
+        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        return np.stack([
+            nuisances.begins[i] + episodes.contributions(episodes.cumulate(row), nuisances.errors[i])
+            for i, row in enumerate(ratios)
+        ])  # fmt: skip
+
+    def _trusting(self, case: Case) -> Estimates:
+        """With weights that are trusted up to a limit (`switch`) or shrunk (`dros`), which other folds choose.
+
+        The log's own policy keeps its weights, which are one. Diagnostics are those of the weights as they are: where their
+        tail is too heavy, or they rest on few episodes, nobody knows how much the limit hides.
+        """
+        if self.folds < 2:
+            raise UserError(f"kind={self.kind!r} needs folds of 2 or more: others choose how far weights are trusted")
+        episodes, fold, data = case.episodes, case.folds(self.folds), case.data
+        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        nuisances, _ = self.nuisances(case)
+        kept, span = np.exp(episodes.log_kept), self._span(case)
+        values, influence, effective, tails, left = [], [], [], [], []
+        for i, row in enumerate(ratios):
+            log_rho = episodes.cumulate(row)
+            grid = TRUSTED[-1:] if case.names[i] == LOGGED else TRUSTED
+            given = nuisances.begins[i], row, nuisances.errors[i] / kept, data.lengths, case.discount
+            over = beyond(row, data.lengths, case.discount, grid)
+            scores = switch_scores(*given, grid) if self.kind == "switch" else shrinkage_scores(*given, np.square(grid))
+
+            def choose(some: np.ndarray, scores: np.ndarray = scores, over: np.ndarray = over) -> int:
+                part = scores[:, some]
+                switch = self.kind == "switch"
+                return least_bound(part, span * over[:, some].mean(1) if switch else bias_bound(part, part[-1]))
+
+            each, chosen = cross_fitted(scores, fold, choose)
+            value, pulls, _ = episodes.means(each)
+            values.append(value)
+            influence.append(pulls)
+            effective.append(episodes.sums(log_rho, nuisances.errors[i], normalised=False).effective)
+            tails.append(pareto_k(log_rho[data.ends]))
+            left.append(over[chosen].mean() / case.span)
+        effective = np.asarray(effective)
+        warnings = [
+            *episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances),
+            f"the interval of {self.label} knows the variance and not the bias of weights that are not trusted",
+        ]  # fmt: skip
+        return Estimates.of_influence(
+            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
+            warnings=tuple(warnings),
+            diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails), "untrusted": np.array(left)},
+        )  # fmt: skip
+
+    @staticmethod
+    def _span(case: Case) -> float:
+        """Bound of a critic's expected error of one step: of one-step episodes the range of a reward, else that of a value."""
+        reward = case.data.spec.reward
+        if case.data.lengths.max() == 1:
+            return float(reward.max - reward.min)
+        return float(max(reward.max, 0.0) - min(reward.min, 0.0)) * case.span
 
     def _unsettled(self, case: Case, nuisances: OutOfFold) -> list[str]:
         found = [f"the critics of {name} diverge" for name, settled in zip(case.names, nuisances.settled) if not settled]
+        residual, fitted = self._residuals(case, nuisances)
+        over = np.flatnonzero(residual > OVERFIT * fitted)
+        if len(over):
+            worst = over[np.argmax(residual[over] / np.maximum(fitted[over], 1e-12))]
+            found.append(
+                f"the critics of {case.names[worst]} overfit: they are off by {residual[worst]:.2g} deviations of the reward "
+                f"where they have not learned and by {fitted[worst]:.2g} where they have; estimates stay valid, but wide"
+            )
         return found + self._network_unsettled(case)
 
-    def _diagnostics(self, case: Case, nuisances: OutOfFold) -> dict[str, np.ndarray]:
-        """Root mean square of what the critics leave unexplained, out of fold, in standard deviations of the reward."""
+    @staticmethod
+    def _residuals(case: Case, nuisances: OutOfFold) -> tuple[np.ndarray, np.ndarray]:
+        """(policies,) root mean squares of what critics leave unexplained, in deviations of rewards: out of fold, and not."""
         scale = float(case.data.spec.reward.std) or 1.0
+        return np.sqrt(np.square(nuisances.errors).mean(1)) / scale, np.sqrt(nuisances.fitted) / scale
+
+    def _diagnostics(self, case: Case, nuisances: OutOfFold) -> dict[str, np.ndarray]:
         settled = nuisances.settled & (not self._network_unsettled(case))
-        return {"residual": np.sqrt(np.square(nuisances.errors).mean(1)) / scale, "settled": settled.astype(float)}
+        residual, fitted = self._residuals(case, nuisances)
+        return {"residual": residual, "training residual": fitted, "settled": settled.astype(float)}
 
     def _network_unsettled(self, case: Case) -> list[str]:
         return self.fqe.unsettled(case, "fqe by folds" if self.folds > 1 else "fqe") if isinstance(self.fqe, FQE) else []
@@ -136,7 +239,7 @@ class DoublyRobust(Estimator):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:
             raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not have seen the rows they weigh")
-        nuisances, _ = self._nuisances(case)
+        nuisances, _ = self.nuisances(case)
         assert nuisances.weighted is not None
         assert nuisances.weights is not None
         episodes = case.episodes

@@ -34,6 +34,7 @@ Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done a
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
 LOGGED = "behaviour policy"  # the name of the policy that made the log
+WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Features:
         found = np.unique(np.concatenate([np.unique(np.asarray(log.observations), axis=0), log.final_observations]), axis=0)
         return found if len(found) <= most else None
 
-    def _codes(self, observations: np.ndarray) -> np.ndarray:
+    def codes(self, observations: np.ndarray) -> np.ndarray:
         """(rows,) index of each observation in the table."""
         assert self.table is not None
         both = np.concatenate([self.table, np.asarray(observations, self.table.dtype)])
@@ -92,20 +92,28 @@ class Features:
             return found.reshape(rows, policies, samples, self.size).mean(2)
         if self.table is not None:
             out = np.zeros((rows, policies, len(self.table), self.actions), np.float32)
-            out[np.arange(rows), :, self._codes(observations)] = table
+            out[np.arange(rows), :, self.codes(observations)] = table
             return out.reshape(rows, policies, self.size)
         seen = self._seen(observations)
         angle = seen @ self.frequencies
         cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        # cos(x + phase of the action), averaged over actions, by the addition theorem: no row-by-action array of cosines.
-        waves = self.amplitude * (cos * (table @ self.phase_cos) - sin * (table @ self.phase_sin))
-        shared = np.broadcast_to(seen[:, None], (rows, policies, seen.shape[1]))
-        parts = [np.ones((rows, policies, 1), np.float32), shared]
+        parts = [np.ones((rows, 1, 1), np.float32), seen[:, None]]
         if self.actions <= PRODUCTS:
             parts.append(table)
         if self.crossed:
             parts.append((table[..., None] * seen[:, None, None]).reshape(rows, policies, -1))
-        return np.concatenate([*parts, waves], -1)
+        # In place, as this is what a fit spends its time on.
+        out, begin = np.empty((rows, policies, self.size), np.float32), 0
+        for part in parts:
+            out[..., begin : begin + part.shape[-1]] = part
+            begin += part.shape[-1]
+        # cos(x + phase of the action), averaged over actions, by the addition theorem: no row-by-action array of cosines.
+        waves, other = np.matmul(table, self.phase_cos), np.matmul(table, self.phase_sin)
+        waves *= cos
+        other *= sin
+        waves -= other
+        np.multiply(waves, self.amplitude, out=out[..., begin:])
+        return out
 
     def _continuous(self, seen: np.ndarray, unit: np.ndarray) -> np.ndarray:
         inputs = np.concatenate([seen, unit], 1)

@@ -7,6 +7,7 @@ For doubly robust estimates the members are folds instead: each learns from the 
 loss on a tenth of them, which do not teach it, is least.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,7 +25,6 @@ from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, ta
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.intervals import spread
 from deadreckon.training.learner import static
-
 
 
 class State(NamedTuple):
@@ -197,11 +197,17 @@ class FQE(Estimator):
 
         data = case.timed
         of_row = fold[data.episode_of]
-        own = lambda found, of: np.take_along_axis(found, of[None, None], 0)[0].astype(np.float64)  # noqa: E731
-        now = own(fitted.values(data.observations, case.current_actions(samples)), of_row)
-        last = own(fitted.values(data.final_observations, case.final_actions(samples)), fold)
-        chosen = own(fitted.of_actions(data.observations, data.actions), of_row)
-        return OutOfFold.of_values(case, now[:, data.starts], now, last, chosen)
+        now = fitted.values(data.observations, case.current_actions(samples))
+        last = fitted.values(data.final_observations, case.final_actions(samples))
+        chosen = fitted.of_actions(data.observations, data.actions)
+
+        def told(by: int) -> OutOfFold:
+            """By the critics of the fold that is so many further on: of 0 they have not seen it, else they have."""
+            of = lambda found, lane: np.take_along_axis(found, ((lane + by) % (fold.max() + 1))[None, None], 0)[0]  # noqa: E731
+            own, final, taken = (of(x, lane).astype(np.float64) for x, lane in ((now, of_row), (last, fold), (chosen, of_row)))
+            return OutOfFold.of_values(case, own[:, data.starts], own, final, taken)
+
+        return dataclasses.replace(told(0), fitted=np.square(told(1).errors).mean(1))
 
     @property
     def label(self) -> str:

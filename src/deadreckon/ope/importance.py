@@ -118,11 +118,15 @@ def log_ratios(
 ) -> np.ndarray:
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
     own = case.log_probs  # first: policies that tell no probabilities are refused before anything is fitted
-    if folds > 1 and behavior != "logged" and (behavior == "learned" or "behavior_log_probs" not in case.data.extras):
-        logged = out_of_fold(case, model, folds).log_probs
-    else:
-        logged = case.behavior_log_probs(behavior, model)
-    ratios = own - logged
-    if case.logged:  # which acts like itself
-        ratios = np.concatenate([ratios, np.zeros((1, ratios.shape[1]))])
+    ratios = np.zeros((case.count, own.shape[1]))  # the log's own policy acts like itself
+    np.subtract(own, logged_probs(case, behavior, model, folds), out=ratios[: len(own)])
     return ratios if within is None else np.clip(ratios, *within)
+
+
+def logged_probs(
+    case: Case, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, folds: int = 5
+) -> np.ndarray:
+    """(rows,) log beta(a|s) of the logged actions; learned ones are those of `folds` folds."""
+    if folds > 1 and behavior != "logged" and (behavior == "learned" or "behavior_log_probs" not in case.data.extras):
+        return out_of_fold(case, model, folds).log_probs
+    return case.behavior_log_probs(behavior, model)

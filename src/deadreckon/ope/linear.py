@@ -8,7 +8,7 @@ features solve it for every fold and every redraw of the log, so that critics ou
 ratios of occupancies, which are linear in the same features, cost little more than one fit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from deadreckon.ope.features import Features
 from deadreckon.ope.intervals import percentiles
 from deadreckon.training.learner import static
 
-BLOCK = 4096  # rows at a time
+BLOCK = 1024  # rows at a time
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
 PILOT = 10.0
 SUMMED = ("gram", "next", "reward", "start", "rows", "episodes")
@@ -145,12 +145,13 @@ class Fit:
         )
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
+        self.counts_next = case.discount > 0 and self.horizon != 1
         self._factors: dict[tuple[bytes, float], Any] = {}  # the policies share them
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
-    def sums(self, case: Case, group: np.ndarray, groups: int) -> Sums:
-        """Of the episodes of `case.data`, by their (episodes,) group."""
+    def sums(self, case: Case, group: np.ndarray, groups: int, *, start: bool = True) -> Sums:
+        """Of the episodes of `case.data`, by their (episodes,) group; without `start` none of the initial observations."""
         data, d, count = case.data, self.features.size, case.count
         out = Sums(
             np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
@@ -167,12 +168,12 @@ class Fit:
                 out.gram[g] += phi.T @ phi
                 out.reward[g] += phi.T @ (np.asarray(data.rewards[part], np.float32) / np.float32(self.std))
                 goes_on = ~case.ended[part]
-                if goes_on.any() and case.discount > 0 and self.horizon != 1:
+                if goes_on.any() and self.counts_next:
                     own = part[goes_on]
                     follows = self.features.expected(data.next_observations_at(own), after[own])
                     for i in range(count):
                         out.next[g, i] += phi[goes_on].T @ follows[:, i]
-            for part in blocks(np.flatnonzero(group == g)):
+            for part in blocks(np.flatnonzero(group == g)) if start else ():
                 seen = data.observations[data.starts[part]]
                 out.start[g] += self.features.expected(seen, first[part]).sum(0, dtype=np.float64)
         return out
@@ -219,7 +220,7 @@ class Fit:
     def value(self, sums: Sums, weight: np.ndarray, policy: int, ridge: float) -> float:
         """The value alone, for redraws: one solution of the linear system."""
         gram, following, reward, start, _ = sums.of(weight, policy)
-        penalised = self._penalised(gram, ridge)
+        penalised = self.penalised(gram, ridge)
         if self.horizon is None:
             theta = np.linalg.solve(penalised - self.case.discount * following, reward)
         else:
@@ -270,17 +271,15 @@ class Fit:
         case = self.case
         fold, teach = case.folds(folds), case.teaching()
         folds = int(fold.max()) + 1
-        judged = self.sums(case, fold, folds)
+        judged = self.sums(case, fold, folds, start=marginal)
         if teach is not None:
             part = np.random.default_rng([case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
-            more = self.sums(teach, part, PARTS)
+            more = self.sums(teach, part, PARTS, start=marginal)
             judged = Sums(*(np.concatenate([getattr(judged, n), getattr(more, n)]) for n in SUMMED),
                           min(judged.low, more.low), max(judged.high, more.high))  # fmt: skip
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
-        data, count = case.data, case.count
-        out = OutOfFold.empty(count, data.episodes, len(data), marginal)
-        after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
-        of_row = fold[data.episode_of]
+        count = case.count
+        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
         ridges: dict[tuple[int, int], float] = {}
         for k in range(folds):
             weight = np.ones(len(judged.rows))
@@ -292,56 +291,86 @@ class Fit:
                 if key not in ridges:
                     ridges[key] = self.ridge(judged, i, taught or others)
                 critics.append(self.critic(judged, weight, i, ridges[key]))
-            out.settled &= [critic.settled for critic in critics]
-            for part in blocks(np.flatnonzero(fold == k)):
-                phi = self.features.expected(data.observations[data.starts[part]], first[part])
-                for i, critic in enumerate(critics):
-                    out.begins[i, part] = self._value(phi[:, i] @ critic.weights[-1], self.horizon, judged)
-            for part in blocks(np.flatnonzero(of_row == k)):
-                phi = self.features.taken(data.observations[part], data.actions[part])
-                follows = self.features.expected(data.next_observations_at(part), after[part])
-                for i, critic in enumerate(critics):
-                    found = self._errors(part, phi, follows[:, i], critic, judged, marginal)
-                    for name, values in found.items():
-                        getattr(out, name)[i, part] = values
+            self.tell(out, fold, k, critics, (judged.low, judged.high))
         return out
 
-    def _value(self, x: np.ndarray, steps: int | None, sums: Sums) -> np.ndarray:
+    def tell(self, out: OutOfFold, fold: np.ndarray, k: int, critics: Sequence[Critic], bounds: tuple[float, float]) -> None:
+        """Notes what the critics of one fold say of its episodes, and how well they fit some of the rows that taught them.
+
+        Args:
+            out: where it is noted.
+            fold: (episodes,) of each.
+            k: the fold that the critics have not seen.
+            critics: one a policy.
+            bounds: least and greatest reward, in its standard deviations.
+        """
+        case, data, marginal = self.case, self.case.data, out.weighted is not None
+        after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
+        out.settled &= [critic.settled for critic in critics]
+        for part in blocks(np.flatnonzero(fold == k)):
+            phi = self.features.expected(data.observations[data.starts[part]], first[part])
+            for i, critic in enumerate(critics):
+                out.begins[i, part] = self._value(phi[:, i] @ critic.weights[-1], self.horizon, bounds)
+
+        def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
+            phi = self.features.taken(data.observations[part], data.actions[part])
+            if not self.counts_next or case.ended[part].all():
+                return (self._errors(part, phi, None, critic, bounds, marginal) for critic in critics)
+            follows = self.features.expected(data.next_observations_at(part), after[part])
+            return (self._errors(part, phi, follows[:, i], critic, bounds, marginal) for i, critic in enumerate(critics))
+
+        of_row = fold[data.episode_of]
+        for part in blocks(np.flatnonzero(of_row == k)):
+            for i, found in enumerate(errors(part, marginal)):
+                for name, values in found.items():
+                    getattr(out, name)[i, part] = values
+        seen = np.flatnonzero(of_row == (k + 1) % (int(fold.max()) + 1))  # a block of these is enough
+        seen = np.sort(np.random.default_rng([case.seed, 12, k]).choice(seen, min(len(seen), BLOCK), replace=False))
+        for i, found in enumerate(errors(seen, False)):
+            out.fitted[i] += np.square(found["errors"]).mean() / (int(fold.max()) + 1)
+
+    def _value(self, x: np.ndarray, steps: int | None, bounds: tuple[float, float]) -> np.ndarray:
         """Values cut at what a return of so many steps can be, in units of the reward."""
         if steps == 0:
             return np.zeros_like(x)
         span = self.case.span if steps is None else discounted_steps(self.case.discount, steps)
-        low, high = min(sums.low, 0.0) * span, max(sums.high, 0.0) * span
+        low, high = min(bounds[0], 0.0) * span, max(bounds[1], 0.0) * span
         if self.case.discount == 1.0 and steps is None:  # an episode may be longer than any that was seen
             return x * self.std
         return np.clip(x, low, high) * self.std
 
     def _errors(
-        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray, critic: Critic, sums: Sums, marginal: bool
+        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray | None, critic: Critic, bounds: tuple[float, float],
+        marginal: bool,
     ) -> dict[str, np.ndarray]:
-        """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies."""
+        """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies.
+
+        Features of what follows are None where nothing that follows counts.
+        """
         case, discount = self.case, self.case.discount
         rewards = np.asarray(case.data.rewards[part], np.float64)
         known, goes_on = case.followed[part], ~case.ended[part]
-        q, following = phi @ critic.weights.T, follows @ critic.weights.T  # (rows, steps)
-        weight = phi @ critic.ratios.T
+        q = phi @ critic.weights.T  # (rows, steps)
+        following = np.zeros_like(q) if follows is None else follows @ critic.weights.T
         if self.horizon is None:
-            v = self._value(following[:, 0], None, sums) * goes_on
-            error = np.where(known, rewards + discount * v - self._value(q[:, 0], None, sums), 0.0)
+            v = self._value(following[:, 0], None, bounds) * goes_on
+            error = np.where(known, rewards + discount * v - self._value(q[:, 0], None, bounds), 0.0)
             found = {"errors": error}
             if marginal:
+                weight = phi @ critic.ratios.T
                 found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.span}
             return found
         time, rows, last = case.time[part], np.arange(len(part)), self.horizon - 1
         steps = np.arange(self.horizon)
-        every_q = np.stack([self._value(q[:, h], h + 1, sums) for h in steps], 1)  # with h + 1 steps to go
-        every_v = np.stack([np.zeros(len(part)), *(self._value(following[:, h], h + 1, sums) for h in steps[:-1])], 1)
+        every_q = np.stack([self._value(q[:, h], h + 1, bounds) for h in steps], 1)  # with h + 1 steps to go
+        every_v = np.stack([np.zeros(len(part)), *(self._value(following[:, h], h + 1, bounds) for h in steps[:-1])], 1)
         every_v *= goes_on[:, None]
         # Where the horizon ends an episode, nothing that follows counts, whether it is known or not.
         left = last - time
         error = rewards + discount * every_v[rows, left] - every_q[rows, left]
         found = {"errors": np.where(known | (left == 0), error, 0.0)}
         if marginal:
+            weight = phi @ critic.ratios.T
             every = rewards[:, None] + discount * every_v - every_q  # by steps to go
             total = (weight * every[:, ::-1]).sum(1)
             found |= {"weighted": np.where(known, total, 0.0), "weights": weight.sum(1) / case.span}
@@ -351,10 +380,11 @@ class Fit:
         """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart."""
         key = (rows, ridge)
         if key not in self._factors:
-            self._factors[key] = cho_factor(self._penalised(gram, ridge))
+            self._factors[key] = cho_factor(self.penalised(gram, ridge))
         return self._factors[key]
 
-    def _penalised(self, gram: np.ndarray, ridge: float) -> np.ndarray:
+    def penalised(self, gram: np.ndarray, ridge: float) -> np.ndarray:
+        """A Gram matrix with the ridge, in rows."""
         out = gram + ridge * np.eye(len(gram))
         if self.features.table is None:
             out[0, 0] += 1e-6 - ridge  # the mean is not drawn towards zero

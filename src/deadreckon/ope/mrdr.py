@@ -16,11 +16,22 @@ d' (diag(1 / beta) - 1 1') d in d_a = pi(a|s) e(s, a), which is Omega of Farajta
   rho e, an upper bound of its variance.
 
 What is fitted is `mrdr_targets`, the importance-weighted return from each row on, whose mean given history and action is Q.
+
+`out_of_fold` fits the critics of a case by `mrdr_weights`: a log tells the propensity of what it did, and seldom those of all
+that it might have done, which the form needs. Both weights and targets are products along episodes, so these critics are for
+short ones.
 """
 
+from collections.abc import Callable
+
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from deadreckon.errors import UserError
+from deadreckon.ope.critics import OutOfFold
+from deadreckon.ope.estimand import TAIL
+from deadreckon.ope.estimate import Case
+from deadreckon.ope.linear import PILOT, RIDGES, Critic, Fit, blocks
 from deadreckon.ope.sequences import cumulate, starts_of, times
 
 
@@ -38,17 +49,24 @@ def mrdr_weights(
     Raises:
         UserError: no row with a weight: the policy takes no logged action, or the log is sure of all of them.
     """
+    logs = _log_weights(log_ratios, lengths, discount, log_behavior)
+    top = logs.max(initial=-np.inf)
+    if not np.isfinite(top):
+        raise UserError("no row has a weight: the policy takes none of the logged actions, or the log is sure of all of them")
+    weights = np.exp(logs - top)
+    return weights / weights.mean()
+
+
+def _log_weights(
+    log_ratios: np.ndarray, lengths: np.ndarray, discount: float, log_behavior: np.ndarray | None
+) -> np.ndarray:
     fade = discount ** times(lengths).astype(float)
     # Zeros are minus infinity without a warning, and products of many ratios may leave the range of numbers.
     with np.errstate(divide="ignore"):
         logs = 2 * cumulate(log_ratios, lengths) + 2 * np.log(fade)
         if log_behavior is not None:
             logs = logs + np.log1p(-np.minimum(np.exp(log_behavior), 1.0))
-    top = logs.max(initial=-np.inf)
-    if not np.isfinite(top):
-        raise UserError("no row has a weight: the policy takes none of the logged actions, or the log is sure of all of them")
-    weights = np.exp(logs - top)
-    return weights / weights.mean()
+    return logs
 
 
 def mrdr_targets(
@@ -115,9 +133,100 @@ def mrdr_linear(
     weighted = target[..., None] * features
     mean = weighted.sum(1)  # (rows, features)
     # D Omega D is diag(pi rho) - pi pi'.
-    each = np.einsum("nak,nal->nkl", features * scale[..., None], weighted) - mean[:, :, None] * mean[:, None, :]
-    left = np.einsum("n,nkl->kl", past, each)
+    flat = weighted.reshape(-1, weighted.shape[-1])
+    left = (features * (past[:, None] * scale)[..., None]).reshape(flat.shape).T @ flat - (mean * past[:, None]).T @ mean
     at = np.arange(len(actions)), actions
     right = (past * scale[at] * targets) @ (features[at] * scale[at][:, None] - mean)
     left = left + ridge * np.trace(left) / len(left) * np.eye(len(left))
     return np.linalg.solve(left, right)
+
+
+def out_of_fold(
+    case: Case, fit: Fit, folds: int, propensities: Callable[[Case], tuple[np.ndarray, np.ndarray | None]]
+) -> OutOfFold:
+    """What critics of least variance that have not seen an episode say of it, linear in the features of `fit`.
+
+    With a horizon there is one for each step, as a value then depends on the steps to go. Each has the ridge that predicts the
+    groups it learns from best, left out in turn.
+
+    Args:
+        case: log and policies.
+        fit: features, and what turns critics into errors.
+        folds: into which the judged episodes are parted; the critics of one learn from the others and from all episodes that
+            are not judged.
+        propensities: gives the (policies, rows) log-ratios of a case and, of discrete actions, (rows,) log beta.
+
+    Raises:
+        UserError: episodes are cut off where much is still to come, so that their returns are not known.
+    """
+    teach, fold = case.teaching(), case.folds(folds)
+    sources = [case] if teach is None else [case, teach]
+    folds = int(fold.max()) + 1
+    for each in sources:
+        cut = each.data.lengths[~each.episodes.ended]
+        if len(cut) and float((case.discount**cut).mean()) > TAIL:
+            raise UserError(
+                f"{case.data.name}: mrdr learns from returns, and {len(cut):,} episodes are cut off before theirs is known; "
+                "give a horizon, or use dr-linear or drl"
+            )
+    join = lambda of: np.concatenate([np.asarray(of(each)) for each in sources])  # noqa: E731
+    told = [propensities(each) for each in sources]
+    lengths, rewards = join(lambda c: c.data.lengths), join(lambda c: c.data.rewards).astype(float)
+    known = [logged for _, logged in told if logged is not None]
+    behavior = np.concatenate(known) if known else None
+    group = np.concatenate([fold[case.data.episode_of], *(np.full(len(each.data), folds) for each in sources[1:])])
+    step = times(lengths) if fit.horizon is not None else np.zeros(len(group), int)
+    steps, begin = fit.horizon or 1, np.cumsum([0, *(len(each.data) for each in sources)])
+
+    weights, targets = np.zeros((2, case.count, len(group)))
+    out = OutOfFold.empty(case.count, case.data.episodes, len(case.data), marginal=False)
+    for i in range(case.count):
+        ratios = np.concatenate([own[i] for own, _ in told])
+        with np.errstate(over="ignore", invalid="ignore"):
+            target = mrdr_targets(ratios, rewards / fit.std, lengths, case.discount)
+        out.settled[i] = np.isfinite(target).all()
+        if not out.settled[i]:
+            continue
+        logs = _log_weights(ratios, lengths, case.discount, behavior)
+        top = np.full(steps, -np.inf)
+        np.maximum.at(top, step, logs)
+        # Relative to their mean at each step, so that a ridge counts rows. Where nothing has weight, no critic is as good as any.
+        own = np.exp(logs - np.where(np.isfinite(top), top, 0.0)[step])
+        mean = np.bincount(step, own, steps) / np.maximum(np.bincount(step, minlength=steps), 1)
+        weights[i] = own / np.maximum(mean, 1e-300)[step]
+        targets[i] = np.where(own > 0, target, 0.0)
+
+    d, groups = fit.features.size, int(group.max()) + 1
+    theta = np.zeros((folds, case.count, steps, d))
+    for t in range(steps):
+        gram, moment = np.zeros((case.count, groups, d, d)), np.zeros((case.count, groups, d))
+        for each, first in zip(sources, begin):
+            own = slice(first, first + len(each.data))
+            for g in range(groups):
+                for part in blocks(np.flatnonzero((step[own] == t) & (group[own] == g))):
+                    phi = fit.features.taken(each.data.observations[part], each.data.actions[part]).astype(float)
+                    for i in range(case.count):
+                        weighted = phi * weights[i, own][part][:, None]
+                        gram[i, g] += weighted.T @ phi
+                        moment[i, g] += weighted.T @ targets[i, own][part]
+        for k in range(folds):
+            others = np.delete(np.arange(groups), k)
+            theta[k, :, t] = [_solve(gram[i, others], moment[i, others], fit) for i in range(case.count)]
+    bounds = float(rewards.min()) / fit.std, float(rewards.max()) / fit.std
+    for k in range(folds):
+        # Of a critic the first weights are those with one step to go.
+        critics = [Critic(own[::-1], own[::-1], 0.0, bool(ok)) for own, ok in zip(theta[k], out.settled)]
+        fit.tell(out, fold, k, critics, bounds)
+    return out
+
+
+def _solve(gram: np.ndarray, moment: np.ndarray, fit: Fit) -> np.ndarray:
+    """(d,) least squares by sums over (groups, d, d) and (groups, d), with the ridge that predicts left-out groups best."""
+    whole, right, errors = gram.sum(0), moment.sum(0), np.zeros(len(RIDGES))
+    if fit.given is None and len(gram) > 1:
+        for own, target in zip(gram, moment):
+            for j, ridge in enumerate(RIDGES):
+                found = cho_solve(cho_factor(fit.penalised(whole - own, ridge)), right - target)
+                errors[j] += found @ own @ found - 2 * found @ target
+    ridge = fit.given if fit.given is not None else RIDGES[int(np.argmin(errors))] if len(gram) > 1 else PILOT
+    return cho_solve(cho_factor(fit.penalised(whole, ridge)), right)

@@ -39,7 +39,7 @@ def pareto_k(log_weights: np.ndarray) -> float:
     # Logarithms that differ by rounding are those of one weight.
     cutoff = logs[n - size - 1]
     above = logs[logs > cutoff + 1e-9]
-    if np.ptp(logs[n - size - 1 :]) < 1e-9:
+    if np.ptp(logs[n - size - 1 :]) < 1e-9 or (len(above) and np.ptp(above) < 1e-9):
         return -np.inf
     if len(above) < LEAST:
         return float("nan")

@@ -9,19 +9,18 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
+from deadreckon.ope.behavior import PROPENSITIES
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.fqe_d import FQED
 from deadreckon.ope.importance import PUBLIC_RANGE, ImportanceSampling
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.model_based import ModelBased
+from deadreckon.ope.state_marginal import StateMarginal
 from deadreckon.ope.vpm import VPM
 from deadreckon.training.learner import static
-
-# What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
-PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
 
 ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
     "fqe": (FQE, "FQE-L2: fitted Q evaluation, squared loss (Le et al. 2019)"),
@@ -41,6 +40,19 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
         lambda: DoublyRobust(kind="marginal", fqe=LinearFQE()),
         "doubly robust by occupancy ratios: double reinforcement learning (Kallus and Uehara 2020)",
     ),
+    "switch": (
+        lambda: DoublyRobust(kind="switch", fqe=LinearFQE(), model=PROPENSITIES),
+        "SWITCH: dr-linear where weights are small, the critic alone beyond (Wang et al. 2017)",
+    ),
+    "dros": (
+        lambda: DoublyRobust(kind="dros", fqe=LinearFQE(), model=PROPENSITIES),
+        "DRos: dr-linear with optimistically shrunk weights (Su et al. 2020)",
+    ),
+    "mrdr": (
+        lambda: DoublyRobust(kind="mrdr", fqe=LinearFQE(), model=PROPENSITIES),
+        "MRDR: doubly robust with critics that make its variance least, for short episodes (Farajtabar et al. 2018)",
+    ),
+    "smis": (StateMarginal, "SMIS: importance sampling by the states of each step, where these are few (Xie et al. 2019)"),
     "dice": (DICE, "BestDICE: occupancy ratios by a regularised Lagrangian (Yang et al. 2020)"),
     "dual-dice": (lambda: DICE.preset("dual"), "DualDICE (Nachum et al. 2019)"),
     "gen-dice": (lambda: DICE.preset("gen"), "GenDICE (Zhang et al. 2020)"),

@@ -31,14 +31,17 @@ def cumulate(log_ratios: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
     Minus infinity, an action that the policy never takes, stays so for the rest of the episode.
     """
+    if len(lengths) == len(log_ratios):  # of one step each
+        return np.array(log_ratios, float)
     never = np.isneginf(log_ratios)
     known = np.where(never, 0.0, log_ratios)
     first = starts_of(lengths)
     total = np.cumsum(known)
     total -= np.repeat(total[first] - known[first], lengths)
-    misses = np.cumsum(never)
-    misses = misses - np.repeat(misses[first] - never[first], lengths)
-    return np.where(misses > 0, -np.inf, total)
+    if never.any():
+        misses = np.cumsum(never)
+        total[misses > np.repeat(misses[first] - never[first], lengths)] = -np.inf
+    return total
 
 
 def corrected(

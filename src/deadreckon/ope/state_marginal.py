@@ -14,11 +14,20 @@ Steps without end are those of the longest episode. Episodes that were cut off t
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.behavior import PROPENSITIES
+from deadreckon.ope.estimand import TAIL
+from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.features import TABLE, Features
+from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.linear import LinearFQE
+from deadreckon.ope.pareto import pareto_k
 from deadreckon.ope.sequences import starts_of
+from deadreckon.training.learner import static
 
 
 @dataclass(frozen=True)
@@ -31,12 +40,64 @@ class Marginal:
             are, is the value, and their variance over n that of the value.
         states: (steps, states) the policy's distribution d_t, which may sum to less than one where episodes end.
         lost: probability that went, before the last step, into states that all episodes in them were cut off at.
+        effective: (steps,) episodes that the weights d_t(s) n rho_t / n_t(s) of each step amount to, (sum w)^2 / sum w^2, where
+            the policy's whole probability is still in states that the log knows.
     """
 
     value: float
     scores: np.ndarray
     states: np.ndarray
     lost: float
+    effective: np.ndarray
+
+
+class StateMarginal(Estimator):
+    """Importance sampling by the policy's distribution over states at each step, for logs whose observations are few."""
+
+    takes_horizon = True
+
+    normalised: bool = static(True)  # divide by sums of ratios in a state instead of numbers of episodes
+    behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
+    model: BehaviorModel = static(PROPENSITIES)  # how the behaviour policy is learned
+    folds: int = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "SMIS"
+
+    def solve(self, case: Case) -> Estimates:
+        """Carries each policy from step to step; intervals by the influence of episodes."""
+        data, episodes = case.data, case.episodes
+        cosines = LinearFQE().cosines  # which it has no use for, but shares with those who have
+        features = case.once(("features", cosines), lambda: Features(case.log, cosines, case.seed))
+        if features.table is None:
+            raise UserError(
+                f"smis needs discrete actions and few different observations, {TABLE // 2} with two actions, which {data.name} "
+                "does not have; bin its observations, or use dr-linear or drl"
+            )
+        states, rewards = features.codes(data.observations), np.asarray(data.rewards, np.float64)
+        values, influence, effective, tails, lost = [], [], [], [], []
+        for row in log_ratios(case, self.behavior, self.model, None, self.folds):
+            found = state_marginal(
+                states, row, rewards, data.lengths, episodes.ended, case.discount, normalised=self.normalised
+            )
+            values.append(found.value)
+            influence.append(episodes.means(found.scores)[1])
+            effective.append(episodes.least(found.effective))
+            tails.append(pareto_k(row))  # of single steps: these are what is averaged
+            lost.append(found.lost)
+        effective = np.asarray(effective)
+        warnings = [
+            *episodes.warnings(case.names, effective),
+            "SMIS rests on states that hold all that matters (the Markov property), which its interval does not know",
+            *(f"{100 * share:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
+              for name, share in zip(case.names, lost) if share > TAIL),
+        ]  # fmt: skip
+        return Estimates.of_influence(
+            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
+            warnings=tuple(warnings), diagnostics={"pareto k": np.array(tails), "lost": np.array(lost)},
+        )  # fmt: skip
 
 
 def state_marginal(
@@ -96,13 +157,21 @@ def state_marginal(
 
     reached = np.zeros((steps, size))
     reached[0] = per_state(states[first], count) / all_of_them
-    lost, scores = 0.0, np.zeros(len(lengths))
-    for t in range(steps - 1):
+    lost, scores, effective = 0.0, np.zeros(len(lengths)), np.zeros(steps)
+    over = 0.0  # probability of having ended
+    for t in range(steps):
         there, s, ratio, _, known, on, after = at(t)
+        weight = all_of_them * count[there] * ratio * shares(s, count[there] * (ratio if normalised else 1.0)) * reached[t][s]
+        # Those that ended have no rows any more; what they know of the step is counted like their share of the episodes.
+        sure = weight.sum() + all_of_them * over
+        effective[t] = sure**2 / max(np.square(weight).sum() + all_of_them * over, 1e-300)
+        if t == steps - 1:
+            break
         each = count[there] * (ratio if normalised else 1.0)
         known_share = shares(s, each * known)
         flow = count[there] * ratio * known_share * reached[t][s]
         reached[t + 1] = per_state(after, flow * on)
+        over += float(flow[~on].sum())
         gone = per_state(s, each * known) <= 0
         lost += float(reached[t][gone].sum())
     ahead = np.zeros(size)  # value of each state at the next step
@@ -118,4 +187,4 @@ def state_marginal(
         scores[there] += all_of_them * discount**t * reached[t][s] * pull
         ahead = now + then
     value = float(reached[0] @ ahead)
-    return Marginal(value, scores + ahead[states[first]], reached, lost)
+    return Marginal(value, scores + ahead[states[first]], reached, lost, effective)

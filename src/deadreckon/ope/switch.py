@@ -41,6 +41,13 @@ def switch_scores(
     return np.stack(scores)
 
 
+def beyond(log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray) -> np.ndarray:
+    """(thresholds, episodes) discounted time that the policy spends beyond each threshold: means over episodes estimate it."""
+    log_rho, fade = cumulate(log_ratios, lengths), discount ** times(lengths)
+    above = lambda limit: totals(np.exp(np.where(log_rho > limit, log_rho, -np.inf)) * fade, lengths)  # noqa: E731
+    return np.stack([above(limit) for limit in _logs(thresholds)])
+
+
 def switch_bias(
     log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray, span: float
 ) -> np.ndarray:
@@ -56,9 +63,7 @@ def switch_bias(
         thresholds: (thresholds,) as for the scores.
         span: bound of the critic's expected error of one step, |E[r + discount V(s') - Q(s, a)]|, in units of the reward.
     """
-    log_rho, fade = cumulate(log_ratios, lengths), discount ** times(lengths)
-    beyond = [totals(np.exp(np.where(log_rho > limit, log_rho, -np.inf)) * fade, lengths).mean() for limit in _logs(thresholds)]
-    return span * np.asarray(beyond)
+    return span * beyond(log_ratios, lengths, discount, thresholds).mean(1)
 
 
 def _logs(thresholds: np.ndarray) -> np.ndarray:

@@ -9,10 +9,15 @@ with its weight over the sum of weights (Chandak et al. 2021; Huang, Leqi, Lipto
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope import inference
+from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
+from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.intervals import ALPHA
 
 FEW = 10.0  # episodes that the tail's weights must amount to
 
@@ -78,3 +83,31 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     each = quantile - np.maximum(quantile - returns, 0.0) / share
     value = float((weights * each).mean())
     return Tail(value, quantile, weights * (each - value), effective)
+
+
+def tails(case: Case, which: int, share: float, model: BehaviorModel, alpha: float = ALPHA) -> dict[str, Any]:
+    """The lower tail of one of a case's policies beside that of the behaviour policy, as JSON values.
+
+    The interval of the difference is Student's, of influences that are paired unit by unit.
+
+    Args:
+        case: log and policies.
+        which: of the policies.
+        share: of the episodes, the worst of which are meant.
+        model: how the behaviour policy is learned where propensities were not logged.
+        alpha: share of logs for which the interval may miss.
+
+    Raises:
+        UserError: weights of whole episodes cannot tell.
+    """
+    if case.degenerate[which]:
+        raise UserError(f"tails {WEIGHTLESS}")
+    if not case.episodes.even:
+        raise UserError(f"{case.data.name}: tails need whole episodes; give a horizon that all of them reach")
+    episodes, returns = case.episodes, case.data.returns(case.discount)
+    weights = episodes.cumulate(log_ratios(case, "auto", model, None)[which])[case.data.ends]
+    own, logged = lower_tail(weights, returns, share), lower_tail(np.zeros(len(returns)), returns, share)
+    gain, pulls = own.value - logged.value, episodes.means(own.influence - logged.influence)[1]
+    low, high = inference.student(np.array([gain]), pulls[:, None], alpha)
+    return {"share": share, "value": own.value, "logged": logged.value, "gain": gain, "low": float(low[0]),
+            "high": float(high[0]), "effective": own.effective}  # fmt: skip

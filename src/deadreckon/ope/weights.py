@@ -16,6 +16,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.intervals import RESAMPLES, percentiles
+from deadreckon.ope.sequences import cumulate
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
 FEW = 10.0  # effective episodes below which one is warned
@@ -133,15 +134,7 @@ class Episodes:
 
     def cumulate(self, log_ratios: np.ndarray) -> np.ndarray:
         """(rows,) log of rho_t: sums of the log-ratios over each episode so far."""
-        # Minus infinity, an action that the policy never takes, stays so for the rest of the episode.
-        never = np.isneginf(log_ratios)
-        total = np.cumsum(np.where(never, 0.0, log_ratios))
-        total -= np.repeat(total[self.first] - np.where(never, 0.0, log_ratios)[self.first], self.lengths)
-        if never.any():
-            misses = np.cumsum(never)
-            misses = misses - np.repeat(misses[self.first] - never[self.first], self.lengths)
-            total[misses > 0] = -np.inf
-        return total
+        return cumulate(log_ratios, self.lengths)
 
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
         """Of one policy: `log_rho` and `x` (rows,). `alive_only` forgets ended episodes, as the public code does."""
@@ -174,11 +167,14 @@ class Episodes:
         numerators = np.bincount(cell, rho * x * self.discount**self.time, size).reshape(shape)
         plain = np.bincount(self.time, relative, self.steps) + np.exp(kept_plain - top)
         squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)
-        effective = _ratios(np.square(plain), squares)
+        return Sums(numerators, denominators, self.least(_ratios(np.square(plain), squares)))
+
+    def least(self, effective: np.ndarray) -> float:
+        """Of (steps,) numbers of effective episodes, the one that a quarter of the discounted time does not exceed."""
         fade = self.discount ** np.arange(self.steps)
         order = np.argsort(effective)
         share = np.cumsum(fade[order]) / fade.sum()
-        return Sums(numerators, denominators, float(effective[order][np.searchsorted(share, QUARTER)]))
+        return float(effective[order][np.searchsorted(share, QUARTER)])
 
     def typical(self, log_rho: np.ndarray, *, whole: bool) -> np.ndarray:
         """(episodes,) logarithm of each episode's weight: its last, or the discounted mean of those of its steps."""
@@ -189,8 +185,10 @@ class Episodes:
         np.logaddexp.at(out, self.of, log_rho + fade)
         return out
 
-    def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool) -> np.ndarray:
-        """(episodes,) what each adds without normalisation: where cut-offs are `even`, their mean is the estimate."""
+    def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool = False) -> np.ndarray:
+        """(episodes,) what each adds without normalisation; per decision their mean is the estimate of `sums`, and with one
+        weight an episode where cut-offs are `even`."""
+        log_rho = log_rho if whole else log_rho - self.log_kept
         with np.errstate(over="ignore"):
             rho = np.exp(np.repeat(log_rho[self.first + self.lengths - 1], self.lengths) if whole else log_rho)
         return np.bincount(self.of, rho * x * self.discount**self.time, self.count)

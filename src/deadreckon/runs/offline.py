@@ -10,10 +10,12 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.data.split import RANDOM, TIME
 from deadreckon.data.split import clusters as clusters_of
+from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, write_json
-from deadreckon.ope.decide import decide
+from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimate import BehaviorModel, Case, CrossFitted, Estimates, Watcher
+from deadreckon.ope.groups import Groups
 from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.registry import PROPENSITIES, titled
 from deadreckon.ope.select import Choice, gains
@@ -161,6 +163,11 @@ def judge(
     unseen: bool = False,
     accept_model_based: bool = False,
     counted: bool = True,
+    guarantee: bool = False,
+    return_range: tuple[float, float] | None = None,
+    confounding: float | None = None,
+    by_group: str | None = None,
+    tail: float | None = None,
     watch: Watcher = lambda what, step, steps: None,
 ) -> Judged:
     """Estimates policies from a log, decides which to deploy, if any, and then looks into the simulator whether that was right.
@@ -184,11 +191,20 @@ def judge(
         unseen: assert that the policies have not learned from this log, where their files do not say it.
         accept_model_based: deploy also by estimates that no logged reward corrects.
         counted: take note of the look at these episodes, whose level falls with the looks there have been.
+        guarantee: deploy only by a lower bound of the gain that holds for any number of episodes; see `ope.guarantee`.
+        return_range: least and greatest return that an episode can have, for the guarantee.
+        confounding: deploy only if the gain stays above zero when odds of logged actions are off by up to this factor.
+        by_group: column of the log, with one value an episode, for whose values the gain is told.
+        tail: share of episodes, the worst of which are told apart.
         watch: called while something is fitted.
 
     Raises:
         UserError: input that does not fit, in one line.
     """
+    groups = None
+    if by_group is not None:
+        values, codes = groups_of(data, by_group)
+        groups = Groups(by_group, tuple(map(str, values)), codes)
     found = gather(given)
     names = [g.run if g.seed is None else f"{g.run} seed {g.seed}" for g in found]
     if len(set(names)) < len(names):
@@ -209,13 +225,15 @@ def judge(
         out=None if out is None else Path(out) / "fits", watch=watch, held=rows.held, noise=None,
         clusters=None if cluster is None else clusters_of(data, cluster),
     )  # fmt: skip
+    check(case, guarantee, return_range, confounding, groups, tail)  # what is refused is no look
     spent = Look(1, ALPHA, len(found))
     if counted:
         spent = look(data.episode_ids[rows.held], digest([case.manner, case.estimand.as_json()], 16), len(found))
     decision = decide(
-        case, estimators, seen=rows.against, accept_model_based=accept_model_based, alpha=spent.alpha, model=model
-    )
-    results, checks, choice = decision
+        case, estimators, seen=rows.against, accept_model_based=accept_model_based, alpha=spent.alpha, model=model,
+        guarantee=guarantee, return_range=return_range, confounding=confounding, groups=groups, tail=tail,
+    )  # fmt: skip
+    results, checks, choice, more = decision
     truth = None
     if task is not None:
         acting = [g.policy[0].policy if isinstance(g.policy, tuple) else g.policy for g in found]
@@ -243,7 +261,7 @@ def judge(
         ],
         "choice": {"name": choice.name, "deploy": choice.deploy, "gain": [choice.gain, choice.low, choice.high],
                    "level": choice.level, "reason": choice.reason, "evidence": list(choice.evidence),
-                   "warnings": list(choice.warnings), "objections": [list(own) for own in choice.objections]},
+                   "warnings": list(choice.warnings), "objections": [list(own) for own in choice.objections], **more},
     }  # fmt: skip
     if out is not None:
         write_json(Path(out) / NAME, told)
@@ -285,6 +303,21 @@ def supports(told: dict[str, Any]) -> str:
     weights = ["" if mean is None else f", mean weight of a step {mean:.2f} (1 where there is support)" for mean in told["support"]["ratio"]]
     lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
     return "\n".join(["share of each policy's actions without support in the log", *lines])
+
+
+def groups(told: dict[str, Any]) -> str:
+    """The gain of the chosen policy in each group, a line each, where that was asked for."""
+    found = told["choice"]["groups"]
+    if "refused" in found:
+        return f"gains by {found['column']} are not known: {found['refused']}"
+    width = max(len(each["name"]) for each in found["values"])
+    level = f"{100 * told['choice']['level']:.3g} %, for all groups at once"
+    lines = [f"gain of {told['choice']['name']} by {found['column']} ({level})"]
+    for each in found["values"]:
+        ends = "too few for an interval" if each["low"] is None else f"[{each['low']:+.2f}, {each['high']:+.2f}]"
+        gain = "" if each["gain"] is None else f"{each['gain']:+.2f} {ends}"
+        lines.append(f"  {each['name']:<{width}}  {each['episodes']:>8,} episodes  {gain}")
+    return "\n".join(lines)
 
 
 def read_estimates(path: Path | str) -> dict[str, Any]:

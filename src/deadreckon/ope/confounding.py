@@ -1,0 +1,89 @@
+"""What something that was not recorded could do to gains, if it made both the logged actions and the rewards.
+
+The marginal sensitivity model (`ope/sensitivity.py`) lets the odds of each logged action be off by a factor between 1 / Gamma
+and Gamma. The logged return of an episode is not touched by that; the policy's is, within the box of weights. Of one-step
+episodes only what a critic does not explain is uncertain, r - Q(s, a), with critics out of fold; of longer ones it is the
+return of whole episodes, whose boxes grow with every step.
+
+The bounds are estimates themselves. The threshold of the extreme weights is where the ratio of sums is extreme, so to first
+order it adds no variance, and the influence of an episode on a bound is that of a ratio with these weights:
+
+    baseline - mean(baseline) + w (y - ratio) / mean(w).
+"""
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope import inference
+from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
+from deadreckon.ope.importance import log_ratios, logged_probs
+from deadreckon.ope.intervals import ALPHA
+from deadreckon.ope.linear import LinearFQE
+from deadreckon.ope.sensitivity import bounds, tipping, weight_box
+from deadreckon.ope.sequences import totals
+
+
+class Confounding:
+    """The gains of a case's policies under unmeasured odds.
+
+    Args:
+        case: log and policies.
+        model: how the behaviour policy is learned where propensities were not logged.
+        alpha: share of logs for which one of the intervals may miss.
+
+    Raises:
+        UserError: weights that mean nothing, or episodes that are cut off at different steps.
+    """
+
+    def __init__(self, case: Case, model: BehaviorModel, alpha: float = ALPHA):
+        if case.degenerate.any():
+            raise UserError(f"bounds for confounding {WEIGHTLESS}")
+        if not case.episodes.even:
+            raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")
+        self.case, self.alpha, data = case, alpha, case.data
+        self.ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
+        self.logged = logged_probs(case, "auto", model) if data.spec.discrete else None
+        returns = data.returns(case.discount)
+        if one_step(case):
+            found = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).nuisances(case)[0]
+            self.outcomes, self.baseline = found.errors, found.begins - returns
+        else:
+            self.outcomes, self.baseline = (np.broadcast_to(x, (case.count, len(returns))) for x in (returns, -returns))
+        every = range(len(case.policies))
+        # As sure as the gains: a factor for all policies at once, of their lower bounds without confounding.
+        influence = np.stack([self._one(i, 1.0)[1][0] for i in every], 1)
+        known = influence.std(0) > 0
+        self.factor = inference.simultaneous(influence[:, known], alpha, case.seed)
+
+    def gain(self, which: int, gamma: float) -> tuple[float, float]:
+        """The ends of one policy's gain, if odds are off by up to `gamma`: those of its bounds, with their intervals."""
+        ends, influence = self._one(which, gamma)
+        error = inference.errors(influence.T) * self.factor
+        return float(ends[0] - error[0]), float(ends[1] + error[1])
+
+    def tipping(self, which: int) -> float:
+        """The largest Gamma at which the lower end stays above zero; NaN where it never is, infinite beyond 100."""
+        return tipping(lambda gamma: self.gain(which, gamma)[0], digits=2)
+
+    def _one(self, which: int, gamma: float) -> tuple[np.ndarray, np.ndarray]:
+        """(2,) least and largest gain, and (2, units) their influence functions."""
+        units, lengths = self.case.episodes.groups, self.case.data.lengths
+        low, high = (totals(each, lengths) for each in weight_box(self.ratios[which], gamma, self.logged))
+        top = high.max()
+        if not np.isfinite(top):
+            return np.array([-np.inf, np.inf]), np.zeros((2, units))
+        y, base = self.outcomes[which], self.baseline[which]
+        ends = np.array([float(end[0]) for end in bounds(y, low, high, base)])
+        small, large = np.exp(low - top), np.exp(high - top)
+        pulls = []
+        for ratio, below, above in zip(ends - base.mean(), (large, small), (small, large)):
+            weight = np.where(y <= ratio, below, above)
+            pull = base - base.mean() + weight * (y - ratio) / weight.mean()
+            pulls.append(units * np.bincount(self.case.episodes.group, pull, units) / len(y))
+        return ends, np.array(pulls)
+
+
+def one_step(case: Case) -> bool:
+    """Whether every episode is one step, and over."""
+    return bool(case.data.lengths.max() == 1 and case.episodes.ended.all())

@@ -1,0 +1,68 @@
+"""The gain of one policy in each group of episodes: what is good on average may be bad for some.
+
+Groups are by something that is known before an episode's first action, such as a site or a kind of customer: by something that
+actions change they would be compared by their own outcome. The score of an episode is that of the plain doubly robust estimate
+with critics out of fold (`dr-linear`), minus the same of the behaviour policy. Its mean over a group is the gain there, because
+weights average one and critics are corrected given the first observation. Intervals hold for all groups at once.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope import inference
+from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
+from deadreckon.ope.intervals import ALPHA
+from deadreckon.ope.linear import LinearFQE
+
+UNITS = 20  # episodes or clusters of a group below which it has no interval
+
+
+class Groups(NamedTuple):
+    """Groups of a log's episodes.
+
+    Attributes:
+        column: that tells them apart.
+        names: one each.
+        codes: (episodes of the log,) number of each episode's group.
+    """
+
+    column: str
+    names: tuple[str, ...]
+    codes: np.ndarray
+
+
+def by_group(case: Case, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA) -> list[dict[str, Any]]:
+    """The gain of one of a case's policies in each group, as JSON values: an end that nobody knows is None.
+
+    Args:
+        case: log and policies, with the log's own as the last.
+        which: of the policies.
+        groups: of the log's episodes.
+        model: how the behaviour policy is learned where propensities were not logged.
+        alpha: share of logs for which one of the intervals may miss.
+
+    Raises:
+        UserError: weights that mean nothing.
+    """
+    if case.degenerate[which]:
+        raise UserError(f"gains by group {WEIGHTLESS}")
+    scores = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).scores(case)
+    score = scores[which] - scores[len(case.policies)]
+    code, unit, units = groups.codes[case.held], case.episodes.group, case.episodes.groups
+    size = np.bincount(code, minlength=len(groups.names))
+    mean = np.bincount(code, score, len(groups.names)) / np.maximum(size, 1)
+    # The influence of a unit on a group is that of its episodes which are in it.
+    influence = np.zeros((units, len(groups.names)))
+    np.add.at(influence, (unit, code), units * (score - mean[code]) / size[code])
+    cluster = case.clusters[case.held]
+    own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
+    known = own >= UNITS
+    half = inference.errors(influence) * inference.simultaneous(influence[:, known], alpha, case.seed)
+    return [
+        {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
+         "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None}
+        for g, name in enumerate(groups.names)
+    ]  # fmt: skip

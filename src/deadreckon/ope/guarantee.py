@@ -1,0 +1,74 @@
+"""A lower bound of a gain that holds for any number of episodes, not only for many.
+
+With w the weight of a whole episode, G its return, which lies in [low, high], and gain = E[w G] - E[G],
+
+    x = (w - 1) (G - low) + (high - low)
+
+is never negative, because w is not and G - low is at most high - low; and its mean is at most gain + (high - low): weights have
+mean one, or less where the log does not show what the policy does. So a lower bound of the mean of x by betting
+(`ope/confidence.py`), less high - low, bounds the gain, without a largest weight. Both returns come from the same episode, so
+what they share cancels. It holds for all policies at once (Bonferroni).
+
+It asks that propensities are those by which actions were drawn, that episodes are independent of each other and of the
+policies, and that the range is known without looking at the log.
+"""
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.ope.confidence import lower
+from deadreckon.ope.estimate import Case
+from deadreckon.ope.intervals import ALPHA
+
+LARGEST = 300.0  # log of a weight; larger ones are cut, which can only lower the bound
+
+
+def refuse(case: Case, return_range: tuple[float, float] | None) -> None:
+    """Says what a guarantee lacks, if anything.
+
+    Raises:
+        UserError: in one line.
+    """
+    episodes, lacks = case.episodes, []
+    if return_range is None:
+        lacks.append("the least and the greatest return that an episode can have (--return-range LOW HIGH)")
+    elif not (np.isfinite(return_range).all() and return_range[0] < return_range[1]):
+        lacks.append(f"a finite range of returns, least before greatest, instead of {return_range[0]:g} .. {return_range[1]:g}")
+    if "behavior_log_probs" not in case.data.extras:
+        lacks.append("propensities that were logged (column behavior_log_probs): learned ones may be off")
+    if case.degenerate.any():
+        lacks.append("policies that draw their actions and tell how likely these are")
+    if not episodes.ended.all():
+        lacks.append(f"whole episodes: {(~episodes.ended).sum():,} are cut off; give a horizon that all of them reach")
+    if len(np.unique(case.clusters[case.held])) < len(case.held):
+        lacks.append("independent episodes: those of a cluster are not")
+    if case.crossed:
+        lacks.append("policies that learned from none of the judged episodes: those of a cross-fit learned from each other's")
+    if lacks:
+        raise UserError(f"a guarantee needs {'; and '.join(lacks)}")
+
+
+def guaranteed(case: Case, which: int, return_range: tuple[float, float] | None, alpha: float = ALPHA) -> float:
+    """Lower bound of the gain of one of a case's policies, chosen among them by any rule.
+
+    Args:
+        case: log and policies.
+        which: of the policies.
+        return_range: least and greatest return of an episode, as the estimand has it.
+        alpha: chance that the bound of any of the policies fails.
+
+    Raises:
+        UserError: something is missing, or a return lies outside of the range.
+    """
+    refuse(case, return_range)
+    assert return_range is not None
+    low, high = return_range
+    returns = case.data.returns(case.discount)
+    slack = 1e-6 * (high - low)  # returns are sums of rewards in single precision
+    if returns.min() < low - slack or returns.max() > high + slack:
+        beyond = float(returns.min() if returns.min() < low - slack else returns.max())
+        raise UserError(f"an episode returns {beyond:.6g}, outside of the range {low:g} .. {high:g} that must hold for all")
+    gained = np.clip(returns - low, 0.0, high - low)
+    logs = case.log_probs[which] - np.asarray(case.data.extras["behavior_log_probs"], np.float64)
+    weights = np.exp(np.minimum(case.episodes.cumulate(logs)[case.data.ends], LARGEST))
+    return float(lower((weights - 1.0) * gained + (high - low), alpha / len(case.policies))) - (high - low)

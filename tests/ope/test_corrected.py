@@ -1,0 +1,171 @@
+"""Estimators that weight logged rewards, by name, against exact values of a small world; and what they know of nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
+from deadreckon.ope import LOGGED, Case, DoublyRobust, LinearFQE, estimator
+from deadreckon.ope.registry import ESTIMATORS, with_fields
+from deadreckon.theory import garnet
+from tests.ope.test_case import linear, lqr
+from tests.ope.worlds import as_policy, tables
+
+NEW = ("switch", "dros", "mrdr", "smis")
+SOLVED = ("is", "pdis", "wis", "dr-linear", "drl", *NEW)  # nothing to train where propensities are logged
+SMALL = {"steps": 150, "members": 2, "hidden": (8,), "batch_size": 64}
+WORLDS = {  # of a discount, a horizon, and whether episodes end by themselves
+    "ends": (0.9, None, 0.3),
+    "horizon": (1.0, 4, 0.1),
+    "one step": (0.0, 1, 0.0),
+}
+
+
+def exact(true, policy, discount, horizon):
+    if horizon is None:
+        return true.value(policy, discount)
+    value, reach = 0.0, true.initial
+    for t in range(horizon):
+        value += discount**t * float((reach[:, None] * policy * true.rewards).sum())
+        reach = np.einsum("s,sa,sat->t", reach, policy, true.transitions)
+    return value
+
+
+@pytest.fixture(scope="module", params=WORLDS)
+def world(request):
+    discount, horizon, ending = WORLDS[request.param]
+    true = garnet(states=5, actions=2, ending=ending, noise=0.3)
+    policies = [*tables(true, 1, 0.2), *tables(true, 1, 0.7, seed=1)]
+    log = true.log(policies[0], 1500, horizon or 60, np.random.default_rng(3))
+    case = Case(log, [as_policy(p) for p in policies], discount=discount, horizon=horizon, logged=True)
+    return case, np.array([exact(true, p, discount, horizon) for p in (*policies, policies[0])])
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_values_are_true_within_their_intervals(world, name):
+    case, values = world
+    found = estimator(name).on(case)
+    half = (found.high - found.low) / 2
+    assert found.corrected
+    assert (np.abs(found.value - values) < 2.0 * half).all(), (found.value, values, half)
+    assert (half < 6.0 * case.data.returns(case.discount).std() / np.sqrt(case.data.episodes)).all()
+    assert found.influence.shape == (case.episodes.groups, 3)
+    np.testing.assert_allclose(found.influence.mean(0), 0.0, atol=1e-9)
+    # The log's own policy is worth what the log got, and paired gains are surer than values.
+    assert found.value[2] == pytest.approx(case.data.returns(case.discount).mean(), rel=1e-4 if name != "drl" else 0.1)
+    assert found.diagnostics.get("pareto k", np.zeros(3))[2] <= 0.0
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_the_truth_lies_within_as_often_as_promised(name):
+    true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
+    rng, truth = np.random.default_rng(0), true.value(target, 0.9)
+    inside = []
+    for _ in range(60):
+        case = Case(true.log(behavior, 200, 60, rng), [as_policy(target)], discount=0.9)
+        found = with_fields(estimator(name), {"ridge": 1.0}).on(case)
+        inside.append(found.low[0] <= truth <= found.high[0])
+    assert np.mean(inside) >= 0.89, np.mean(inside)
+
+
+def test_critics_of_least_variance_have_less_of_it():
+    """One step, an action that the log seldom takes and the policy always: what matters is the fit there."""
+    rng = np.random.default_rng(0)
+    n, x = 400, None
+    errors = {"dr-linear": [], "mrdr": []}
+    for _ in range(40):
+        x = rng.uniform(-1, 1, n)
+        rare = rng.random(n) < np.where(x > 0, 0.05, 0.5)
+        action = np.where(rare, 1, 0)
+        reward = np.where(action == 1, np.where(x > 0, 3.0 * x, -1.0), x**2) + 0.1 * rng.standard_normal(n)
+        chance = np.where(x > 0, 0.05, 0.5)
+        log = one_step(x[:, None], action, reward, np.where(rare, chance, 1 - chance))
+        always = as_policy_of(lambda seen: np.tile([0.0, 1.0], (len(seen), 1)))
+        for name in errors:
+            found = with_fields(estimator(name), {"cosines": 1, "ridge": 1e-3}).on(Case(log, [always], discount=0.0))
+            errors[name].append(found.value[0] - (3.0 * 0.25 - 0.5))
+    spread = {name: np.std(values) for name, values in errors.items()}
+    assert spread["mrdr"] < spread["dr-linear"], spread
+
+
+def as_policy_of(probs):
+    from deadreckon.policies import BlackBoxPolicy
+
+    return BlackBoxPolicy(lambda seen, rng: probs(seen).argmax(1), action_probs=probs)
+
+
+def one_step(observations, actions, rewards, chances, **extras):
+    n = len(actions)
+    return Dataset.from_arrays(
+        observations=observations.astype(np.float32), actions=actions.astype(np.int64), rewards=rewards.astype(np.float32),
+        terminals=np.ones(n, bool), timeouts=np.zeros(n, bool), final_observations=observations.astype(np.float32),
+        action_space=Discrete(2), behavior_log_probs=np.log(chances).astype(np.float32), name="one step", **extras,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*SOLVED, "plain-dr", "magic", "dr"])
+def test_no_overlap_is_no_knowledge(name):
+    """A policy that takes no logged action: its interval is endless, whatever the critics make up."""
+    rng = np.random.default_rng(0)
+    seen = np.eye(3)[rng.integers(0, 3, 200)]
+    log = one_step(seen, np.zeros(200), rng.random(200), np.full(200, 0.5))
+    never = as_policy(np.tile([0.0, 1.0], (3, 1)))
+    case = Case(log, [never, as_policy(np.full((3, 2), 0.5))], discount=0.0, names=["never", "half"], logged=True)
+    found = with_fields(estimator(name), SMALL).on(case)
+    assert found.effective[0] == 0.0
+    assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
+    assert np.isfinite([found.low[1], found.high[1], found.low[2], found.high[2]]).all() or name == "magic"
+
+
+def test_what_cannot_be_done_is_said_in_a_line():
+    log = lqr(-0.5, 0.5, 30, 10)  # continuous, cut off
+    log = replace(log, extras={"behavior_log_probs": linear(-0.5, 0.5).log_prob(log.observations, log.actions)})
+    case = Case(log, [linear(-0.5, 0.5)], discount=0.9)
+    with pytest.raises(UserError, match="smis needs discrete actions and few different observations"):
+        estimator("smis").on(case)
+    with pytest.raises(UserError, match="mrdr learns from returns, and 30 episodes are cut off"):
+        estimator("mrdr").on(case)
+    short = Case(log, [linear(-0.6, 0.5)], discount=0.9, horizon=3)
+    assert np.isfinite(with_fields(estimator("mrdr"), {"ridge": 10.0}).on(short).value).all()
+    for kind in ("switch", "mrdr"):
+        with pytest.raises(UserError, match="folds of 2 or more"):
+            DoublyRobust(kind=kind, fqe=LinearFQE(), folds=1).on(case)
+    with pytest.raises(UserError, match="needs fqe=LinearFQE"):
+        DoublyRobust(kind="mrdr").on(case)
+
+
+def test_cut_off_episodes_count_by_their_chance_to_go_on():
+    """Episodes that are cut at random: doubly robust ones with a trusted weight agree with the world that goes on."""
+    true = garnet(states=4, actions=2, ending=0.15, noise=0.2)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
+    rng = np.random.default_rng(1)
+    parts = [true.log(behavior, 600, steps, rng) for steps in (3, 8, 60)]
+    columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations")
+    log = Dataset.from_arrays(
+        **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}, action_space=parts[0].action_space,
+        behavior_log_probs=np.concatenate([part.extras["behavior_log_probs"] for part in parts]),
+    )
+    case = Case(log, [as_policy(target)], discount=0.9)
+    assert not case.episodes.even
+    for name in ("switch", "dros", "dr-linear"):
+        found = estimator(name).on(case)
+        assert found.low[0] < true.value(target, 0.9) < found.high[0], name
+        assert found.value[0] == pytest.approx(true.value(target, 0.9), abs=0.25 * abs(true.value(target, 0.9)) + 0.1)
+
+
+def test_a_critic_that_memorises_is_told():
+    rng = np.random.default_rng(0)
+    seen = rng.standard_normal((120, 4))
+    log = one_step(seen, rng.integers(0, 2, 120), rng.standard_normal(120), np.full(120, 0.5))
+    half = as_policy_of(lambda x: np.full((len(x), 2), 0.5))
+    loud = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e-6)).on(Case(log, [half], discount=0.0, logged=True))
+    assert loud.diagnostics["residual"][0] > 1.5 * loud.diagnostics["training residual"][0]
+    assert any("overfit" in line for line in loud.warnings)
+    quiet = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e5)).on(Case(log, [half], discount=0.0, logged=True))
+    assert not any("overfit" in line for line in quiet.warnings)
+    assert LOGGED in quiet.names
+    assert set(NEW) <= set(ESTIMATORS)

@@ -1,0 +1,235 @@
+"""What a decision may be asked for beyond a gain: a guarantee, confounding, groups and tails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
+from deadreckon.ope import Case
+from deadreckon.ope.behavior import PROPENSITIES
+from deadreckon.ope.confounding import Confounding
+from deadreckon.ope.decide import UNSEEN, decide
+from deadreckon.ope.estimate import BehaviorModel, CrossFitted
+from deadreckon.ope.groups import Groups, by_group
+from deadreckon.ope.guarantee import guaranteed, refuse
+from deadreckon.ope.registry import estimator, with_fields
+from deadreckon.ope.support import Support
+from deadreckon.ope.tail import tails
+from deadreckon.policies import BlackBoxPolicy
+from deadreckon.theory import garnet
+from tests.ope.test_case import linear, lqr
+from tests.ope.test_corrected import one_step
+from tests.ope.worlds import as_policy, tables
+
+MODEL = BehaviorModel(hidden=(8,), steps=50)
+LINEAR = with_fields(estimator("dr-linear"), {"ridge": 1.0})
+
+
+@pytest.fixture(autouse=True)
+def supported(monkeypatch):
+    """Checks of support fit models, which are not looked at here."""
+
+    def told(case, model):
+        nothing = np.zeros(len(case.policies))
+        return Support(nothing, nothing + 1.0, nothing + 1.0, case.degenerate)
+
+    monkeypatch.setattr("deadreckon.ope.decide.support", told)
+
+
+def trials(n, rng, lift=0.3, **extras):
+    """Two arms of a trial, drawn by a coin; the second succeeds more often by `lift`, in states 0 and 1 alike."""
+    state, arm = rng.integers(0, 2, n), rng.integers(0, 2, n)
+    success = rng.random(n) < 0.3 + lift * arm + 0.1 * state
+    return one_step(np.eye(2)[state], arm, success.astype(float), np.full(n, 0.5), **extras)
+
+
+SECOND, FIRST = as_policy(np.array([[0.0, 1.0], [0.0, 1.0]])), as_policy(np.array([[1.0, 0.0], [1.0, 0.0]]))
+MOSTLY = as_policy(np.array([[0.2, 0.8], [0.2, 0.8]]))
+
+
+def case_of(log, policies=(SECOND, FIRST), **options):
+    names = ["second", "first", "third"][: len(policies)]
+    return Case(log, policies, discount=0.0, horizon=1, names=names, logged=True, **options)
+
+
+def test_a_guarantee_holds_as_often_as_promised():
+    """A policy whose gain is a little: its lower bound lies above in no more than 1 of 10 of logs, short ones too."""
+    rng, missed, useful = np.random.default_rng(0), [], []
+    for n, lift in ((15, 0.4), (400, 0.4)):
+        for _ in range(150):
+            bound = guaranteed(case_of(trials(n, rng, lift), [MOSTLY]), 0, (0.0, 1.0), 0.1)
+            missed.append(bound > 0.3 * lift)  # the coin takes the second arm in half of the cases, the policy in 0.8
+            useful.append(n == 400 and bound > 0)
+    assert np.mean(missed) <= 0.1
+    assert np.sum(useful) > 100  # and says something
+    # Whatever a return is shifted by, and for several steps.
+    true = garnet(states=3, actions=2, ending=0.3, noise=0.0)
+    true = replace(true, rewards=true.rewards - 1.0)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.4, seed=1)[0]
+    missed = []
+    for _ in range(100):
+        case = Case(true.log(behavior, 100, 4, rng), [as_policy(target)], discount=0.9, horizon=4, logged=True)
+        gain = exact(true, target) - exact(true, behavior)
+        missed.append(guaranteed(case, 0, (-12.0, 8.0), 0.1) > gain)
+    assert np.mean(missed) <= 0.1
+
+
+def exact(true, policy):
+    value, reach = 0.0, true.initial
+    for t in range(4):
+        value += 0.9**t * float((reach[:, None] * policy * true.rewards).sum())
+        reach = np.einsum("s,sa,sat->t", reach, policy, true.transitions)
+    return value
+
+
+def test_what_a_guarantee_lacks():
+    rng = np.random.default_rng(0)
+    log = trials(60, rng)
+    for case, wanted, words in [
+        (case_of(log), None, "a guarantee needs the least and the greatest return that an episode can have"),
+        (case_of(log), (1.0, 0.0), "instead of 1 .. 0"),
+        (case_of(replace(log, extras={})), (0.0, 1.0), "propensities that were logged"),
+        (case_of(log, clusters=np.arange(60) // 2), (0.0, 1.0), "independent episodes"),
+        (case_of(log, [CrossFitted((SECOND, FIRST), np.arange(60) % 2)]), (0.0, 1.0), "those of a cross-fit"),
+        (Case(lqr(-0.5, 0.5, 30, 10), [linear(-0.5, 0.5)], discount=0.9), (0.0, 1.0), "30 are cut off; give a horizon"),
+    ]:
+        with pytest.raises(UserError, match=words) as error:
+            refuse(case, wanted)
+        assert "\n" not in str(error.value)
+    with pytest.raises(UserError, match="an episode returns 1, outside of the range 0 .. 0.5"):
+        guaranteed(case_of(log), 0, (0.0, 0.5))
+    lacks_all = case_of(replace(log, extras={}), clusters=np.arange(60) // 2)
+    with pytest.raises(UserError, match=r"\(--return-range LOW HIGH\); and propensities .*; and independent"):
+        decide(lacks_all, [LINEAR], guarantee=True, model=MODEL)
+
+
+def test_decisions_by_a_guarantee_and_under_confounding():
+    rng = np.random.default_rng(1)
+    clear = decide(case_of(trials(1000, rng, 0.5)), [LINEAR], model=MODEL, guarantee=True, return_range=(0.0, 1.0))
+    assert clear.choice.deploy
+    assert 0 < clear.more["guarantee"] < clear.choice.gain
+    assert any("for any number of episodes, not only many, its gain is at least +" in line for line in clear.choice.evidence)
+    # What is significant need not be guaranteed.
+    faint = case_of(trials(300, np.random.default_rng(2), 0.22))
+    plain = decide(faint, [LINEAR], model=MODEL)
+    assert plain.choice.deploy
+    assert "guarantee" not in plain.more
+    kept = decide(faint, [LINEAR], model=MODEL, guarantee=True, return_range=(0.0, 3.0))
+    assert not kept.choice.deploy
+    assert "but for any number of episodes, not only many, its gain is at least -" in kept.choice.reason
+    # The tipping point is on every card of one-step logs, and with a factor it is what decides.
+    tipping = plain.more["confounding"]["tipping"]
+    assert 1.0 < tipping < 3.0
+    assert f"{UNSEEN}; its gain is no longer sure where odds of logged actions are off by {tipping:.3g}" in plain.choice.evidence
+    for gamma, deploy in ((0.98 * tipping, True), (1.05 * tipping, False)):
+        found = decide(faint, [LINEAR], model=MODEL, confounding=gamma)
+        assert found.choice.deploy == deploy
+        assert len(found.more["confounding"]["bounds"]) == 2
+        assert (found.more["confounding"]["bounds"][0][0] > 0) == deploy
+    with pytest.raises(UserError, match="Gamma, a ratio of odds, must be 1 or more, got 0.5"):
+        decide(faint, [LINEAR], model=MODEL, confounding=0.5)
+
+
+def test_bounds_for_confounding_hold_where_there_is_some():
+    """Someone saw what is not recorded, and gave the second arm more often where it fares better: odds of 2 between the two."""
+    rng, inside, naive, tight = np.random.default_rng(0), [], [], []
+    for _ in range(40):
+        n = 600
+        hidden = rng.random(n) < 0.5
+        chance = np.where(hidden, 2 / 3, 1 / 2)  # odds of 2 and of 1; the nominal 0.5833 has 1.4
+        arm = (rng.random(n) < chance).astype(int)
+        reward = 1.0 * (rng.random(n) < 0.2 + 0.4 * arm * hidden)  # the second arm is worth 0.4, a fifth on average
+        nominal = np.where(arm == 1, 7 / 12, 5 / 12)
+        case = case_of(one_step(np.eye(2)[np.zeros(n, int)], arm, reward, nominal), [SECOND])
+        gain = 0.2 - 0.4 * 0.5 * 2 / 3  # of always the second arm over what was done
+        found = Confounding(case, PROPENSITIES)
+        low, high = found.gain(0, 1.5)
+        inside.append(low <= gain <= high)
+        naive.append(np.diff(found.gain(0, 1.0))[0])
+        tight.append(high - low)
+    assert np.mean(inside) >= 0.95
+    assert np.mean(tight) > 1.5 * np.mean(naive)
+
+
+def test_no_confounding_is_the_gain_itself():
+    """A factor of one gives the doubly robust gain, self-normalised, with the interval of gains; a larger one contains it."""
+    true = garnet(states=3, actions=2, ending=0.3, noise=0.1)
+    behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
+    log = true.log(behavior, 500, 4, np.random.default_rng(0))
+    for case in (
+        Case(log, [as_policy(target)], discount=0.9, horizon=4, logged=True),
+        Case(log, [as_policy(target)], discount=0.0, horizon=1, logged=True),
+    ):
+        found = Confounding(case, PROPENSITIES)
+        one, more = found.gain(0, 1.0), found.gain(0, 1.2)
+        assert more[0] < one[0] < one[1] < more[1]
+        whole = estimator("wis" if case.estimand.horizon == 4 else "dr-linear").on(case)
+        assert np.mean(one) == pytest.approx(whole.value[0] - whole.value[1], abs=0.1 * (one[1] - one[0]))
+
+
+def test_gains_by_group():
+    rng = np.random.default_rng(0)
+    site = np.repeat(["a", "b", "c"], [900, 900, 10])
+    log = trials(1810, rng, 0.0)
+    better = (site == "a") & (log.actions == 1)  # the second arm is better at one site alone
+    log = replace(log, rewards=np.where(better, 1.0, log.rewards).astype(np.float32))
+    names, codes = np.unique(site, return_inverse=True)
+    found = decide(case_of(log), [LINEAR], model=MODEL, groups=Groups("site", tuple(names), codes))
+    table = found.more["groups"]["values"]
+    assert [each["episodes"] for each in table] == [900, 900, 10]
+    a, b, c = table
+    assert a["low"] < 0.5 * (1.0 - 0.35) < a["high"]
+    assert a["low"] > 0.2
+    assert b["low"] < 0.0 < b["high"] < 0.12
+    assert (c["low"], c["high"]) == (None, None)
+    together = sum(each["episodes"] * each["gain"] for each in table) / 1810
+    assert together == pytest.approx(found.choice.gain, abs=0.01)
+    with pytest.raises(UserError, match="has 1,810 values, more than 50 groups"):
+        decide(case_of(log), [LINEAR], groups=Groups("row", tuple(map(str, range(1810))), np.arange(1810)))
+    with pytest.raises(UserError, match="above 0 and at most 1, got 2"):
+        decide(case_of(log), [LINEAR], tail=2.0)
+
+
+def test_intervals_of_groups_hold_at_once():
+    rng, missed = np.random.default_rng(0), []
+    for _ in range(60):
+        log = trials(240, rng, 0.2)
+        codes = np.arange(240) % 4
+        table = by_group(case_of(log, [SECOND]), 0, Groups("g", tuple("abcd"), codes), MODEL)
+        missed.append(any(not each["low"] <= 0.1 <= each["high"] for each in table))
+    assert np.mean(missed) <= 0.13, np.mean(missed)
+
+
+def test_the_tail_beside_that_of_the_log():
+    """The second arm has half of the failures of the first: the worst half of its episodes fare better."""
+    rng = np.random.default_rng(0)
+    log = trials(4000, rng, 0.4)
+    decision = decide(case_of(log), [LINEAR], model=MODEL, tail=0.5)
+    told = decision.more["tail"]
+    assert told["value"] == pytest.approx(1 - 0.25 / 0.5, abs=0.06)  # it fails in 0.25 of cases, all among its worst half
+    assert told["logged"] == pytest.approx(1 - 0.45 / 0.5, abs=0.06)
+    assert told["low"] < told["gain"] < told["high"]
+    assert told["gain"] == pytest.approx(told["value"] - told["logged"])
+    assert any(line.startswith("its worst 50 % of episodes return 0.") for line in decision.choice.evidence)
+    few = decide(case_of(trials(60, rng)), [LINEAR], model=MODEL, tail=0.01)
+    assert "rest on" in few.more["tail"]["refused"]
+    assert any(line.startswith("its worst 1 % of episodes are not known: ") for line in few.choice.evidence)
+    ends = garnet(states=3, actions=2, ending=0.1)
+    cut = ends.log(np.full((3, 2), 0.5), 30, 5, np.random.default_rng(0)), ends.log(np.full((3, 2), 0.5), 30, 9, rng)
+    columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations")
+    log = Dataset.from_arrays(
+        **{key: np.concatenate([getattr(part, key) for part in cut]) for key in columns}, action_space=Discrete(2),
+        behavior_log_probs=np.full(sum(map(len, cut)), np.log(0.5)),
+    )  # fmt: skip
+    case = Case(log, [as_policy(np.full((3, 2), 0.5))], discount=0.9, logged=True)
+    with pytest.raises(UserError, match="tails need whole episodes"):
+        tails(case, 0, 0.5, MODEL)
+    with pytest.raises(UserError, match="bounds for confounding need whole episodes"):
+        Confounding(case, MODEL)
+    draws_nothing = Case(lqr(-0.5, 0.5, 30, 10), [BlackBoxPolicy(lambda seen, rng: -seen)], discount=0.9, noise=None)
+    for ask in (lambda: tails(draws_nothing, 0, 0.1, MODEL), lambda: Confounding(draws_nothing, MODEL)):
+        with pytest.raises(UserError, match="need weights, which mean nothing for policies of continuous actions"):
+            ask()
