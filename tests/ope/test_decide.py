@@ -110,7 +110,7 @@ def test_ratios_of_occupancies_are_those_of_the_world():
     behavior, target = tables(true, 1, 0.3)[0], tables(true, 1, 1.0, seed=1)[0]
     log = true.log(behavior, 4000, 20, np.random.default_rng(0))
     case = Case(log, as_policy(target), discount=0.8, logged=True)
-    weights = DRL._nuisances(case)[0].weights[0]
+    weights = DRL.nuisances(case)[0].weights[0]
     state = log.observations.argmax(1)
     logged = np.bincount(state * 2 + log.actions, minlength=8).reshape(4, 2) / len(log)
     exact = true.occupancy(target, 0.8) / logged

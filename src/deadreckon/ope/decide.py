@@ -15,7 +15,7 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.intervals import ALPHA
-from deadreckon.ope.linear import LinearFQE
+from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import PROPENSITIES, as_estimator
 from deadreckon.ope.select import Choice, select
 from deadreckon.ope.sensitivity import weight_box
@@ -174,8 +174,9 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
       known, and what is left is model-based (`fqe`).
     - One step, or weights of whole episodes that for every policy amount to a tenth of the episodes or more: doubly robust with
       linear critics (`dr-linear`).
-    - Else, where the rows of the log follow each other: doubly robust by ratios of occupancies (`drl`), whose variance does not
-      grow with the product of the weights, with `dr-linear` as evidence.
+    - Else, where observations take few values: doubly robust by ratios of occupancies (`drl`), whose variance does not grow with
+      the product of the weights, with `dr-linear` as evidence. With other observations `drl` rests on its features being right,
+      which nothing corrects, so it is evidence alone unless model-based estimates are accepted.
 
     Args:
         case: log and policies.
@@ -197,6 +198,7 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
     effective = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
     marginal = DoublyRobust(kind="marginal", fqe=LinearFQE())
-    if (effective >= ENOUGH * case.data.episodes).all():
+    table = Fit(marginal.fqe, case).features.table is not None
+    if (effective >= ENOUGH * case.data.episodes).all() or not (table or accept_model_based):
         return [weighted, marginal]
     return [marginal, weighted]

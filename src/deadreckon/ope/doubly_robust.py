@@ -116,9 +116,11 @@ class DoublyRobust(Estimator):
         if self.kind == "mrdr":
             return case.once(("out of fold", self), lambda: self._of_least_variance(case)), None
         if isinstance(self.fqe, LinearFQE):
-            key = ("out of fold", self.fqe, self.folds, self.kind == "marginal")
+            # Of one step there is no other ratio than the weight; of more, both kinds share what is solved.
+            marginal = self.kind == "marginal" or (case.data.successors is None and int(case.data.lengths.max()) > 1)
             fit = Fit(self.fqe, case)
-            return case.once(key, lambda: fit.out_of_fold(self.folds, marginal=self.kind == "marginal")), None
+            key = ("out of fold", self.fqe, self.folds, marginal)
+            return case.once(key, lambda: fit.out_of_fold(self.folds, marginal=marginal)), None
         if self.folds > 1:
             return self.fqe.out_of_fold(case, self.folds, self.samples), None
         return case.once(("errors", self.fqe, self.samples), lambda: self._in_sample(case))
@@ -265,8 +267,14 @@ class DoublyRobust(Estimator):
         effective = np.asarray(effective)
         warnings = [*few(case.names, effective, episodes.count), *self._unsettled(case, nuisances)]
         means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
+        exact = Fit(self.fqe, case).features.table is not None
+        if not exact:
+            warnings.append(
+                "its critics and its ratios are linear in the same features, which are not a table here: where both are wrong, "
+                "nothing corrects them, and the interval does not know"
+            )
         return Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
+            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=exact,
             warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | means,
         )  # fmt: skip
 
