@@ -197,7 +197,7 @@ def test_critics_out_of_fold_leave_the_noise_to_be_corrected():
     """In sample a critic of many features explains noise; out of fold it cannot."""
     log = bandit(np.random.default_rng(1), rows=400)
     case = Case(log, as_uniform(4), discount=0.0, logged=True)
-    flexible = LinearFQE(ridge=1e-6)
+    flexible = LinearFQE(ridge=1e-2)
     residual = DoublyRobust(kind="dr", fqe=flexible).on(case).diagnostics["residual"][0]
     assert residual > 0.9
     assert LinearFQE().label == "FQE-linear"

@@ -246,8 +246,6 @@ class DoublyRobust(Estimator):
         assert nuisances.weights is not None
         episodes = case.episodes
         of_row = episodes.group[episodes.of]
-        # Ratios are of occupancies over the rows whose successor is known.
-        rows = np.bincount(of_row[case.followed], minlength=episodes.groups)
         values, influence, effective = [], [], []
         for i, name in enumerate(case.names):
             if name == LOGGED and episodes.even:
@@ -256,7 +254,10 @@ class DoublyRobust(Estimator):
                 weight = np.ones(episodes.count)
             else:
                 start, pulls, _ = episodes.means(nuisances.begins[i])
-                total = np.bincount(of_row, nuisances.weighted[i], episodes.groups)
+                # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it did.
+                known = case.followed & case.shown if name == LOGGED else case.followed
+                rows = np.bincount(of_row[known], minlength=episodes.groups)
+                total = np.bincount(of_row[known], nuisances.weighted[i][known], episodes.groups)
                 mean = total.sum() / rows.sum()
                 value = start + mean
                 pulls = pulls + episodes.groups * (total - mean * rows) / rows.sum()

@@ -283,6 +283,11 @@ class Case:
         return self._uncut[1]
 
     @cached_property
+    def shown(self) -> np.ndarray:
+        """(rows,) whether the log shows what the behaviour policy did next, or nothing comes next."""
+        return ~self.data._is_end | self.ended
+
+    @cached_property
     def _uncut(self) -> tuple[np.ndarray, np.ndarray]:
         if self.estimand.horizon is None:
             return np.asarray(self.data.terminals), self.data.usable

@@ -9,7 +9,7 @@ ratios of occupancies, which are linear in the same features, cost little more t
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from deadreckon.training.learner import static
 BLOCK = 1024  # rows at a time
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
 PILOT = 10.0
-SUMMED = ("gram", "next", "reward", "start", "rows", "episodes")
+SUMMED = ("gram", "next", "reward", "start", "rows", "episodes", "lost_gram", "lost_reward", "lost_rows")
 DOUBLINGS = 16  # 2^16 steps are as good as endless
 GROWN = 1e6  # of the powers of the backup: it diverges
 PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-validation
@@ -61,6 +61,9 @@ class Sums:
         reward: (groups, d) of phi r.
         start: (groups, policies, d) of features at initial observations.
         rows, episodes: (groups,) counts.
+        lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because the
+            log does not show what it did next.
+        logged: index of the behaviour policy, or -1.
         low, high: least and greatest reward.
     """
 
@@ -70,14 +73,25 @@ class Sums:
     start: np.ndarray
     rows: np.ndarray
     episodes: np.ndarray
+    lost_gram: np.ndarray
+    lost_reward: np.ndarray
+    lost_rows: np.ndarray
+    logged: int
     low: float
     high: float
+
+    def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(groups, ...) gram, reward and rows of one policy."""
+        if policy != self.logged:
+            return self.gram, self.reward, self.rows
+        return self.gram - self.lost_gram, self.reward - self.lost_reward, self.rows - self.lost_rows
 
     def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
         """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight` times."""
         add = lambda x: np.tensordot(weight, x, 1)  # noqa: E731
         start = add(self.start[:, policy]) / max(float(weight @ self.episodes), 1.0)
-        return add(self.gram), add(self.next[:, policy]), add(self.reward), start, float(weight @ self.rows)
+        gram, reward, rows = self.whole(policy)
+        return add(gram), add(self.next[:, policy]), add(reward), start, float(weight @ rows)
 
 
 class LinearFQE(Estimator):
@@ -146,7 +160,7 @@ class Fit:
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
         self.counts_next = case.discount > 0 and self.horizon != 1
-        self._factors: dict[tuple[bytes, float], Any] = {}  # the policies share them
+        self._factors: dict[tuple[bytes, float, bool], Any] = {}  # the policies share them
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
@@ -156,6 +170,7 @@ class Fit:
         out = Sums(
             np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
             np.zeros(groups), np.bincount(group, minlength=groups).astype(float),
+            np.zeros((groups, d, d)), np.zeros((groups, d)), np.zeros(groups), count - 1 if case.logged else -1,
             float(data.spec.reward.min) / self.std, float(data.spec.reward.max) / self.std,
         )  # fmt: skip
         after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
@@ -167,12 +182,17 @@ class Fit:
                 phi = self.features.taken(data.observations[part], data.actions[part])
                 out.gram[g] += phi.T @ phi
                 out.reward[g] += phi.T @ (np.asarray(data.rewards[part], np.float32) / np.float32(self.std))
+                if case.logged and (lost := ~case.shown[part]).any():
+                    out.lost_gram[g] += phi[lost].T @ phi[lost]
+                    out.lost_reward[g] += phi[lost].T @ (np.asarray(data.rewards[part[lost]], np.float32) / np.float32(self.std))
+                    out.lost_rows[g] += lost.sum()
                 goes_on = ~case.ended[part]
                 if goes_on.any() and self.counts_next:
                     own = part[goes_on]
                     follows = self.features.expected(data.next_observations_at(own), after[own])
                     for i in range(count):
-                        out.next[g, i] += phi[goes_on].T @ follows[:, i]
+                        shown = case.shown[own] if i == out.logged else np.ones(len(own), bool)
+                        out.next[g, i] += phi[goes_on][shown].T @ follows[shown, i]
             for part in blocks(np.flatnonzero(group == g)) if start else ():
                 seen = data.observations[data.starts[part]]
                 out.start[g] += self.features.expected(seen, first[part]).sum(0, dtype=np.float64)
@@ -191,14 +211,15 @@ class Fit:
         weight = np.zeros(len(sums.rows))
         weight[list(groups)] = 1.0
         pilot = self.critic(sums, weight, policy, PILOT).weights[-1]
-        gram, following, reward = (np.tensordot(weight, x, 1) for x in (sums.gram, sums.next[:, policy], sums.reward))
+        every_gram, every_reward, _ = sums.whole(policy)
+        gram, following, reward = (np.tensordot(weight, x, 1) for x in (every_gram, sums.next[:, policy], every_reward))
         target = reward + self.case.discount * following @ pilot
         errors = np.zeros(len(RIDGES))
         for part in parts:
-            own_gram = sums.gram[part].sum(0)
-            own = sums.reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
+            own_gram = every_gram[part].sum(0)
+            own = every_reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
             for j, ridge in enumerate(RIDGES):
-                factor = self._factor(gram - own_gram, ridge, weight.tobytes() + np.asarray(part).tobytes())
+                factor = self._factor(gram - own_gram, ridge, weight.tobytes() + np.asarray(part).tobytes(), policy == sums.logged)
                 theta = cho_solve(factor, target - own)
                 errors[j] += theta @ own_gram @ theta - 2 * theta @ own
         return float(RIDGES[int(np.argmin(errors))])
@@ -207,7 +228,7 @@ class Fit:
         """Solves for one policy on groups that count `weight` times each; a ridge under which it diverges is made stronger."""
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
-            factor = self._factor(gram, ridge, weight.tobytes())
+            factor = self._factor(gram, ridge, weight.tobytes(), policy == sums.logged)
             base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
             if self.horizon is not None:
                 found = self._steps(factor, following, base, backup, start, rows, ridge)
@@ -275,8 +296,8 @@ class Fit:
         if teach is not None:
             part = np.random.default_rng([case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
             more = self.sums(teach, part, PARTS, start=marginal)
-            judged = Sums(*(np.concatenate([getattr(judged, n), getattr(more, n)]) for n in SUMMED),
-                          min(judged.low, more.low), max(judged.high, more.high))  # fmt: skip
+            both = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
+            judged = replace(judged, **both, low=min(judged.low, more.low), high=max(judged.high, more.high))
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
         count = case.count
         out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
@@ -376,9 +397,10 @@ class Fit:
             found |= {"weighted": np.where(known, total, 0.0), "weights": weight.sum(1) / case.span}
         return found
 
-    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes) -> Any:
-        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart."""
-        key = (rows, ridge)
+    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, logged: bool) -> Any:
+        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart; the behaviour
+        policy's is of fewer rows."""
+        key = (rows, ridge, logged)
         if key not in self._factors:
             self._factors[key] = cho_factor(self.penalised(gram, ridge))
         return self._factors[key]
