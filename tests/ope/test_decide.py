@@ -56,7 +56,7 @@ def case_of(log, policies=(SECOND, FIRST), **options):
 
 
 def test_a_guarantee_holds_as_often_as_promised():
-    """A policy with a small gain: its lower bound lies above in no more than 1 of 10 of logs, short ones too."""
+    """A policy whose gain is a little: its lower bound lies above in no more than 1 of 10 of logs, short ones too."""
     rng, missed, useful = np.random.default_rng(0), [], []
     for n, lift in ((15, 0.4), (400, 0.4)):
         for _ in range(150):
@@ -123,8 +123,7 @@ def test_decisions_by_a_guarantee_and_under_confounding():
     # The tipping point is on every card of one-step logs, and with a factor it is what decides.
     tipping = plain.more["confounding"]["tipping"]
     assert 1.0 < tipping < 3.0
-    words = f"{UNSEEN}; its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
-    assert words in plain.choice.evidence
+    assert f"{UNSEEN}; its gain is no longer sure where odds of logged actions are off by {tipping:.3g}" in plain.choice.evidence
     for gamma, deploy in ((0.98 * tipping, True), (1.05 * tipping, False)):
         found = decide(faint, [LINEAR], model=MODEL, confounding=gamma)
         assert found.choice.deploy == deploy
