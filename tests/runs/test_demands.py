@@ -9,14 +9,16 @@ from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
 from deadreckon.data.tables import write_npz
 from deadreckon.runs.train import train
-from tests.ope.test_decide import trials
+from tests.ope.test_corrected import one_step
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demands")
     rng = np.random.default_rng(0)
-    log = trials(600, rng, 0.3, site=rng.integers(0, 3, 600))
+    arm, state = rng.integers(0, 2, 600), rng.integers(0, 2, 600)
+    success = 1.0 * (rng.random(600) < 0.3 + 0.3 * arm)
+    log = one_step(np.eye(2)[state], arm, success, np.full(600, 0.5), site=rng.integers(0, 3, 600))
     write_npz(log, folder / "log.npz")
     train(BC(hidden=(8,)), log, steps=20, out=folder / "bc")
     return folder

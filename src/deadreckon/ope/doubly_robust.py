@@ -7,12 +7,12 @@ which ends the sum early where that is worth its bias (both Thomas and Brunskill
 double reinforcement learning, Kallus and Uehara 2020), whose variance does not grow with the product of the weights. V is zero
 after a terminal; the public code that the thesis used forgets that.
 
-`switch` and `dros` are `dr` with weights that are trusted only so far (`ope/switch.py`, `ope/shrinkage.py`); `mrdr` is `dr` with
-critics that make its variance least (`ope/mrdr.py`).
+`switch` and `dros` are `dr` with weights that are trusted only so far (`ope/switch.py`, `ope/shrinkage.py`); `mrdr` is `dr`
+with critics that make its variance least (`ope/mrdr.py`).
 
 All of it rests on Q (and learned propensities and ratios) not having seen the rows that it is corrected by: a critic that has
-memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018, Kallus
-and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not judged.
+memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018,
+Kallus and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not judged.
 """
 
 from dataclasses import replace
@@ -188,7 +188,7 @@ class DoublyRobust(Estimator):
             values.append(value)
             influence.append(pulls)
             effective.append(episodes.sums(log_rho, nuisances.errors[i], normalised=False).effective)
-            tails.append(pareto_k(log_rho[data.ends]))
+            tails.append(pareto_k(episodes.typical(log_rho, whole=False)))
             left.append(over[chosen].mean() / case.span)
         effective = np.asarray(effective)
         warnings = [

@@ -345,6 +345,8 @@ class Case:
     def initial_actions(self, samples: int) -> np.ndarray:
         """(episodes, policies, ...) table of what the policies do at the initial observations."""
         starts = self.data.starts
+        if self.data.spec.discrete and len(starts) == len(self.data):  # the same rows, whose probabilities are no draws
+            return self.current_actions(samples)
         return self._table("initial", np.asarray(self.data.observations[starts]), samples, INITIAL, starts)
 
     def current_actions(self, samples: int) -> np.ndarray:

@@ -159,8 +159,12 @@ class Fit:
         )
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
-        self.counts_next = case.discount > 0 and self.horizon != 1
+        self.counts_next = case.discount > 0 and self.horizon != 1 and not np.asarray(case.log.terminals).all()
         self._factors: dict[tuple[bytes, float, bool], Any] = {}  # the policies share them
+
+    def next_actions(self, case: Case) -> np.ndarray | None:
+        """What the policies do after each row; None where nothing that follows counts."""
+        return case.next_actions(self.samples) if self.counts_next else None
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
@@ -173,7 +177,7 @@ class Fit:
             np.zeros((groups, d, d)), np.zeros((groups, d)), np.zeros(groups), count - 1 if case.logged else -1,
             float(data.spec.reward.min) / self.std, float(data.spec.reward.max) / self.std,
         )  # fmt: skip
-        after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
+        after, first = self.next_actions(case), case.initial_actions(self.samples)
         of_row = group[data.episode_of]
         for g in range(groups):
             rows = np.flatnonzero((of_row == g) & case.followed)
@@ -187,7 +191,7 @@ class Fit:
                     out.lost_reward[g] += phi[lost].T @ (np.asarray(data.rewards[part[lost]], np.float32) / np.float32(self.std))
                     out.lost_rows[g] += lost.sum()
                 goes_on = ~case.ended[part]
-                if goes_on.any() and self.counts_next:
+                if goes_on.any() and after is not None:
                     own = part[goes_on]
                     follows = self.features.expected(data.next_observations_at(own), after[own])
                     for i in range(count):
@@ -326,7 +330,7 @@ class Fit:
             bounds: least and greatest reward, in its standard deviations.
         """
         case, data, marginal = self.case, self.case.data, out.weighted is not None
-        after, first = case.next_actions(self.samples), case.initial_actions(self.samples)
+        after, first = self.next_actions(case), case.initial_actions(self.samples)
         out.settled &= [critic.settled for critic in critics]
         for part in blocks(np.flatnonzero(fold == k)):
             phi = self.features.expected(data.observations[data.starts[part]], first[part])
@@ -335,7 +339,7 @@ class Fit:
 
         def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
             phi = self.features.taken(data.observations[part], data.actions[part])
-            if not self.counts_next or case.ended[part].all():
+            if after is None:
                 return (self._errors(part, phi, None, critic, bounds, marginal) for critic in critics)
             follows = self.features.expected(data.next_observations_at(part), after[part])
             return (self._errors(part, phi, follows[:, i], critic, bounds, marginal) for i, critic in enumerate(critics))

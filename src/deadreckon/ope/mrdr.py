@@ -190,7 +190,7 @@ def out_of_fold(
         logs = _log_weights(ratios, lengths, case.discount, behavior)
         top = np.full(steps, -np.inf)
         np.maximum.at(top, step, logs)
-        # Relative to their mean at each step, so that a ridge counts rows. Where nothing has weight, no critic is as good as any.
+        # Relative to their mean at each step, so that a ridge counts rows. Where nothing has weight, none is as good as any.
         own = np.exp(logs - np.where(np.isfinite(top), top, 0.0)[step])
         mean = np.bincount(step, own, steps) / np.maximum(np.bincount(step, minlength=steps), 1)
         weights[i] = own / np.maximum(mean, 1e-300)[step]
