@@ -32,6 +32,9 @@ PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-
 REDRAWS = 200
 GROUPS = 100  # of units that are redrawn
 ROOM = 1e9  # bytes of sums above which there are fewer groups
+# Rows of episodes that are not judged, from which critics out of fold learn beside the judged ones: a few hundred weights are
+# settled by far fewer, and every row costs as many features as there are policies and samples. Judged rows are all used.
+TAUGHT = 40_000
 
 
 class Critic(NamedTuple):
@@ -268,14 +271,11 @@ class Fit:
             marginal: the ratios of occupancies too, of the same folds.
         """
         case = self.case
-        fold, teach = case.folds(folds), case.teaching()
+        fold = case.folds(folds)
         folds = int(fold.max()) + 1
-        judged = self.sums(case, fold, folds)
-        if teach is not None:
-            part = np.random.default_rng([case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
-            more = self.sums(teach, part, PARTS)
-            judged = Sums(*(np.concatenate([getattr(judged, n), getattr(more, n)]) for n in SUMMED),
-                          min(judged.low, more.low), max(judged.high, more.high))  # fmt: skip
+        # The same for all doubly robust estimators of a case, and most of what they cost.
+        key = ("sums", self.features.cosines, self.samples, folds)
+        judged: Sums = case.once(key, lambda: self._judged_and_taught(fold, folds))
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
         data, count = case.data, case.count
         out = OutOfFold.empty(count, data.episodes, len(data), marginal)
@@ -305,6 +305,16 @@ class Fit:
                     for name, values in found.items():
                         getattr(out, name)[i, part] = values
         return out
+
+    def _judged_and_taught(self, fold: np.ndarray, folds: int) -> Sums:
+        """Of the judged episodes by fold, and behind them of the others, if any, in `PARTS` groups."""
+        judged, teach = self.sums(self.case, fold, folds), self.case.teaching(TAUGHT)
+        if teach is None:
+            return judged
+        part = np.random.default_rng([self.case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
+        more = self.sums(teach, part, PARTS)
+        return Sums(*(np.concatenate([getattr(judged, n), getattr(more, n)]) for n in SUMMED),
+                    min(judged.low, more.low), max(judged.high, more.high))  # fmt: skip
 
     def _value(self, x: np.ndarray, steps: int | None, sums: Sums) -> np.ndarray:
         """Values cut at what a return of so many steps can be, in units of the reward."""
