@@ -71,13 +71,14 @@ def doing(monkeypatch, tmp_path):
     return use
 
 
-STATES = """
-    known = [{"name": "bc", "agent": "bc", "why": "-", "deterministic": False, "updates": 90, "planned": 90, "state": "learned"},
-             {"name": "iql", "agent": "iql", "why": "-", "deterministic": False, "updates": 0, "planned": 90, "state": "learning"}]
+STATES = textwrap.dedent("""
+    own = {"why": "-", "deterministic": False, "planned": 90}
+    known = [{"name": "bc", "agent": "bc", "updates": 90, "state": "learned", **own},
+             {"name": "iql", "agent": "iql", "updates": 0, "state": "learning", **own}]
     send("state", {"log": "near", "rows": 400, "episodes": 40, "stage": "learning", "since": time.time(), "need": 200.0})
     send("state", {"candidates": known})
     send("watch", ["iql", 30, 90])
-"""
+""")
 
 
 @pytest.mark.parametrize("budget", [1.0, 3.0])
@@ -214,11 +215,10 @@ def attempt(tmp_path, log, seconds=300.0, **options):
     """The work, in this process: what it sends, and the folder."""
     dr.data.folder.write_folder(log, tmp_path / "log")
     sent = []
-    out = tmp_path / "out"
-    given = {"columns": {"name": log.name}, "task": None, "discount": 0.9, "seed": 0, "holdout": None, "accept": False}
-    job = Job(
-        data=str(tmp_path / "log"), out=str(out), budget=seconds, began=time.time(), end=time.time() + seconds, **given | options
-    )
+    (out := tmp_path / "out").mkdir()
+    given = {"columns": {}, "task": None, "discount": 0.9, "seed": 0, "holdout": None, "accept": False}
+    given |= {"data": str(tmp_path / "log"), "out": str(out), "budget": seconds, "began": time.time()}
+    job = Job(end=time.time() + seconds, **given | options)
     work.attempt(job, lambda what, value: sent.append((what, json.loads(json.dumps(value)))))
     return sent, out
 
@@ -230,7 +230,11 @@ def of(sent, what):
 def test_policies_learn_from_one_part_and_are_judged_by_the_other(small, tmp_path, monkeypatch):
     log, seen = a_log(), []
     real = Attempt._pilot
-    pilot = lambda self, candidate, hidden, part: seen.append(part.episode_ids) or real(self, candidate, hidden, part)  # noqa: E731
+
+    def pilot(self, candidate, hidden, part):
+        seen.append(part.episode_ids)
+        return real(self, candidate, hidden, part)
+
     monkeypatch.setattr(Attempt, "_pilot", pilot)
     sent, out = attempt(tmp_path, log)
     assert of(sent, "done") == [True]
@@ -310,7 +314,7 @@ def test_clusters_are_held_out_whole(small, tmp_path):
     user = np.repeat(np.arange(20), 3)[log.episode_of]
     log = dr.Dataset.from_arrays(
         observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts, name="near",
-        extras={"user": user},
+        user=user,
     )  # fmt: skip
     sent, out = attempt(tmp_path, log, holdout={"share": 0.2, "by": "user", "seed": 0})
     assert of(sent, "done") == [True]

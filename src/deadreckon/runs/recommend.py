@@ -140,7 +140,7 @@ def recommend(
         if isinstance(data, Dataset):
             given = str(out / LOG)
             write_folder(data, given)
-            options = {"mmap": isinstance(data.observations, np.memmap), "name": data.name}
+            options = {"mmap": isinstance(data.observations, np.memmap)}
         else:
             try:
                 out.mkdir(parents=True)
