@@ -8,6 +8,7 @@ import sys
 import textwrap
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -291,6 +292,44 @@ def test_a_fit_that_has_not_settled_does_not_deploy(small, tmp_path, monkeypatch
     choice = read_json(out / "estimates.json")["choice"]
     assert not choice["deploy"]
     assert all("the fit of its estimate has not settled" in own for own in choice["objections"])
+
+
+def test_model_based_estimates_decide_where_they_are_accepted(small, tmp_path, monkeypatch):
+    sizes = {"hidden": (8,), "batch_size": 16}
+    loose = Candidate("loose", "td3_bc", {"batch_size": 16}, "-", deterministic=True)
+    monkeypatch.setattr(work, "CONTINUOUS", (Candidate("bc", "bc", sizes, "-"), Candidate("more", "bc", sizes, "-"), loose))
+    monkeypatch.setattr(work, "FEWEST_FITS", 20)
+    monkeypatch.setattr(work, "MOST_FITS", 20)
+    sent, out = attempt(tmp_path, a_log(), accept=True)
+    assert of(sent, "done") == [True]
+    told = read_json(out / "estimates.json")
+    assert [each["run"] for each in told["policies"]][:2] == ["bc", "loose"]  # asked for, so it comes before the others
+    assert [each["method"] for each in told["results"]] == ["FQE-L2"]
+
+
+@pytest.mark.parametrize(("left", "checked"), [(60.0, True), (-1.0, False)])
+def test_the_choice_is_checked_if_time_is_left(tmp_path, monkeypatch, left, checked):
+    sent, asked = [], []
+
+    def simulated(policies, task, *, episodes, **options):
+        asked.append(episodes)
+        return {"mean": [1.0], "error": [0.1], "episodes": episodes, "task": "there"}
+
+    monkeypatch.setattr(work.offline, "simulated", simulated)
+    job = Job("", {}, None, 0.9, 0, str(tmp_path), None, False, 60.0, time.time(), time.time() + left)
+    judged = work.offline.Judged([], None, {"estimand": {"horizon": None}})
+    made = Attempt(job, lambda what, value: sent.append((what, value)))
+    made._check([], SimpleNamespace(name="there"), judged)
+    assert asked == ([2, 2, 20] if checked else [])
+    assert (tmp_path / "estimates.json").exists() == checked
+    assert bool(of(sent, "line")) != checked
+
+
+def test_an_error_of_ours_is_told_shortly_and_kept_in_full(small, tmp_path, monkeypatch):
+    monkeypatch.setattr(Attempt, "_learn", lambda self, *given: 1 / 0)
+    sent, out = attempt(tmp_path, a_log())
+    assert of(sent, "fault") == ["ZeroDivisionError: division by zero (fault.txt has all of it)"]
+    assert "1 / 0" in (out / "fault.txt").read_text()
 
 
 @pytest.mark.parametrize(("change", "words"), [

@@ -6,6 +6,7 @@ is over. Whatever is found is therefore told at once, by lines of JSON on standa
     python -m deadreckon.runs.attempt      reads its task, one JSON line, from standard input, and ends where that is closed
 """
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -13,6 +14,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +89,8 @@ MOST = 100_000  # updates of a candidate
 WORTH = 10_000  # updates that each should have before another candidate is tried
 ENOUGH = 3  # candidates that should be tried, with small networks if need be
 TRIED, LONGEST = 20, 1.0  # a pilot looks at the clock every so many updates, and ends after so many seconds of them
-PILOTS, SECOND = 0.2, 0.35  # shares of the time after which no other pilot begins; of the second candidate
+PILOTS, SECOND = 0.2, 0.5  # shares of the time by which a further pilot must end; by which that of the second candidate begins
+SPARING = 400.0  # seconds below which large networks are not even looked at: what it takes to compile them is worth more
 LOOKS = 2.0  # seconds between two looks at the clock, roughly
 SAFETY = 0.85  # of the time is planned with: machines have moods
 LATE = 1.5  # times as long as expected may judging take
@@ -95,6 +98,7 @@ LEAST = 0.3  # of the time left after the pilots is for learning, however long j
 EPISODES, FEW = 20, 5  # in the simulator, where there is one; with fewer than the latter nothing is checked
 BLOCK = 1024  # rows by which it is measured how long linear critics take
 FEWEST_FITS, MOST_FITS = 1_000, 20_000  # updates of FQE, where model-based estimates decide
+FAULT = "fault.txt"  # where an error of ours is told in full
 MEMBERS = 5  # critics a policy in FQE, whose spread is the interval
 
 
@@ -194,15 +198,17 @@ class Attempt:
         spent = lambda: (whole - self.left()) / max(whole, 1e-9)  # noqa: E731
         candidates: list[Candidate] = []
         pilots: list[Pilot] = []
-        hidden, last = LARGE, 0.0
+        hidden, last = LARGE if whole > SPARING else SMALL, 0.0
         for candidate in known:
-            if len(candidates) > 0 and spent() + last > (SECOND if len(candidates) == 1 else PILOTS):
+            # A card for an imitator alone would say little, so there is a second candidate if at all possible.
+            if (len(candidates) > 1 and spent() + last > PILOTS) or (len(candidates) == 1 and spent() > SECOND):
                 break
             begun = self.left()
             found = self._pilot(candidate, hidden, log)
-            others = [1.0, *[DEARER] * (ENOUGH - 1)]
-            if found and not candidates and self._steps(0.5 * self.left(), [found.rate / each for each in others]) < WORTH:
-                hidden, found = SMALL, self._pilot(candidate, SMALL, log)
+            if found and not candidates and hidden == LARGE:
+                rates = [found.rate, *[found.rate / DEARER] * (ENOUGH - 1)]
+                if self._steps(0.5 * self.left(), rates) < WORTH:
+                    hidden, found = SMALL, self._pilot(candidate, SMALL, log)
             last = (begun - self.left()) / max(whole, 1e-9)
             if found is None:
                 self.send("line", f"pilot: {candidate.name} is left out, its numbers go bad on this log")
@@ -411,8 +417,9 @@ def attempt(job: Job, send: Callable[[str, Any], None]) -> None:
     except Unfinished as error:
         send("unfinished", str(error))
     except Exception as error:  # noqa: BLE001 - whatever it is, the card says it
-        traceback.print_exc()
-        send("fault", f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+        with contextlib.suppress(OSError):
+            (Path(job.out) / FAULT).write_text(traceback.format_exc())
+        send("fault", f"{type(error).__name__}: {' '.join(str(error).split())[:300]} ({FAULT} has all of it)")
 
 
 def main() -> None:
@@ -431,6 +438,7 @@ def main() -> None:
             pipe.write(json.dumps({what: value}) + "\n")
             pipe.flush()
 
+    warnings.showwarning = lambda message, *rest, **options: send("line", f"warning: {message}")
     threading.Thread(target=orphaned, daemon=True).start()
     attempt(job, send)
     pipe.flush()

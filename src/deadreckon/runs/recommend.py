@@ -12,6 +12,7 @@ import os
 import queue
 import shlex
 import shutil
+import site
 import subprocess
 import sys
 import threading
@@ -34,7 +35,7 @@ from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.offline import NAME, checked, supports
 from deadreckon.runs.train import Run, load
 
-COMMAND = (sys.executable, "-m", "deadreckon.runs.attempt")
+COMMAND = (sys.executable, "-P", "-m", "deadreckon.runs.attempt")  # -P: files beside the user are no modules
 RESERVE, SHORT, LONG = 0.05, 2.0, 15.0  # share of the time that is kept for the card, and its bounds in seconds
 SCANT = 0.3  # the reserve is never more than this share
 LEARNING = 0.6  # share of the rest for learning, as planned before anything is known
@@ -241,11 +242,9 @@ def _followed(
     """Lets the job be done until it is done or the time is over."""
     found, done = Found({}), False
     lines: queue.Queue[str | None] = queue.Queue()
-    root = str(Path(deadreckon.__file__).parent.parent)
-    paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     process = subprocess.Popen(
         COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8",
-        env=os.environ | {"PYTHONPATH": paths},
+        env=_environment(),
         start_new_session=True,  # an interruption from the keyboard reaches this process alone, which ends the other
     )  # fmt: skip
     assert process.stdin is not None
@@ -292,6 +291,14 @@ def _followed(
         with contextlib.suppress(OSError):
             process.stdin.close()
     return found
+
+
+def _environment() -> dict[str, str]:
+    """Of the working process, in which the package is the one that is running here, also where it is not installed."""
+    root = str(Path(deadreckon.__file__).parent.parent)
+    if root in (*site.getsitepackages(), site.getusersitepackages()):
+        return dict(os.environ)
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
 
 
 def _read(stream: IO[str], lines: "queue.Queue[str | None]") -> None:
