@@ -263,6 +263,7 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
     monkeypatch.setattr(Attempt, "_pilot", pilot)
     monkeypatch.setattr(work, "LEAST", 1e-9)
     monkeypatch.setattr(work, "LATE", 1e9)
+    monkeypatch.setattr(work, "LOOKS", 1e-9)  # one update at a time
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 60)
     sent, out = attempt(tmp_path, a_log())
     lines = of(sent, "line")
