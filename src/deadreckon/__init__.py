@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from deadreckon.data.designs import Designs
     from deadreckon.data.io import read
     from deadreckon.policies.library import load_policies
+    from deadreckon.report.recommended import recommend
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.online import train_online
-    from deadreckon.runs.recommend import recommend
     from deadreckon.runs.train import Run, train, train_together
     from deadreckon.runs.train import load as load_run
 
@@ -44,7 +44,7 @@ _HOMES = {
     "load_policies": ("policies.library", "load_policies"),
     "load_run": ("runs.train", "load"),
     "read": ("data.io", "read"),
-    "recommend": ("runs.recommend", "recommend"),
+    "recommend": ("report.recommended", "recommend"),
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
     "train_together": ("runs.train", "train_together"),

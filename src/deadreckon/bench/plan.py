@@ -20,7 +20,7 @@ from deadreckon.files import digest, home
 # Parts of the package that no number depends on.
 UNUSED = (
     "cli", "report", "bench/published", "bench/statistics.py", "bench/suites", "bench/tables.py", "bench/times.py",
-    "bench/tune.py", "runs/recommend.py", "runs/durations.py", "agents/spaces.json",
+    "bench/tune.py", "runs/recommend.py", "runs/attempt.py", "runs/durations.py", "agents/spaces.json",
 )  # fmt: skip
 MOST = 64  # lanes of a program where nobody says how many: no more were measured (benchmarks/lanes.py)
 SOURCES = (".py", ".json", ".xml", ".npz", ".csv")  # policies that make logs among them

@@ -1,43 +1,51 @@
 """`deadreckon recommend`: a log and so much time in, a decision card out."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from deadreckon.cli.data import Mapping
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
+from deadreckon.cli.train import columns_of, holdout_of
 
 
 @dataclass
 class Recommend:
-    """Try agents and settings on a log, estimate them from it alone, and say whether to deploy which; says first how long."""
+    """Try agents and settings on a log, judge them by held-out episodes of it, and say in time whether to deploy which."""
 
     data: Annotated[str, tyro.conf.Positional]  # log: a name of the catalogue, or a file
-    budget: str = "30m"  # time for everything: 90s, 30m, 2h
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
+    budget: str = "30m"  # time for everything: 90s, 30m, 2h; there is a card when it is over, whatever happened
     task: str | None = None  # simulator to check the choice in; None: that of a known log, and none for others
     discount: float = 0.99  # of the returns
     seed: int = 0  # of everything random
     out: str = "runs/recommend"  # folder of the runs, the estimates and report.html; must not be there yet
+    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
+    """of the episodes, not learned from, by which the card judges; None: 0.2"""
+    holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
+    """at random, the latest, or all episodes of some users, sites, ... of this column together; None: at random"""
+    accept_model_based: bool = False  # deploy also by estimates that no logged reward corrects
 
 
 def recommend(args: Sequence[str]) -> None:
     """Recommends and prints the card."""
+    began = time.perf_counter()  # loading the libraries counts
     options = parse(Recommend, args, "recommend")
-    from deadreckon.report import write
-    from deadreckon.runs import recommend as found
-    from deadreckon.runs.durations import in_words
-    from deadreckon.runs.offline import checked, supports
+    from deadreckon.report import recommended
+    from deadreckon.runs.durations import in_words, seconds_of
 
+    seconds_of(options.budget)
     with Watch() as watch:
-        result = found.recommend(
+        result = recommended.recommend(
             options.data, options.budget, task=options.task, discount=options.discount, seed=options.seed, out=options.out,
-            tell=lambda line: print(line, flush=True), watch=watch,
+            holdout=holdout_of(options.holdout, options.holdout_by), accept_model_based=options.accept_model_based,
+            columns=columns_of(options.map, options.holdout_by), tell=lambda line: print(line, flush=True), watch=watch,
+            began=began,
         )  # fmt: skip
-    page = write(result.runs, Path(options.out) / "report.html", estimates=options.out)
-    print(f"\n{result.judged.estimates[0]}\n\n{supports(result.judged.told)}\n\n{result.judged.choice}")
-    if result.judged.told["truth"] is not None:
-        print(f"checked: {checked(result.judged.told)}")
-    print(f"\ntook {in_words(result.seconds)} of {options.budget}; report: {page}")
+    print(f"\n{result}\n\ntook {in_words(result.seconds)} of {options.budget}; report: {result.path / recommended.PAGE}")
+    if result.failed:
+        raise SystemExit(1)

@@ -122,7 +122,7 @@ def _train(name, parsed, preset):
 
     log = load(
         options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon,
-        **_columns(options.map, options.holdout_by),
+        **columns_of(options.map, options.holdout_by),
     )  # fmt: skip
     for text in log.warnings:
         print(f"{log.name}: {text}")
@@ -137,14 +137,14 @@ def _train(name, parsed, preset):
             "watch": lambda progress, steps: bar(progress.step, steps, _note(progress)),
         }  # fmt: skip
         if options.cross_fit is None:
-            return run_training(parsed.agent, log, holdout=_holdout(options.holdout, options.holdout_by), **asked)
+            return run_training(parsed.agent, log, holdout=holdout_of(options.holdout, options.holdout_by), **asked)
         from deadreckon.runs.crossfit import cross_fit
 
         by = options.holdout_by or "random"
         return cross_fit(parsed.agent, log, folds=options.cross_fit, by=by, deliver=options.deliver, **asked)
 
 
-def _columns(given: Mapping, by: str | None) -> dict[str, Any]:
+def columns_of(given: Mapping, by: str | None) -> dict[str, Any]:
     """The mapping of a table, in which the column to hold out by is kept and not observed."""
     named = mapping_options(given)
     if named and by not in (None, "random", "time"):
@@ -152,7 +152,7 @@ def _columns(given: Mapping, by: str | None) -> dict[str, Any]:
     return named
 
 
-def _holdout(share: float | None, by: str | None):
+def holdout_of(share: float | None, by: str | None):
     """As `runs.train.train` takes it."""
     from deadreckon.data.split import Holdout
 

@@ -305,9 +305,17 @@ class Case:
         dealt = np.random.default_rng([self.seed, 9]).permutation(np.arange(clusters) % min(count, clusters))
         return dealt[own]
 
-    def teaching(self) -> "Case | None":
-        """The episodes that are not judged, as a case with the same policies; None where all are."""
+    def teaching(self, rows: int | None = None) -> "Case | None":
+        """The episodes that are not judged, as a case with the same policies; None where all are.
+
+        Args:
+            rows: of them; where there are more, a random part of the episodes with about so many. None: all.
+        """
         others = np.setdiff1d(np.arange(self._given.episodes), self.held)
+        if rows is not None and (lengths := self._given.lengths[others]).sum() > rows:
+            drawn = np.random.default_rng([self.seed, 13]).permutation(len(others))
+            others = np.sort(others[drawn[: max(int(np.searchsorted(np.cumsum(lengths[drawn]), rows)), 1)]])
+            return self.once(("teaching", rows), lambda: self._beside(others))
         return self.once("teaching", lambda: self._beside(others)) if len(others) else None
 
     def whole(self) -> "Case":

@@ -29,6 +29,7 @@ class Features:
 
     def __init__(self, log: Dataset, cosines: int, seed: int):
         spec = log.spec
+        self.cosines = cosines
         self.view, self.discrete = View.of(spec, standardise=True), spec.discrete
         p, self.actions = spec.observation_size, spec.action_size
         rng = np.random.default_rng([seed, 6])
@@ -42,7 +43,7 @@ class Features:
         phases = rng.uniform(0, 2 * np.pi, (self.actions if self.discrete else 1, cosines)).astype(np.float32)
         if self.discrete:  # a quarter of them does not depend on the action
             phases[:, ::4] = phases[:1, ::4]
-        self.phase_cos, self.phase_sin = np.cos(phases), np.sin(phases)
+        self.phases, self.phase_cos, self.phase_sin = phases, np.cos(phases), np.sin(phases)
         self.amplitude = np.float32(np.sqrt(2.0 / cosines))
         if self.discrete:
             self.crossed = self.actions * p <= PRODUCTS
@@ -117,8 +118,10 @@ class Features:
 
     def _continuous(self, seen: np.ndarray, unit: np.ndarray) -> np.ndarray:
         inputs = np.concatenate([seen, unit], 1)
-        angle = inputs @ self.frequencies
-        waves = self.amplitude * (np.cos(angle) * self.phase_cos - np.sin(angle) * self.phase_sin)
+        waves = inputs @ self.frequencies  # in place: these are most of the numbers, and most of the time
+        waves += self.phases
+        np.cos(waves, out=waves)
+        waves *= self.amplitude
         parts = [np.ones((len(inputs), 1), np.float32), inputs]
         if self.crossed:
             parts.append(inputs[:, self.pairs[0]] * inputs[:, self.pairs[1]])

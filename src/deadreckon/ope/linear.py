@@ -32,6 +32,9 @@ PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-
 REDRAWS = 200
 GROUPS = 100  # of units that are redrawn
 ROOM = 1e9  # bytes of sums above which there are fewer groups
+# Rows of episodes that are not judged, from which critics out of fold learn beside the judged ones: a few hundred weights are
+# settled by far fewer, and every row costs as many features as there are policies and samples. Judged rows are all used.
+TAUGHT = 40_000
 
 
 class Critic(NamedTuple):
@@ -294,14 +297,11 @@ class Fit:
             marginal: the ratios of occupancies too, of the same folds.
         """
         case = self.case
-        fold, teach = case.folds(folds), case.teaching()
+        fold = case.folds(folds)
         folds = int(fold.max()) + 1
-        judged = self.sums(case, fold, folds, start=marginal)
-        if teach is not None:
-            part = np.random.default_rng([case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
-            more = self.sums(teach, part, PARTS, start=marginal)
-            both = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
-            judged = replace(judged, **both, low=min(judged.low, more.low), high=max(judged.high, more.high))
+        # The same for all doubly robust estimators of a case, and most of what they cost.
+        key = ("sums", self.features.cosines, self.samples, folds, marginal)
+        judged: Sums = case.once(key, lambda: self._judged_and_taught(fold, folds, marginal))
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
         count = case.count
         out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
@@ -318,6 +318,16 @@ class Fit:
                 critics.append(self.critic(judged, weight, i, ridges[key]))
             self.tell(out, fold, k, critics, (judged.low, judged.high))
         return out
+
+    def _judged_and_taught(self, fold: np.ndarray, folds: int, start: bool) -> Sums:
+        """Of the judged episodes by fold, and behind them of the others, if any, in `PARTS` groups."""
+        judged, teach = self.sums(self.case, fold, folds, start=start), self.case.teaching(TAUGHT)
+        if teach is None:
+            return judged
+        part = np.random.default_rng([self.case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
+        more = self.sums(teach, part, PARTS, start=start)
+        both = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
+        return replace(judged, **both, low=min(judged.low, more.low), high=max(judged.high, more.high))
 
     def tell(self, out: OutOfFold, fold: np.ndarray, k: int, critics: Sequence[Critic], bounds: tuple[float, float]) -> None:
         """Notes what the critics of one fold say of its episodes, and how well they fit some of the rows that taught them.

@@ -43,7 +43,7 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
     if given is None and before is not None:
         asked = _read(before.get("data", {}).get("holdout"))
     elif given is None:
-        asked = None if judge is not None else _usual(log)
+        asked = None if judge is not None else usual(log)
     elif isinstance(given, Holdout | Fold):
         asked = given
     else:
@@ -73,8 +73,11 @@ def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
     return tried.learning, rest.select(np.flatnonzero(np.isin(rest.episode_ids, tried.held)))
 
 
-def _usual(log: Dataset) -> Holdout:
-    """A fifth; of a memory-mapped log the latest, because a random part would be copied into memory."""
+def usual(log: Dataset) -> Holdout:
+    """What is held out where nobody says otherwise.
+
+    A fifth; of a memory-mapped log the latest, because a random part would be copied into memory.
+    """
     return Holdout(by=TIME) if isinstance(log.observations, np.memmap) else Holdout()
 
 

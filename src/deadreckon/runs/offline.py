@@ -237,11 +237,9 @@ def judge(
     truth = None
     if task is not None:
         acting = [g.policy[0].policy if isinstance(g.policy, tuple) else g.policy for g in found]
-        seen = evaluate(
+        truth = simulated(
             acting, task, episodes=episodes, seed=seed, greedy=greedy, discount=discount, horizon=case.estimand.horizon
-        ).discounted
-        errors = seen.std(1, ddof=1) / np.sqrt(episodes)
-        truth = {"task": task.name, "episodes": episodes, "mean": seen.mean(1).tolist(), "error": errors.tolist()}
+        )
     shares = lambda x: [None if np.isnan(share) else float(share) for share in x]  # noqa: E731
     told = {
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": seed, "truth": truth,
@@ -266,6 +264,13 @@ def judge(
     if out is not None:
         write_json(Path(out) / NAME, told)
     return Judged(results, choice, told)
+
+
+def simulated(policies: Sequence[Any], task: Task, *, episodes: int, **options: Any) -> dict[str, Any]:
+    """What policies are worth in a simulator, as `estimates.json` holds it; `options` are those of `evaluate`."""
+    seen = evaluate(policies, task, episodes=episodes, **options).discounted
+    errors = seen.std(1, ddof=1) / np.sqrt(episodes)
+    return {"task": task.name, "episodes": episodes, "mean": seen.mean(1).tolist(), "error": errors.tolist()}
 
 
 def _acting(g: Gathered, data: Dataset) -> Any:
@@ -333,6 +338,8 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
     told = read_json(path)
     if "estimand" not in told:
         raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
+    if not told["results"]:
+        raise UserError(f"{path} holds no estimates: {told['choice']['reason']}")
     return told
 
 

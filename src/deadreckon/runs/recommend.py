@@ -1,108 +1,47 @@
-"""From a log and so much time to a decision: which agents to try, how long, and what their policies are worth."""
+"""From a log and so much time to a decision: which agents to try, how long, and what their policies are worth.
 
-import dataclasses
+The work is done by a process of its own (`runs.attempt`), because nothing else can be ended at any moment. This side knows the
+clock: it says how the time is divided, passes on what the other tells, ends it where time is over, and sees to it that there is
+a card in any case, if need be one that says how far the work came and how much time would do.
+"""
+
+import contextlib
+import json
+import math
+import os
+import queue
 import shlex
+import shutil
+import site
+import subprocess
+import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-import jax
 import numpy as np
 
-from deadreckon.agents import agent_class
-from deadreckon.agents.agent import Agent
-from deadreckon.data import catalogue
-from deadreckon.data.batch import Rows
+import deadreckon
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.folder import write_folder
+from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
-from deadreckon.ope.estimate import BehaviorModel, Case
-from deadreckon.ope.fqe import FQE
-from deadreckon.policies.policy import Deployed
+from deadreckon.files import read_json, write_json
+from deadreckon.ope.select import Choice
 from deadreckon.runs.durations import in_words, seconds_of
-from deadreckon.runs.offline import Judged, judge
-from deadreckon.runs.recorder import Enough
-from deadreckon.runs.train import Run, judge_of, train
-from deadreckon.training.fit import Fit, Progress
+from deadreckon.runs.offline import NAME, checked, supports
+from deadreckon.runs.train import Run, load
 
-
-@dataclass(frozen=True)
-class Candidate:
-    """An agent with settings that is worth a try.
-
-    Attributes:
-        name: in tables and of its run folder.
-        agent: its registered name.
-        fields: settings that differ from its defaults.
-        why: in a few words.
-    """
-
-    name: str
-    agent: str
-    fields: dict[str, Any]
-    why: str
-
-
-# In the order in which they are worth their time; more time tries more of them. All are cheap: an hour is better spent on
-# more updates of these than on agents that draw ten actions a row. The settings are those that their papers vary.
-CONTINUOUS = (
-    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
-    Candidate("td3_bc", "td3_bc", {}, "stays near the logged actions, improves where the values are sure"),
-    Candidate("iql", "iql", {}, "weighs logged actions by their advantage; joins parts of episodes"),
-    Candidate("td3_bc-loose", "td3_bc", {"alpha": 10.0}, "for logs of poor or varied behaviour"),
-    Candidate("iql-bold", "iql", {"expectile": 0.9, "sharpness": 10.0}, "for rewards that are rare"),
-    Candidate("awac", "awac", {}, "advantage-weighted imitation with a policy's own values"),
-    Candidate("td3_bc-close", "td3_bc", {"alpha": 1.0}, "for narrow logs of good behaviour"),
-    Candidate("rebrac", "rebrac", {"batch_size": 256}, "TD3+BC with penalised targets and normalised critics"),
-)
-DISCRETE = (
-    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
-    Candidate("iql", "iql", {}, "weighs logged actions by their advantage"),
-    Candidate("cql", "cql", {"conservatism": 1.0}, "values of actions that the log lacks are pushed down"),
-    Candidate("bcq", "bcq", {}, "takes the best among actions that the log takes often enough"),
-    Candidate("iql-bold", "iql", {"expectile": 0.9, "sharpness": 10.0}, "for rewards that are rare"),
-    Candidate("cql-strict", "cql", {"conservatism": 5.0}, "for logs that show few actions a state"),
-)
-CHUNK, TOLD = 200, 100  # updates between two looks at the clock, of agents and of the pilot's FQE
-FEWEST, MOST = 1_000, 100_000  # updates of a candidate: with fewer nothing is told
-WORTH = 10_000  # updates that each should have before another candidate is tried
-ENOUGH = 3  # candidates that should be tried, with small networks if need be
-LARGE, SMALL = (256, 256), (64, 64)  # networks
-PILOT = 0.2  # share of the budget after which the pilot looks no further
-SHARES = {"train": 0.55, "estimate": 0.25}  # of what the pilot leaves; the rest is for coverage, the page and what takes longer
-SAFETY = 0.85  # of a share is planned with: machines have moods
-FEWEST_FITS = 1_000  # updates of FQE: with fewer its values have not left where they began
-MEMBERS = 5  # critics a policy in FQE, whose spread is the interval
-EPISODES = 20  # in the simulator, where there is one
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What will be done, and how long it will take.
-
-    Attributes:
-        candidates: that are tried.
-        hidden: width of their layers.
-        steps: updates of each.
-        rates: of each, updates a second as the pilot found them.
-        estimates: updates of FQE.
-        seconds: expected, from now to the end.
-    """
-
-    candidates: tuple[Candidate, ...]
-    hidden: tuple[int, ...]
-    steps: int
-    rates: tuple[float, ...]
-    estimates: int
-    seconds: float
-
-    def __str__(self) -> str:
-        width = max(len(each.name) for each in self.candidates)
-        took = [in_words(self.steps / rate) for rate in self.rates]
-        lines = [f"  {each.name:<{width}}  {time:>6}  {each.why}" for each, time in zip(self.candidates, took)]
-        head = f"{len(lines)} candidates of {self.steps:,} updates, networks of {', '.join(map(str, self.hidden))}"
-        return "\n".join([f"about {in_words(self.seconds)}: {head}, then FQE of {self.estimates:,} updates", *lines])
+COMMAND = (sys.executable, "-P", "-m", "deadreckon.runs.attempt")  # -P: files beside the user are no modules
+RESERVE, SHORT, LONG = 0.05, 2.0, 15.0  # share of the time that is kept for the card, and its bounds in seconds
+SCANT = 0.3  # the reserve is never more than this share
+LEARNING = 0.6  # share of the rest for learning, as planned before anything is known
+EVER = 4.0  # times the budget is proposed where nothing is known of what would do
+LOG = ".log"  # folder of a log that was given in memory
+MANY_DIGITS = 10  # columns of a number
 
 
 @dataclass(frozen=True)
@@ -110,16 +49,37 @@ class Recommendation:
     """What came of it.
 
     Attributes:
-        plan: what was tried.
-        runs: one a candidate.
-        judged: estimates of all their policies, and the choice among them.
+        path: folder of the runs and of `estimates.json`.
+        told: what is in `estimates.json`; under "recommend", what was tried and how far it came.
         seconds: that it took.
     """
 
-    plan: Plan
-    runs: list[Run]
-    judged: Judged
+    path: Path
+    told: dict[str, Any]
     seconds: float
+
+    @property
+    def judged(self) -> bool:
+        """Whether policies were judged; otherwise the card says what was missing."""
+        return bool(self.told["results"])
+
+    @property
+    def failed(self) -> bool:
+        """Whether it was ended by an error, of which the card has the reason."""
+        return self.told["recommend"]["failed"]
+
+    @property
+    def choice(self) -> Choice:
+        """The decision."""
+        return _choice(self.told)
+
+    @property
+    def runs(self) -> list[Run]:
+        """One of each candidate that has learned."""
+        return [load(self.path / each["name"]) for each in self.told["recommend"]["candidates"] if each["state"] == "learned"]
+
+    def __str__(self) -> str:
+        return card(self.told)
 
 
 def recommend(
@@ -130,164 +90,323 @@ def recommend(
     discount: float = 0.99,
     seed: int = 0,
     out: Path | str = "runs/recommend",
+    holdout: Holdout | float | None = None,
+    accept_model_based: bool = False,
+    columns: dict[str, Any] | None = None,
+    page: Callable[[Path, bool], Any] | None = None,
     tell: Callable[[str], None] = lambda line: None,
     watch: Callable[[str, int, int], None] = lambda what, step, steps: None,
+    began: float | None = None,
 ) -> Recommendation:
-    """Tries agents and settings on a log, estimates all of them from the log alone, and says whether to deploy which.
+    """Tries agents and settings on a log, judges all of them by episodes that taught none, and says whether to deploy which.
 
-    A pilot measures how fast each candidate learns here; then it is said how long it will take, and done. The better of the
-    settings are found by the estimates, never by a simulator. Where there is one, the choice is checked in it afterwards.
+    There is a card when the time is over, whatever happened: where there was not time enough it says so, and how far the work
+    came. Candidates, settings and the amount of training follow from the log's design and from measured speed alone, never from
+    rewards of the held-out episodes. Where there is a simulator, the choice is checked in it afterwards, if time is left.
 
     Args:
         data: a log, the name of a known one, or a file.
-        budget: seconds, or a time such as `30m`; all together, from the pilot to the card.
+        budget: seconds, or a time such as `30m`; all together, from reading the log to the card.
         task: simulator to check the choice in; None: that of a known log, and none for others.
         discount: of the returns.
         seed: of everything random.
-        out: folder of the runs and of `estimates.json`; must not be there yet.
-        tell: gets lines as they come: the plan first.
+        out: folder of the runs, of `estimates.json` and of the page; must not be there yet.
+        holdout: episodes that nothing learns from and the card judges by; None: a fifth at random, of a memory-mapped log the
+            latest.
+        accept_model_based: deploy also by estimates that no logged reward corrects.
+        columns: for tables, which column is what; see `Dataset.from_frame`.
+        page: writes a page from the folder; gets whether it has to be quick. None: there is none.
+        tell: gets lines as they come: how the time is divided first.
         watch: called while something is fitted, with its name, updates done and in all.
+        began: when the time began to count, by `time.perf_counter()`; None: now.
 
     Raises:
-        UserError: a log or budget that does not fit, or a budget that is too short for anything, in one line.
+        UserError: a log or options that do not fit, in one line; nothing is written then.
     """
-    began = time.perf_counter()
-    limit = seconds_of(budget) if isinstance(budget, str) else float(budget)
-    left = lambda: limit - (time.perf_counter() - began)  # noqa: E731
+    clock = Clock.of(budget, began)
+    if not 0.0 <= discount < 1.0:
+        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+    if holdout is not None and not isinstance(holdout, Holdout):
+        holdout = Holdout(float(holdout))
+    if holdout is not None and not 0 < holdout.share < 1:
+        raise UserError(f"the share held out must lie between 0 and 1, got {holdout.share}: the card judges by it")
     out = Path(out)
     if out.exists():
         raise UserError(f"{out} is there already; give another --out")
-    log = data if isinstance(data, Dataset) else catalogue.load(data)
-    if not 0.0 <= discount < 1.0:
-        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
-    judge_in = judge_of(log, task)
-    log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
-    plan = _plan(log, left, discount, seed, tell)
-    tell(str(plan))
+    if not isinstance(data, Dataset) and not isinstance(data, Path) and not str(data):
+        raise UserError("no log is named")
+    tell(clock.divided())
+    given, options = str(data), dict(columns or {})
+    try:
+        if isinstance(data, Dataset):
+            given = str(out / LOG)
+            write_folder(data, given)
+            options = {"mmap": isinstance(data.observations, np.memmap)}
+        else:
+            try:
+                out.mkdir(parents=True)
+            except OSError as error:
+                raise UserError(f"cannot write {out}: {error.strerror or error}") from error
+        job = {
+            "data": given, "columns": options, "task": task, "discount": discount, "seed": seed, "out": str(out),
+            "holdout": None if holdout is None else holdout.told(), "accept": accept_model_based, "budget": clock.budget,
+            "began": time.time() - clock.spent(), "end": time.time() + clock.left(),
+        }  # fmt: skip
+        found = _followed(job, clock, tell, watch)
+    finally:
+        shutil.rmtree(out / LOG, ignore_errors=True)
+    if found.refused and not found.state.get("candidates"):
+        shutil.rmtree(out, ignore_errors=True)
+        raise UserError(found.refused)
+    name = data.name if isinstance(data, Dataset) else found.state.get("log", str(data))
+    again = None if isinstance(data, Dataset) or columns else str(data)
+    told = _written(out, name, again, found, clock)
+    if page is not None:
+        page(out, True)
+        if told["results"] and clock.spent() < clock.budget:
+            try:
+                page(out, False)
+            except Exception as error:  # noqa: BLE001 - the card is there, and counts more than its pictures
+                tell(f"report.html has the card alone; its pictures failed with {type(error).__name__}: {error}")
+    return Recommendation(out, told, clock.spent())
 
-    costs, training = [1.0 / rate for rate in plan.rates], SHARES["train"] * left()
-    ends = time.perf_counter() + training * np.cumsum(costs) / sum(costs)
 
-    def learned(candidate: Candidate, end: float) -> Run:
-        def look(progress: Progress, steps: int) -> None:
-            watch(candidate.name, progress.step, steps)
-            if time.perf_counter() > end:
-                raise Enough
+@dataclass(frozen=True)
+class Clock:
+    """How much time there is, in seconds.
 
-        return train(
-            _agent(candidate, plan.hidden, discount), log, steps=plan.steps, seed=seed, task=judge_in, watch=look,
-            out=out / candidate.name, evaluate_every=plan.steps, episodes=EPISODES, chunk=CHUNK,
-        )  # fmt: skip
+    Attributes:
+        budget: in all.
+        began: by `time.perf_counter()`.
+        reserve: of it, for the card.
+    """
 
-    runs = []
-    for candidate, end in zip(plan.candidates, ends):
-        run = learned(candidate, end)
-        if failure := run.failures[0]:
-            tell(f"{candidate.name} is left out: its {failure.metric} was not finite at update {failure.step}")
-            continue
-        if run.config["steps"] < plan.steps:
-            tell(f"{candidate.name} was ended after {run.config['steps']:,} updates: its time was over")
-        runs.append(run)
-    if not runs:
-        raise UserError(f"no candidate learned anything from {log.name}: the numbers of all of them went bad")
+    budget: float
+    began: float
+    reserve: float
 
-    def in_time(what: str, step: int, steps: int) -> None:
-        watch(what, step, steps)
-        if left() < 0:
-            given = log.name if isinstance(data, Dataset) else data
-            words = ["deadreckon", "ope", "--data", given, "--policies", *(run.path for run in runs), "--estimators", "fqe",
-                     "--greedy", "--discount", discount, "--steps", plan.estimates, "--members", MEMBERS,
-                     "--hidden", *plan.hidden, "--select"]  # fmt: skip
-            raise UserError(f"the {in_words(limit)} are over before {what} is; this goes on: {shlex.join(map(str, words))}")
+    @classmethod
+    def of(cls, budget: float | str, began: float | None) -> "Clock":
+        """Reads the budget.
 
-    model = BehaviorModel(hidden=plan.hidden, lr=1e-3, steps=max(TOLD, plan.estimates // 4))
-    judged = judge(
-        runs, log, [_estimator(plan.hidden, plan.estimates)], out=out, task=judge_in, episodes=EPISODES, discount=discount,
-        greedy=True, seed=seed, model=model, watch=in_time,
+        Raises:
+            UserError: it is no time, or none at all.
+        """
+        seconds = seconds_of(budget) if isinstance(budget, str) else float(budget)
+        if not 0 < seconds < math.inf:
+            raise UserError(f"the budget must be more than nothing, got {budget} seconds")
+        reserve = min(min(max(RESERVE * seconds, SHORT), LONG), SCANT * seconds)
+        return cls(seconds, time.perf_counter() if began is None else began, reserve)
+
+    def spent(self) -> float:
+        """Since it began."""
+        return time.perf_counter() - self.began
+
+    def left(self) -> float:
+        """Until the work must end."""
+        return self.budget - self.reserve - self.spent()
+
+    def divided(self) -> str:
+        """How the time is planned, before anything is known."""
+        work = self.budget - self.reserve
+        parts = [LEARNING * work, (1 - LEARNING) * work, self.reserve]
+        learning, judging, reserve = map(in_words, parts)
+        return (
+            f"a card in {in_words(self.budget)} at the latest: about {learning} for pilots and learning, {judging} for judging "
+            f"on held-out episodes, {reserve} in reserve; pilots measure what this log needs on this machine"
+        )
+
+
+@dataclass
+class Found:
+    """What the working process told.
+
+    Attributes:
+        state: the latest of each thing.
+        late: it was ended because the time was over.
+        refused: input that does not fit.
+        unfinished: why there is nothing to judge.
+        fault: an error, or how the process ended.
+    """
+
+    state: dict[str, Any]
+    late: bool = False
+    refused: str | None = None
+    unfinished: str | None = None
+    fault: str | None = None
+
+
+def _followed(
+    job: dict[str, Any], clock: Clock, tell: Callable[[str], None], watch: Callable[[str, int, int], None]
+) -> Found:
+    """Lets the job be done until it is done or the time is over."""
+    found, done = Found({}), False
+    lines: queue.Queue[str | None] = queue.Queue()
+    process = subprocess.Popen(
+        COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8",
+        env=_environment(),
+        start_new_session=True,  # an interruption from the keyboard reaches this process alone, which ends the other
     )  # fmt: skip
-    return Recommendation(plan, runs, judged, limit - left())
-
-
-def _agent(candidate: Candidate, hidden: tuple[int, ...], discount: float) -> Agent:
-    kind = agent_class(candidate.agent)
-    own = {f.name for f in dataclasses.fields(kind)}
-    common = {name: value for name, value in {"hidden": hidden, "discount": discount}.items() if name in own}
-    return kind(**common | candidate.fields)
-
-
-def _estimator(hidden: tuple[int, ...], steps: int) -> FQE:
-    return FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, target_rate=0.02)
-
-
-def _plan(log: Dataset, left: Callable[[], float], discount: float, seed: int, tell: Callable[[str], None]) -> Plan:
-    """How many candidates, which networks and how many updates fit, by the pilot's rates."""
-    whole = left()
-    candidates: list[Candidate] = []
-    for hidden, fewest in ((LARGE, 1), (SMALL, ENOUGH)):
-        candidates, rates, policies = [], [], []
-        for candidate in DISCRETE if log.spec.discrete else CONTINUOUS:
-            if left() < (1.0 - 2.0 * PILOT) * whole:
-                break
-            found = _pilot(_agent(candidate, hidden, discount), log, seed)
-            if found is None:
-                tell(f"pilot: {candidate.name} is left out, its numbers go bad on this log")
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        threading.Thread(target=_read, args=(process.stdout, lines), daemon=True).start()
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(json.dumps(job) + "\n")
+            process.stdin.flush()
+        while True:
+            try:
+                left = clock.left()  # looked at for every line: there may always be one more
+                line = lines.get(timeout=left) if left > 0 else None
+            except queue.Empty:
                 continue
-            rate, policy = found
-            tell(f"pilot: {candidate.name}, {rate:,.0f} updates a second with networks of {hidden[0]}")
-            if len(candidates) >= fewest and _steps(left(), [*rates, rate]) < WORTH:
-                break  # more updates of the earlier ones are worth more
-            candidates, rates, policies = [*candidates, candidate], [*rates, rate], [*policies, policy]
-            if len(candidates) >= ENOUGH and left() < (1.0 - PILOT) * whole:
+            if left <= 0:
+                found.late = True
                 break
-        if len(candidates) >= ENOUGH and _steps(left(), rates) >= WORTH:
-            break
-    if not candidates:
-        raise UserError(f"{in_words(whole)} are over before a candidate of {log.name} is tried; give it more, such as 30m")
-    clock, before = _Clock(), time.perf_counter()
-    options = {"discount": discount, "seed": seed, "greedy": True, "logged": True}
-    _estimator(hidden, 10 * TOLD).on(Case(log, policies, **options, watch=clock))
-    # What the policies do at all rows is asked before FQE begins, and so is the compiler.
-    once = max(time.perf_counter() - before - 10 * TOLD / clock.rate, 0.0)
-    steps = min(_steps(left(), rates), MOST) // CHUNK * CHUNK
-    estimates = min(int((SAFETY * SHARES["estimate"] * left() - once) * clock.rate), MOST) // CHUNK * CHUNK
-    if steps < FEWEST or estimates < FEWEST_FITS:
-        learning = FEWEST * sum(1.0 / rate for rate in rates) / (SAFETY * SHARES["train"])
-        fitting = (FEWEST_FITS / clock.rate + once) / (SAFETY * SHARES["estimate"])
-        need = in_words(1.2 * (whole - left() + max(learning, fitting)))
-        raise UserError(f"{in_words(whole)} are too short for this log on this machine; give it {need} or more")
-    rest = (1.0 - sum(SHARES.values())) * left()
-    seconds = sum(steps / rate for rate in rates) + once + estimates / clock.rate + 0.5 * rest
-    return Plan(tuple(candidates), hidden, steps, tuple(rates), estimates, seconds)
+            if line is None:
+                break
+            for what, value in _message(line).items():
+                if what == "line":
+                    tell(value)
+                elif what == "watch":
+                    name, step, steps = value
+                    for each in found.state.get("candidates", []):
+                        if each["name"] == name and each["state"] == "learning":
+                            each["updates"] = step
+                    watch(name, step, steps)
+                elif what == "state":
+                    found.state |= value
+                elif what == "done":
+                    done = True
+                else:
+                    setattr(found, what, value)
+        if not (done or found.late or found.refused or found.unfinished or found.fault):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(max(clock.left(), 0.1))
+            found.fault = f"the process that did the work ended unexpectedly (exit code {process.poll()})"
+    finally:
+        process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+        with contextlib.suppress(OSError):
+            process.stdin.close()
+    return found
 
 
-def _steps(left: float, rates: Sequence[float]) -> int:
-    """Updates of each that fit into what is left."""
-    return int(SAFETY * SHARES["train"] * left / sum(1.0 / rate for rate in rates))
+def _environment() -> dict[str, str]:
+    """Of the working process, in which the package is the one that is running here, also where it is not installed."""
+    root = str(Path(deadreckon.__file__).parent.parent)
+    if root in (*site.getsitepackages(), site.getusersitepackages()):
+        return dict(os.environ)
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
 
 
-def _pilot(agent: Agent, log: Dataset, seed: int) -> tuple[float, Deployed] | None:
-    """Updates a second after the first chunk, which is compiled, and the policy as far as it is; None: its numbers go bad."""
-    agent = agent.resolve(log.spec, MOST)
-    fit, clock = Fit([agent], Rows(log, agent.needs(log.spec)), [seed], 3 * CHUNK, chunk=CHUNK), _Clock()
-    for progress in fit.chunks():
-        clock("", progress.step, fit.steps)
-    if any(fit.failures):
-        return None
-    state = jax.tree.map(lambda leaf: leaf[0], fit.states)
-    return clock.rate, Deployed.of(agent.policy(state), fit.rows.view)
+def _read(stream: IO[str], lines: "queue.Queue[str | None]") -> None:
+    with contextlib.suppress(ValueError, OSError):
+        for line in stream:
+            lines.put(line)
+    lines.put(None)
 
 
-class _Clock:
-    """Hears of chunks, and tells how fast they come after the first."""
+def _message(line: str) -> dict[str, Any]:
+    """A line of the working process; nothing of one that a kill cut short."""
+    try:
+        told = json.loads(line)
+    except json.JSONDecodeError:
+        return {}
+    known = ("line", "watch", "state", "done", "refused", "unfinished", "fault")
+    return {key: value for key, value in told.items() if key in known} if isinstance(told, dict) else {}
 
-    def __init__(self):
-        self.seen: list[tuple[float, int]] = []
 
-    def __call__(self, what: str, step: int, steps: int) -> None:
-        self.seen.append((time.perf_counter(), step))
+# ---- the card ---------------------------------------------------------------------------------------------------------
 
-    @property
-    def rate(self) -> float:
-        """Updates a second."""
-        (first, done), *_, (last, more) = self.seen
-        return (more - done) / (last - first)
+
+def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock) -> dict[str, Any]:
+    """`estimates.json`: the estimates, or why there are none; either way with what was tried."""
+    path = out / NAME
+    state = found.state
+    candidates = state.get("candidates", [])
+    told = read_json(path) if path.exists() else None
+    mine = {
+        "budget": clock.budget, "seconds": clock.spent(), "rows": state.get("rows"), "episodes": state.get("episodes"),
+        "candidates": candidates, "late": found.late, "failed": found.fault is not None,
+    }  # fmt: skip
+    if told is None:
+        told = _unjudged(out, log, again, found, clock)
+    elif found.fault is not None:
+        told["choice"]["warnings"].append(f"what follows judging was not done: {found.fault}")
+    told["recommend"] = mine
+    write_json(path, told)
+    return told
+
+
+def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock) -> dict[str, Any]:
+    """The card where no policy was judged: do not deploy, why not, what was found, and what would do."""
+    state, stage = found.state, found.state.get("stage", "starting")
+    candidates = state.get("candidates", [])
+    evidence = []
+    for each in candidates:
+        how = {"learning": "was learning", "diverged": "its numbers went bad", "not begun": "did not begin"}
+        updates = f", {each['updates']:,} of {each['planned']:,} updates" if each["planned"] else ""
+        evidence.append(f"{each['name']}: {how.get(each['state'], each['state'])}{updates}")
+    if found.refused or found.unfinished or found.fault:
+        reason = str(found.refused or found.unfinished or found.fault)
+    else:
+        learned = sum(each["state"] == "learned" for each in candidates)
+        of = f"{learned} of {len(candidates)} candidates have learned, none is judged"
+        came = of if candidates else "nothing has learned"
+        reason = f"not enough time: {in_words(clock.budget)} were over while {stage}; {came}"
+        evidence.append(f"to be done: {', '.join(_rest(stage, bool(candidates)))}")
+        evidence.append(f"a budget of {_enough(state, clock)} would do, as far as is known")
+    learned = [each for each in candidates if each["state"] == "learned"]
+    if learned and again is not None:
+        words = ["deadreckon", "ope", "--data", again, "--policies", *(str(out / each["name"]) for each in learned), "--select"]
+        evidence.append(f"this judges what has learned: {shlex.join(words)}")
+    choice = {
+        "name": None, "deploy": False, "gain": [None, None, None], "level": None, "reason": reason, "evidence": evidence,
+        "warnings": [], "objections": [],
+    }  # fmt: skip
+    return {"log": log, "estimand": None, "truth": None, "policies": [], "judged": None, "results": [], "choice": choice}
+
+
+def _rest(stage: str, planned: bool) -> list[str]:
+    order = ["starting", "reading the log", "pilots", "learning", "judging"]
+    at = order.index(stage) if stage in order else 0
+    return [each for each in order[max(at, 1) :] if each != "pilots" or not planned]
+
+
+def _enough(state: dict[str, Any], clock: Clock) -> str:
+    """A budget that should do, in whole minutes."""
+    need = state.get("need")
+    seconds = EVER * clock.budget if need is None else max(1.2 * need, 1.25 * clock.budget)
+    if state.get("stage") == "judging":  # which took longer than it was thought to
+        seconds = max(seconds, clock.budget + 2.0 * (time.time() - state["since"]))
+    return f"{max(math.ceil(seconds / 60), 2)}m"
+
+
+def _choice(told: dict[str, Any]) -> Choice:
+    choice = told["choice"]
+    difference, low, high = (math.nan if each is None else each for each in choice["gain"])
+    return Choice(
+        choice["name"] or "nothing", choice["deploy"], difference, low, high, choice["reason"], tuple(choice["evidence"]),
+        tuple(choice["warnings"]), objections=tuple(map(tuple, choice["objections"])),
+        **({} if choice["level"] is None else {"level": choice["level"]}),
+    )  # fmt: skip
+
+
+def card(told: dict[str, Any]) -> str:
+    """All that `estimates.json` says, for a terminal; the decision last."""
+    choice = str(_choice(told))
+    if not told["results"]:
+        return choice
+    first = told["results"][0]
+    names = [*(each["name"] for each in told["policies"]), "the log"]
+    width = max(map(len, names))
+    number = lambda x: "-" if x is None else f"{x:.2f}"  # noqa: E731
+    lines = [f"judged on {told['judged']['words']}", "", f"{first['title']}: {told['estimand']['words']}; 95 % intervals"]
+    for name, value, low, high in zip(names, first["value"], first["low"], first["high"]):
+        lines.append(f"  {name:<{width}}  {number(value):>{MANY_DIGITS}} [{number(low)}, {number(high)}]")
+    lines += ["", supports(told), "", choice]
+    if told["truth"] is not None:
+        lines.append(f"checked: {checked(told)}")
+    return "\n".join(lines)

@@ -5,7 +5,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -85,7 +85,7 @@ def train(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | None = None,
+    task: Task | str | Literal[False] | None = None,
     out: Path | str | None = None,
     evaluate_every: int | None = None,
     episodes: int = 20,
@@ -104,7 +104,7 @@ def train(
         steps: updates.
         seeds: how many: `seed` .. `seed + seeds - 1`.
         seed: the first.
-        task: the simulator to evaluate in; None takes that of a known log, and none for others.
+        task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
         evaluate_every: updates between evaluations; None is a tenth of the run. The last update is always evaluated.
         episodes: an evaluation.
@@ -140,7 +140,7 @@ def train_together(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | None = None,
+    task: Task | str | Literal[False] | None = None,
     evaluate_every: int | None = None,
     episodes: int = 20,
     chunk: int = 1000,
@@ -192,8 +192,8 @@ def train_together(
 
 
 def _train(
-    asked: Mapping[Path, Sequence[Agent]], out: Path, log: Dataset, *, steps: int, seed: int, task: Task | str | None,
-    evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool | None, strict: bool,
+    asked: Mapping[Path, Sequence[Agent]], out: Path, log: Dataset, *, steps: int, seed: int,
+    task: Task | str | Literal[False] | None, evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool | None, strict: bool,
     holdout: Holdout | Fold | float | None, watch: Watcher,
 ) -> list[Run]:  # fmt: skip
     """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
@@ -276,12 +276,14 @@ def load(path: Path | str) -> Run:
     return Run(folder.path, config, config["seeds"], policies, failures)
 
 
-def judge_of(log: Dataset, task: Task | str | None) -> Task | None:
+def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | None:
     """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
 
     Raises:
         UserError: it shows other observations than the log has.
     """
+    if task is False:
+        return None
     judge = task if isinstance(task, Task) else find_task(task) if task is not None else of_log(log.name)
     if judge is not None and judge.observation_shape != log.spec.observation_shape:
         raise UserError(

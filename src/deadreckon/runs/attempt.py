@@ -1,0 +1,449 @@
+"""What `recommend` lets a process of its own do: pilots, learning, judging and the check in a simulator.
+
+A program that is being compiled cannot be interrupted from within its process, so `recommend` ends this one where its time
+is over. Whatever is found is therefore told at once, by lines of JSON on standard output, and files are complete or absent.
+
+    python -m deadreckon.runs.attempt      reads its task, one JSON line, from standard input, and ends where that is closed
+"""
+
+import contextlib
+import dataclasses
+import json
+import os
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.agents import agent_class
+from deadreckon.agents.agent import Agent
+from deadreckon.data import catalogue
+from deadreckon.data.batch import Rows
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import Holdout
+from deadreckon.errors import UserError
+from deadreckon.files import write_json
+from deadreckon.ope.features import Features
+from deadreckon.ope.fqe import FQE
+from deadreckon.ope.linear import TAUGHT, LinearFQE
+from deadreckon.ope.registry import PROPENSITIES
+from deadreckon.runs import offline
+from deadreckon.runs.durations import in_words
+from deadreckon.runs.holdout import divided, usual
+from deadreckon.runs.recorder import Enough
+from deadreckon.runs.train import Run, judge_of, train
+from deadreckon.tasks.task import Task
+from deadreckon.training.fit import Fit, Progress
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An agent with settings that is worth a try.
+
+    Attributes:
+        name: in tables and of its run folder.
+        agent: its registered name.
+        fields: settings that differ from its defaults.
+        why: in a few words.
+        deterministic: its policy draws nothing, so that no logged reward can correct its estimate where actions are continuous.
+    """
+
+    name: str
+    agent: str
+    fields: dict[str, Any]
+    why: str
+    deterministic: bool = False
+
+
+# In the order in which they are worth their time; more time tries more of them. All are cheap: an hour is better spent on
+# more updates of these than on agents that draw ten actions a row. The settings are those that their papers vary. Those that
+# draw their actions come first: importance weights can check them by logged rewards.
+CONTINUOUS = (
+    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
+    Candidate("iql", "iql", {}, "weighs logged actions by their advantage; joins parts of episodes"),
+    Candidate("awac", "awac", {}, "advantage-weighted imitation with a policy's own values"),
+    Candidate("iql-bold", "iql", {"expectile": 0.9, "sharpness": 10.0}, "for rewards that are rare"),
+    Candidate("td3_bc", "td3_bc", {}, "stays near the logged actions, improves where the values are sure", True),
+    Candidate("td3_bc-loose", "td3_bc", {"alpha": 10.0}, "for logs of poor or varied behaviour", True),
+    Candidate("td3_bc-close", "td3_bc", {"alpha": 1.0}, "for narrow logs of good behaviour", True),
+    Candidate("rebrac", "rebrac", {"batch_size": 256}, "TD3+BC with penalised targets and normalised critics", True),
+)
+DISCRETE = (
+    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
+    Candidate("iql", "iql", {}, "weighs logged actions by their advantage"),
+    Candidate("cql", "cql", {"conservatism": 1.0}, "values of actions that the log lacks are pushed down"),
+    Candidate("bcq", "bcq", {}, "takes the best among actions that the log takes often enough"),
+    Candidate("iql-bold", "iql", {"expectile": 0.9, "sharpness": 10.0}, "for rewards that are rare"),
+    Candidate("cql-strict", "cql", {"conservatism": 5.0}, "for logs that show few actions a state"),
+)
+LARGE, SMALL = (256, 256), (64, 64)  # networks
+DEARER = 10.0  # so many times as long as an update of the first candidate, an imitator, takes one of the others, roughly
+MOST = 100_000  # updates of a candidate
+WORTH = 10_000  # updates that each should have before another candidate is tried
+ENOUGH = 3  # candidates that should be tried, with small networks if need be
+TRIED, LONGEST = 20, 1.0  # a pilot looks at the clock every so many updates, and ends after so many seconds of them
+PILOTS, SECOND = 0.2, 0.5  # shares of the time by which a further pilot must end; by which that of the second candidate begins
+SPARING = 400.0  # seconds below which large networks are not even looked at: what it takes to compile them is worth more
+LOOKS = 2.0  # seconds between two looks at the clock, roughly
+SAFETY = 0.85  # of the time is planned with: machines have moods
+LATE = 1.5  # times as long as expected may judging take
+LEAST = 0.3  # of the time left after the pilots is for learning, however long judging may take
+EPISODES, FEW = 20, 5  # in the simulator, where there is one; with fewer than the latter nothing is checked
+BLOCK = 1024  # rows by which it is measured how long linear critics take
+FEWEST_FITS, MOST_FITS = 1_000, 20_000  # updates of FQE, where model-based estimates decide
+FAULT = "fault.txt"  # where an error of ours is told in full
+MEMBERS = 5  # critics a policy in FQE, whose spread is the interval
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done.
+
+    Attributes:
+        data: a log's name or file.
+        columns: further options of its reader.
+        task: see `recommend`.
+        discount, seed: see `recommend`.
+        out: folder of the runs and estimates.
+        holdout: `Holdout.told()`, or None for the usual one.
+        accept: deploy also by model-based estimates.
+        budget: in seconds, as it was given.
+        began, end: times of the clock on the wall; at `end` all must be written.
+    """
+
+    data: str
+    columns: dict[str, Any]
+    task: str | None
+    discount: float
+    seed: int
+    out: str
+    holdout: dict[str, Any] | None
+    accept: bool
+    budget: float
+    began: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """How fast a candidate learns.
+
+    Attributes:
+        start: seconds until its first updates were done, which are mostly the compiler's.
+        rate: updates a second after that.
+    """
+
+    start: float
+    rate: float
+
+
+class Attempt:
+    """A log and some time; everything that is found is told to `send` as it comes."""
+
+    def __init__(self, job: Job, send: Callable[[str, Any], None]):
+        self.job, self.send = job, send
+        self.out = Path(job.out)
+        self.told: list[dict[str, Any]] = []  # of each candidate: what `recommend` knows of it
+
+    def left(self) -> float:
+        """Seconds until all must be written."""
+        return self.job.end - time.time()
+
+    def run(self) -> None:
+        """From the log to the card."""
+        log, judge_in, holdout = self._log()
+        learning = divided(log, holdout, None, None).learning  # the rest is for the card alone
+        self._stage("pilots")
+        candidates, hidden, pilots = self._pilots(learning)
+        if not candidates:
+            raise Unfinished("the numbers of all candidates went bad in their pilots")
+        judging = self._judging(log, learning, len(candidates), hidden, pilots)
+        runs = self._learn(candidates, hidden, pilots, judging, log, holdout)
+        if not runs:
+            raise Unfinished("no candidate learned anything: the numbers of all of them went bad")
+        judged = self._judge(runs, log, hidden, pilots, judging)
+        self._check(runs, judge_in, judged)
+
+    # ---- the log ------------------------------------------------------------------------------------------------------
+
+    def _log(self) -> tuple[Dataset, Task | None, Holdout]:
+        self._stage("reading the log")
+        log = catalogue.load(self.job.data, **self.job.columns)
+        judge_in = judge_of(log, self.job.task)
+        log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
+        if len(log.spec.observation_shape) != 1:
+            raise UserError(f"policies are judged by flat observations, {log.name} has shape {log.spec.observation_shape}")
+        holdout = usual(log) if self.job.holdout is None else Holdout(**self.job.holdout)
+        holdout.parts(log)  # what cannot be held out is told before anything is learned
+        manner = f"{len(log):,} rows, {log.episodes:,} episodes"
+        self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
+        by = {"random": "at random", "time": "the latest"}.get(holdout.by, f"by {holdout.by}")
+        self.send("line", f"{log.name}: {manner}; {100 * holdout.share:.0f} % of the episodes are held out for the card, {by}")
+        return log, judge_in, holdout
+
+    # ---- pilots -------------------------------------------------------------------------------------------------------
+
+    def _pilots(self, log: Dataset) -> tuple[list[Candidate], tuple[int, ...], list[Pilot]]:
+        """Which candidates, of which networks, and how fast they are, by the part of the log that is learned from."""
+        whole, known = self.left(), DISCRETE if log.spec.discrete else CONTINUOUS
+        if self.job.accept:  # their estimates are wanted, and decide
+            known = tuple(sorted(known, key=lambda each: (each.name != "bc", not each.deterministic)))
+        spent = lambda: (whole - self.left()) / max(whole, 1e-9)  # noqa: E731
+        candidates: list[Candidate] = []
+        pilots: list[Pilot] = []
+        hidden, last = LARGE if whole > SPARING else SMALL, 0.0
+        for candidate in known:
+            # A card for an imitator alone would say little, so there is a second candidate if at all possible.
+            if (len(candidates) > 1 and spent() + last > PILOTS) or (len(candidates) == 1 and spent() > SECOND):
+                break
+            begun = self.left()
+            found = self._pilot(candidate, hidden, log)
+            if found and not candidates and hidden == LARGE:
+                rates = [found.rate, *[found.rate / DEARER] * (ENOUGH - 1)]
+                if self._steps(0.5 * self.left(), rates) < WORTH:
+                    hidden, found = SMALL, self._pilot(candidate, SMALL, log)
+            last = (begun - self.left()) / max(whole, 1e-9)
+            if found is None:
+                self.send("line", f"pilot: {candidate.name} is left out, its numbers go bad on this log")
+                continue
+            rates = [each.rate for each in (*pilots, found)]
+            if len(candidates) >= ENOUGH and self._steps(0.5 * self.left(), rates) < WORTH:
+                break  # more updates of the earlier ones are worth more
+            candidates.append(candidate)
+            pilots.append(found)
+            self.send("line", f"pilot: {candidate.name}, {found.rate:,.0f} updates a second with networks of {hidden[0]}")
+        self.told = [
+            {"name": each.name, "agent": each.agent, "why": each.why, "deterministic": each.deterministic, "updates": 0,
+             "planned": 0, "state": "not begun"}
+            for each in candidates
+        ]  # fmt: skip
+        self._tell()
+        return candidates, hidden, pilots
+
+    def _pilot(self, candidate: Candidate, hidden: tuple[int, ...], log: Dataset) -> Pilot | None:
+        """The first updates of a candidate; None: its numbers go bad. The same program then learns, without the compiler."""
+        self.send("watch", [f"pilot of {candidate.name}", 0, 1])
+        begun = time.perf_counter()
+        agent = _agent(candidate, hidden, self.job.discount).resolve(log.spec, MOST)
+        fit = Fit([agent], Rows(log, agent.needs(log.spec)), [self.job.seed], MOST, chunk=TRIED)
+        first: float | None = None
+        rate = 1.0
+        for progress in fit.chunks():
+            now = time.perf_counter()
+            if first is None:
+                first = now
+                continue
+            rate = (progress.step - TRIED) / max(now - first, 1e-9)
+            if now - first > LONGEST:
+                fit.steps = progress.step  # which ends it
+        return None if any(fit.failures) or first is None else Pilot(first - begun, rate)
+
+    def _steps(self, seconds: float, rates: Sequence[float]) -> int:
+        """Updates of each that fit into some time."""
+        return int(SAFETY * seconds / sum(1.0 / rate for rate in rates))
+
+    def _judging(self, log: Dataset, learning: Dataset, count: int, hidden: tuple[int, ...], pilots: list[Pilot]) -> float:
+        """Seconds that judging may take: what is compiled, networks of propensities, and sums of features, as measured here."""
+        start, rate = max(each.start for each in pilots), pilots[0].rate
+        wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one a fold
+        networks = PROPENSITIES.steps * 5 / (rate * wide)
+        features = Features(log if log.spec.discrete else learning, LinearFQE().cosines, self.job.seed)
+        rows = np.arange(min(BLOCK, len(learning)))
+        seen, size = np.asarray(learning.observations[rows]), learning.spec.action_size
+        shape = (len(rows), 1, size) if learning.spec.discrete else (len(rows), 1, LinearFQE().samples, size)
+        begun = time.perf_counter()
+        phi = features.taken(seen, np.asarray(learning.actions[rows]))
+        _ = phi.T @ features.expected(seen, np.full(shape, 1.0 / size, np.float32))[:, 0]
+        row = (time.perf_counter() - begun) / len(rows)
+        held = len(log) - len(learning) or len(log)  # of very few episodes none is held out
+        sums = row * (count + 1) * (min(len(learning), TAUGHT) + 3 * held)
+        return 2.0 * start + networks + sums + 3.0
+
+    # ---- learning -----------------------------------------------------------------------------------------------------
+
+    def _learn(
+        self, candidates: list[Candidate], hidden: tuple[int, ...], pilots: list[Pilot], judging: float, log: Dataset,
+        holdout: Holdout,
+    ) -> list[Run]:  # fmt: skip
+        left = self.left()
+        time_for = max(left - LATE * judging, LEAST * left)
+        begin = 0.3 * sum(each.start for each in pilots)  # of folders, and what of the programs is compiled again
+        rates = [each.rate for each in pilots]
+        steps = min(max(self._steps(time_for - begin, rates), TRIED), MOST)
+        for told in self.told:
+            told["planned"] = steps
+        least = min(steps, 1_000)
+        spent = time.time() - self.job.began
+        self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
+        self._tell()
+        self.send("line", self._plan(hidden, steps, rates, time_for, judging))
+        self._stage("learning")
+        end, runs = time.time() + time_for, []
+        for i, (candidate, told) in enumerate(zip(candidates, self.told)):
+            now = time.time()
+            if i and now >= end:
+                self.send("line", f"{candidate.name} does not begin: the time for learning is over")
+                continue
+            own = now + max(end - now, 0.0) / rates[i] / sum(1 / rate for rate in rates[i:])
+            run = self._learned(candidate, told, hidden, steps, rates[i], own, log, holdout)
+            if failure := run.failures[0]:
+                told["state"] = "diverged"
+                self.send("line", f"{candidate.name} is left out: its {failure.metric} was not finite at update {failure.step}")
+            else:
+                told |= {"state": "learned", "updates": run.config["steps"]}
+                if run.config["steps"] < steps:
+                    self.send("line", f"{candidate.name} was ended after {run.config['steps']:,} updates: its time was over")
+                runs.append(run)
+            self._tell()
+        return runs
+
+    def _learned(
+        self, candidate: Candidate, told: dict[str, Any], hidden: tuple[int, ...], steps: int, rate: float, end: float,
+        log: Dataset, holdout: Holdout,
+    ) -> Run:  # fmt: skip
+        told["state"] = "learning"
+        self._tell()
+
+        def look(progress: Progress, steps: int) -> None:
+            self.send("watch", [candidate.name, progress.step, steps])
+            if time.time() > end:
+                raise Enough
+
+        return train(
+            _agent(candidate, hidden, self.job.discount), log, steps=steps, seed=self.job.seed, task=False, watch=look,
+            out=self.out / candidate.name, evaluate_every=steps, episodes=1, holdout=holdout,
+            chunk=min(max(int(LOOKS * rate), 1), steps),
+        )  # fmt: skip
+
+    def _plan(self, hidden: tuple[int, ...], steps: int, rates: Sequence[float], learning: float, judging: float) -> str:
+        """What will be done, and how long it will take."""
+        width = max(len(each["name"]) for each in self.told)
+        lines = []
+        for each, rate in zip(self.told, rates):
+            no = "; draws nothing: judged by a model only" if each["deterministic"] else ""
+            may = "" if not no or self.job.accept else ", so deployed with --accept-model-based only"
+            lines.append(f"  {each['name']:<{width}}  {in_words(steps / rate):>6}  {each['why']}{no}{may}")
+        head = f"{len(lines)} candidates of {steps:,} updates, networks of {', '.join(map(str, hidden))}"
+        total = min(learning, sum(steps / rate for rate in rates)) + judging
+        parts = f"about {in_words(total)} more: learning until {in_words(learning)} from now, judging about {in_words(judging)}"
+        return "\n".join([parts, head, *lines])
+
+    # ---- judging ------------------------------------------------------------------------------------------------------
+
+    def _judge(
+        self, runs: list[Run], log: Dataset, hidden: tuple[int, ...], pilots: list[Pilot], judging: float
+    ) -> offline.Judged:
+        self._stage("judging")
+        left, model = self.left(), PROPENSITIES
+        if left < judging:  # the machine has become slower; propensities stop early by themselves
+            steps = int(PROPENSITIES.steps * left / (LATE * judging))
+            model = dataclasses.replace(PROPENSITIES, steps=max(steps // 100 * 100, 500))
+            self.send("line", f"time is short: {model.steps:,} updates of propensities instead of {PROPENSITIES.steps:,}")
+        learned = [each for each in self.told if each["state"] == "learned"]
+        estimators: Any = "auto"
+        if self.job.accept and any(each["deterministic"] for each in learned):
+            rate = pilots[0].rate / (MEMBERS * len(runs))  # an update of so many critics
+            steps = min(max(int(0.3 * left * rate), FEWEST_FITS), MOST_FITS)
+            estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, target_rate=0.02)]
+        judged = offline.judge(
+            runs, log, estimators, out=self.out, discount=self.job.discount, seed=self.job.seed, model=model,
+            accept_model_based=self.job.accept, watch=lambda what, step, steps: self.send("watch", [what, step, steps]),
+        )  # fmt: skip
+        self.send("state", {"judged": True})
+        return judged
+
+    def _check(self, runs: list[Run], judge_in: Task | None, judged: offline.Judged) -> None:
+        """The choice, made already, in the simulator, as far as time allows."""
+        if judge_in is None:
+            return
+        self._stage("checking in the simulator")
+
+        def seen(episodes: int) -> dict[str, Any]:
+            horizon = judged.told["estimand"]["horizon"]
+            return offline.simulated(
+                [run.policy for run in runs], judge_in, episodes=episodes, seed=self.job.seed, greedy=False,
+                discount=self.job.discount, horizon=horizon,
+            )  # fmt: skip
+
+        begun = time.perf_counter()
+        if self.left() > 0:
+            seen(2)  # how long it takes, and the compiler
+            if self.left() > 0:
+                again = time.perf_counter()
+                seen(2)
+                each = (time.perf_counter() - again) / 2
+                episodes = min(int(0.7 * self.left() / max(each, 1e-9)), EPISODES)
+                if episodes >= FEW:
+                    write_json(self.out / offline.NAME, judged.told | {"truth": seen(episodes)})
+                    self.send("state", {"checked": True})
+                    return
+        took = in_words(time.perf_counter() - begun)
+        self.send("line", f"not checked in {judge_in.name}: no time is left (looking took {took})")
+
+    # ---- telling ------------------------------------------------------------------------------------------------------
+
+    def _stage(self, name: str) -> None:
+        self.send("state", {"stage": name, "since": time.time()})
+
+    def _tell(self) -> None:
+        self.send("state", {"candidates": self.told})
+
+
+class Unfinished(Exception):
+    """There is nothing to judge, for a reason that belongs on the card."""
+
+
+def _agent(candidate: Candidate, hidden: tuple[int, ...], discount: float) -> Agent:
+    kind = agent_class(candidate.agent)
+    own = {f.name for f in dataclasses.fields(kind)}
+    common = {name: value for name, value in {"hidden": hidden, "discount": discount}.items() if name in own}
+    return kind(**common | candidate.fields)
+
+
+def attempt(job: Job, send: Callable[[str, Any], None]) -> None:
+    """Does it, and tells how it ended: `done`, or why not: `refused`, `unfinished` or `fault`."""
+    try:
+        Attempt(job, send).run()
+        send("done", True)
+    except UserError as error:
+        send("refused", str(error))
+    except Unfinished as error:
+        send("unfinished", str(error))
+    except Exception as error:  # noqa: BLE001 - whatever it is, the card says it
+        with contextlib.suppress(OSError):
+            (Path(job.out) / FAULT).write_text(traceback.format_exc())
+        send("fault", f"{type(error).__name__}: {' '.join(str(error).split())[:300]} ({FAULT} has all of it)")
+
+
+def main() -> None:
+    """Reads the job and does it; standard output carries lines of JSON alone."""
+    pipe = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # whatever libraries print goes beside the messages
+    job = Job(**json.loads(sys.stdin.buffer.readline()))
+    lock = threading.Lock()
+
+    def orphaned() -> None:
+        sys.stdin.buffer.read()  # until it is closed: nobody listens any more
+        os._exit(1)
+
+    def send(what: str, value: Any) -> None:
+        with lock:
+            pipe.write(json.dumps({what: value}) + "\n")
+            pipe.flush()
+
+    warnings.showwarning = lambda message, *rest, **options: send("line", f"warning: {message}")
+    threading.Thread(target=orphaned, daemon=True).start()
+    attempt(job, send)
+    pipe.flush()
+    os._exit(0)  # threads of simulators need not be waited for
+
+
+if __name__ == "__main__":
+    main()
