@@ -33,6 +33,12 @@ def finite_value(world, policy, discount, horizon):
 # ---- the estimand -------------------------------------------------------------------------------------------------------
 
 
+def constant(chances):
+    """A policy with the same probabilities everywhere."""
+    draw = lambda seen, rng: rng.choice(len(chances), len(seen), p=chances)  # noqa: E731
+    return BlackBoxPolicy(draw, action_probs=lambda seen: np.tile(chances, (len(seen), 1)))
+
+
 def by_hand(horizon=None, discount=0.5):
     """An episode of three rewards 1, 2, 4 that ends, and one of two rewards 8, 16 that is cut off."""
     log = Dataset.from_arrays(
@@ -40,8 +46,7 @@ def by_hand(horizon=None, discount=0.5):
         terminals=[0, 0, 1, 0, 0], timeouts=[0, 0, 0, 0, 1], final_observations=np.array([[9.0], [7.0]]),
         action_space=Discrete(2), behavior_log_probs=np.zeros(5),
     )  # fmt: skip
-    always = BlackBoxPolicy(lambda seen, rng: np.zeros(len(seen), int), action_probs=lambda seen: np.eye(2)[np.zeros(len(seen), int)])
-    return Case(log, always, discount=discount, horizon=horizon, logged=True)
+    return Case(log, constant([1.0, 0.0]), discount=discount, horizon=horizon, logged=True)
 
 
 def test_the_discounted_return_of_an_episode_by_hand():
@@ -184,7 +189,8 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     policy = memory(part)
     own = decide(Case(part, policy, discount=0.0, logged=True, noise=None), model=QUICK)
     assert own.choice.low > 0.2  # which is why it must be told
-    told = decide(Case(part, policy, discount=0.0, logged=True, noise=None), seen=["it has learned from these episodes"], model=QUICK)
+    known = ["it has learned from these episodes"]
+    told = decide(Case(part, policy, discount=0.0, logged=True, noise=None), seen=known, model=QUICK)
     assert not told.choice.deploy
     assert "it has learned from these episodes" in told.choice.reason
     fresh = np.isin(log.episode_ids, held.episode_ids)
@@ -256,9 +262,9 @@ def test_intervals_of_all_policies_at_once_by_simulation():
         mean = scores[:, :8].mean(0)
         value, psi = np.append(mean, 0.0), np.concatenate([scores[:, :8] - mean, np.zeros((60, 1))], 1)
         _, low, high = inference.gains(value, psi, 8, seed=seed)
-        hits += bool(((low <= 0) & (0 <= high)).all())
+        hits += bool(((low <= 0) & (high >= 0)).all())
         one_low, one_high = inference.intervals(mean, scores[:, :8] - mean, seed=seed)
-        alone += np.mean((one_low <= 0) & (0 <= one_high))
+        alone += np.mean((one_low <= 0) & (one_high >= 0))
     assert 0.93 <= hits / count <= 0.985, hits / count
     assert 0.93 <= alone / count <= 0.975, alone / count
 
@@ -312,8 +318,7 @@ def lacking(rng, rows, logged, known=True):
 
 @pytest.mark.parametrize("known", [True, False])
 def test_actions_that_the_log_never_takes_are_told(known):
-    third = lambda seen: np.tile([0.35, 0.35, 0.3], (len(seen), 1))  # noqa: E731
-    policy = BlackBoxPolicy(lambda seen, rng: rng.choice(3, len(seen), p=[0.35, 0.35, 0.3]), action_probs=third)
+    policy = constant([0.35, 0.35, 0.3])
     for logged in (0.0, 0.15):
         log = lacking(np.random.default_rng(4), 1500, logged, known)
         case = Case(log, policy, discount=0.0, logged=True, noise=None)
@@ -333,8 +338,7 @@ def test_actions_that_the_log_never_takes_are_told(known):
 def test_no_overlap_knows_nothing():
     """A policy that never does what was logged: minus to plus infinity, not zero to zero."""
     log = lacking(np.random.default_rng(5), 200, 0.0)
-    never = BlackBoxPolicy(lambda seen, rng: np.full(len(seen), 2), action_probs=lambda seen: np.tile([0.0, 0.0, 1.0], (len(seen), 1)))
-    case = Case(log, never, discount=0.0, logged=True)
+    case = Case(log, constant([0.0, 0.0, 1.0]), discount=0.0, logged=True)
     for estimator in (ImportanceSampling(), ImportanceSampling(normalised=False), ImportanceSampling(kind="trajectory"), DR):
         found = estimator.on(case)
         assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
@@ -365,8 +369,7 @@ def test_deterministic_continuous_policies_are_model_based_only():
 
 def test_few_clusters_decide_nothing():
     log = lacking(np.random.default_rng(7), 19, 0.4)
-    better = BlackBoxPolicy(lambda seen, rng: np.full(len(seen), 2), action_probs=lambda seen: np.tile([0.1, 0.1, 0.8], (len(seen), 1)))
-    choice = decide(Case(log, better, discount=0.0, logged=True), model=QUICK).choice
+    choice = decide(Case(log, constant([0.1, 0.1, 0.8]), discount=0.0, logged=True), model=QUICK).choice
     assert not choice.deploy
     assert "only 19 episodes or clusters" in choice.reason
 

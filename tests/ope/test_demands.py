@@ -123,7 +123,8 @@ def test_decisions_by_a_guarantee_and_under_confounding():
     # The tipping point is on every card of one-step logs, and with a factor it is what decides.
     tipping = plain.more["confounding"]["tipping"]
     assert 1.0 < tipping < 3.0
-    assert f"{UNSEEN}; its gain is no longer sure where odds of logged actions are off by {tipping:.3g}" in plain.choice.evidence
+    words = f"{UNSEEN}; its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
+    assert words in plain.choice.evidence
     for gamma, deploy in ((0.98 * tipping, True), (1.05 * tipping, False)):
         found = decide(faint, [LINEAR], model=MODEL, confounding=gamma)
         assert found.choice.deploy == deploy

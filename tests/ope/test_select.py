@@ -86,7 +86,8 @@ def estimates(method, gains, redraws, effective=None, corrected=True):
     names = (*"abcdef"[: len(gains)], LOGGED)
     effective = None if effective is None else np.array([*effective, 1000.0])
     redraws = np.concatenate([redraws, np.zeros((len(redraws), 1))], 1)
-    return Estimates(method, names, value, value, value, Estimand(0.9), redraws=redraws, effective=effective, corrected=corrected)
+    known = {"redraws": redraws, "effective": effective, "corrected": corrected}
+    return Estimates(method, names, value, value, value, Estimand(0.9), **known)
 
 
 def test_a_policy_without_overlap_comes_last():

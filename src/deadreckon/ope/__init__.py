@@ -16,6 +16,7 @@ from deadreckon.ope.select import Choice, select
 from deadreckon.ope.vpm import VPM
 
 __all__ = [
-    "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimand", "Estimates",
-    "Estimator", "ImportanceSampling", "LinearFQE", "Metrics", "ModelBased", "compare", "coverage", "estimator", "select",
+    "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimand",
+    "Estimates", "Estimator", "ImportanceSampling", "LinearFQE", "Metrics", "ModelBased", "compare", "coverage", "estimator",
+    "select",
 ]  # fmt: skip

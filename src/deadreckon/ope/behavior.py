@@ -130,12 +130,14 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
         unit = np.asarray(view.to_unit(np.asarray(own.actions)))
         told = in_blocks(lambda seen, act: _densities(nets, observe(seen), act), own.observations, unit)
         return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - view.log_scale, None, checked)
-    logits = in_blocks(lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2), own.observations)  # (folds, n, rows)
+    of_all = lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
+    logits = in_blocks(of_all, own.observations)
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
     for k, rows_of in enumerate(check.T):
         # On at most a few thousand of the rows that said when to stop.
         some = np.flatnonzero(rows_of[data.episode_of])[:: max(1, int(rows_of[data.episode_of].sum()) // 4096)]
-        seen = in_blocks(lambda part: jnp.moveaxis(_logits(nets, observe(part)), 1, 2), np.asarray(data.observations[some]))[k].T
+        part = np.asarray(data.observations[some])
+        seen = in_blocks(of_all, part)[k].T
         logits[of_row == k] /= temperature(seen.astype(np.float64), np.asarray(data.actions[some]))
     log_chances = log_softmax(logits, axis=1)
     return Behavior(log_chances[np.arange(len(own)), np.asarray(own.actions)], np.exp(log_chances), checked)

@@ -174,15 +174,15 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
       known, and what is left is model-based (`fqe`).
     - One step, or weights of whole episodes that for every policy amount to a tenth of the episodes or more: doubly robust with
       linear critics (`dr-linear`).
-    - Else, where observations take few values: doubly robust by ratios of occupancies (`drl`), whose variance does not grow with
-      the product of the weights, with `dr-linear` as evidence. With other observations `drl` rests on its features being right,
-      which nothing corrects, so it is evidence alone unless model-based estimates are accepted.
+    - Else, where observations take few values: doubly robust by ratios of occupancies (`drl`), whose variance does not grow
+      with the product of the weights, with `dr-linear` as evidence. With other observations `drl` rests on its features being
+      right, which nothing corrects, so it is evidence alone unless model-based estimates are accepted.
 
     Args:
         case: log and policies.
         model: how the behaviour policy is learned where propensities were not logged.
-        accept_model_based: whether policies may be deployed by model-based estimates; then these come first where weights of any
-            policy are degenerate.
+        accept_model_based: whether policies may be deployed by model-based estimates; then these come first where weights of
+            any policy are degenerate.
     """
     degenerate = case.degenerate
     if degenerate.all() or (accept_model_based and degenerate.any()):
@@ -197,8 +197,9 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
     last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios[~degenerate]])
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
     effective = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
-    marginal = DoublyRobust(kind="marginal", fqe=LinearFQE())
-    table = Fit(marginal.fqe, case).features.table is not None
+    critics = LinearFQE()
+    marginal = DoublyRobust(kind="marginal", fqe=critics)
+    table = Fit(critics, case).features.table is not None
     if (effective >= ENOUGH * case.data.episodes).all() or not (table or accept_model_based):
         return [weighted, marginal]
     return [marginal, weighted]

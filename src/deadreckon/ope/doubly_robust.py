@@ -3,16 +3,17 @@
     V(s_0) + sum_t discount^t w_t (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
 
 with the weights of importance sampling (`dr`, Jiang and Li 2016, unbiased where they are), self-normalised (`wdr`), or `magic`,
-which ends the sum early where that is worth its bias (both Thomas and Brunskill 2016); or with ratios of occupancies (`marginal`:
-double reinforcement learning, Kallus and Uehara 2020), whose variance does not grow with the product of the weights. V is zero
-after a terminal; the public code that the thesis used forgets that.
+which ends the sum early where that is worth its bias (both Thomas and Brunskill 2016); or with ratios of occupancies
+(`marginal`: double reinforcement learning, Kallus and Uehara 2020), whose variance does not grow with the product of the
+weights. V is zero after a terminal; the public code that the thesis used forgets that.
 
 `switch` and `dros` are `dr` with weights that are trusted only so far (`ope/switch.py`, `ope/shrinkage.py`); `mrdr` is `dr`
 with critics that make its variance least (`ope/mrdr.py`).
 
 All of it rests on Q (and learned propensities and ratios) not having seen the rows that it is corrected by: a critic that has
 memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018,
-Kallus and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not judged.
+Kallus and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not
+judged.
 """
 
 from dataclasses import replace
@@ -21,7 +22,6 @@ from typing import Literal
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import inference
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
@@ -101,14 +101,14 @@ class DoublyRobust(Estimator):
         effective = np.asarray(effective)
         warnings = [*episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances)]
         if self.kind == "magic" and begins is None:
-            warnings.append("its interval knows the variance of the corrections that are blended and not the bias of their lack")
+            warnings.append("its interval knows the variance of the blended corrections and not the bias of what is left out")
         found = Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
             corrected=True, warnings=tuple(warnings),
             diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails)},
         )  # fmt: skip
         for i in doubts:  # the critics' share of doubt is in the redraws alone
-            found.low[i], found.high[i] = episodes.percentiles(found.redraws[:, i], effective[i])
+            found.low[i], found.high[i] = episodes.percentiles(redraws[i], float(effective[i]))
         return found
 
     def nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
@@ -254,7 +254,8 @@ class DoublyRobust(Estimator):
                 weight = np.ones(episodes.count)
             else:
                 start, pulls, _ = episodes.means(nuisances.begins[i])
-                # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it did.
+                # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it
+                # did.
                 known = case.followed & case.shown if name == LOGGED else case.followed
                 rows = np.bincount(of_row[known], minlength=episodes.groups)
                 total = np.bincount(of_row[known], nuisances.weighted[i][known], episodes.groups)

@@ -79,7 +79,9 @@ class Estimates:
     def of_influence(
         cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any
     ) -> "Estimates":
-        """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for itself."""
+        """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
+        itself.
+        """
         low, high = inference.intervals(value, influence, seed=case.seed)
         if (weights := more.get("effective")) is not None:  # without weights nothing is known
             low, high = np.where(weights > 0, low, -np.inf), np.where(weights > 0, high, np.inf)

@@ -1,7 +1,7 @@
 """Features of observations and actions in which linear critics are exact or close: a table, or random Fourier features.
 
-Where a discrete log has few different observations, a feature for each observation and action: every value function is linear in
-them. Else cosines of random projections (Rahimi and Recht 2007) at two length scales, beside the observation and the action
+Where a discrete log has few different observations, a feature for each observation and action: every value function is linear
+in them. Else cosines of random projections (Rahimi and Recht 2007) at two length scales, beside the observation and the action
 themselves and, where these are few numbers, their products, in which linear-quadratic problems are exact.
 """
 

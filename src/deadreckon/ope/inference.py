@@ -27,7 +27,8 @@ def student(value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA) -> t
 
 
 def studentised(influence: np.ndarray, seed: int = 0, redraws: int = REDRAWS) -> np.ndarray:
-    """(redraws, policies) |t| of the means of influence functions over redrawn units (bootstrap-t: Efron and Tibshirani 1993, 12.5).
+    """(redraws, policies) |t| of the means of influence functions over redrawn units (bootstrap-t: Efron and Tibshirani 1993,
+    12.5).
 
     A redraw of equal units has no spread: its t is infinite, or zero where it is at the mean itself.
     """
@@ -43,8 +44,8 @@ def studentised(influence: np.ndarray, seed: int = 0, redraws: int = REDRAWS) ->
 
 
 def _reach(t: np.ndarray, n: int, alpha: float) -> np.ndarray:
-    """The quantile of (redraws, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of freedom,
-    which is exact for one normal estimate; infinite where the redraws do not reach so far."""
+    """The quantile of (redraws, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of
+    freedom, which is exact for one normal estimate; infinite where the redraws do not reach so far."""
     rank = int(np.ceil((1 - alpha) * (len(t) + 1)))
     found = np.sort(t, 0)[rank - 1] if rank <= len(t) else np.full(t.shape[1:], np.inf)
     return np.maximum(found, special.stdtrit(n - 1, 1 - alpha / 2))

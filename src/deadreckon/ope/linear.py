@@ -64,8 +64,8 @@ class Sums:
         reward: (groups, d) of phi r.
         start: (groups, policies, d) of features at initial observations.
         rows, episodes: (groups,) counts.
-        lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because the
-            log does not show what it did next.
+        lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because
+            the log does not show what it did next.
         logged: index of the behaviour policy, or -1.
         low, high: least and greatest reward.
     """
@@ -90,7 +90,9 @@ class Sums:
         return self.gram - self.lost_gram, self.reward - self.lost_reward, self.rows - self.lost_rows
 
     def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight` times."""
+        """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight`
+        times.
+        """
         add = lambda x: np.tensordot(weight, x, 1)  # noqa: E731
         start = add(self.start[:, policy]) / max(float(weight @ self.episodes), 1.0)
         gram, reward, rows = self.whole(policy)
@@ -188,10 +190,11 @@ class Fit:
             for part in blocks(rows):
                 phi = self.features.taken(data.observations[part], data.actions[part])
                 out.gram[g] += phi.T @ phi
-                out.reward[g] += phi.T @ (np.asarray(data.rewards[part], np.float32) / np.float32(self.std))
+                reward = np.asarray(data.rewards[part], np.float32) / np.float32(self.std)
+                out.reward[g] += phi.T @ reward
                 if case.logged and (lost := ~case.shown[part]).any():
                     out.lost_gram[g] += phi[lost].T @ phi[lost]
-                    out.lost_reward[g] += phi[lost].T @ (np.asarray(data.rewards[part[lost]], np.float32) / np.float32(self.std))
+                    out.lost_reward[g] += phi[lost].T @ reward[lost]
                     out.lost_rows[g] += lost.sum()
                 goes_on = ~case.ended[part]
                 if goes_on.any() and after is not None:
@@ -226,7 +229,8 @@ class Fit:
             own_gram = every_gram[part].sum(0)
             own = every_reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
             for j, ridge in enumerate(RIDGES):
-                factor = self._factor(gram - own_gram, ridge, weight.tobytes() + np.asarray(part).tobytes(), policy == sums.logged)
+                rows = weight.tobytes() + np.asarray(part).tobytes()
+                factor = self._factor(gram - own_gram, ridge, rows, policy == sums.logged)
                 theta = cho_solve(factor, target - own)
                 errors[j] += theta @ own_gram @ theta - 2 * theta @ own
         return float(RIDGES[int(np.argmin(errors))])
@@ -274,6 +278,7 @@ class Fit:
 
     def _endless(self, factor, base, backup, start, rows, ridge) -> Critic:
         theta, occupancy, power = base, start, backup
+        size = np.inf
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(DOUBLINGS):
                 theta = theta + power @ theta
@@ -396,9 +401,10 @@ class Fit:
                 found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.span}
             return found
         time, rows, last = case.time[part], np.arange(len(part)), self.horizon - 1
-        steps = np.arange(self.horizon)
+        steps = range(self.horizon)
         every_q = np.stack([self._value(q[:, h], h + 1, bounds) for h in steps], 1)  # with h + 1 steps to go
-        every_v = np.stack([np.zeros(len(part)), *(self._value(following[:, h], h + 1, bounds) for h in steps[:-1])], 1)
+        later = [self._value(following[:, h], h + 1, bounds) for h in range(self.horizon - 1)]
+        every_v = np.stack([np.zeros(len(part)), *later], 1)
         every_v *= goes_on[:, None]
         # Where the horizon ends an episode, nothing that follows counts, whether it is known or not.
         left = last - time
@@ -412,8 +418,8 @@ class Fit:
         return found
 
     def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, logged: bool) -> Any:
-        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart; the behaviour
-        policy's is of fewer rows."""
+        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart; the
+        behaviour policy's is of fewer rows."""
         key = (rows, ridge, logged)
         if key not in self._factors:
             self._factors[key] = cho_factor(self.penalised(gram, ridge))

@@ -1,8 +1,8 @@
 """From estimates to a decision: which policy to deploy, if any, and on what evidence. There is no other rule in the package.
 
-A policy is deployed if the lower end of its gain over the behaviour policy is above zero, at a level that holds for all policies
-that were ever judged on these episodes, and if nothing that can be checked speaks against the estimate. What cannot be checked
-from a log is whether something that was not recorded made the logged actions (confounding).
+A policy is deployed if the lower end of its gain over the behaviour policy is above zero, at a level that holds for all
+policies that were ever judged on these episodes, and if nothing that can be checked speaks against the estimate. What cannot
+be checked from a log is whether something that was not recorded made the logged actions (confounding).
 """
 
 from collections.abc import Sequence
@@ -134,14 +134,16 @@ def select(
         own += [] if support is None else support.objections(i)
         if covered is not None and covered[i] < MOSTLY:
             own.append(f"only {100 * covered[i]:.0f} % of its actions lie within what the log shows")
-        own += [
-            f"{each.method} finds it worse" for each, told in zip(estimates[1:], found[1:]) if _speaks(each, i) and told[i, 2] < 0
-        ]
+        others = zip(estimates[1:], found[1:])
+        own += [f"{each.method} finds it worse" for each, told in others if _speaks(each, i) and told[i, 2] < 0]
         objections.append(tuple(own))
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]
     level = f"{100 * (1 - alpha):.3g} %"
-    unit = f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy by {first.method}"
+    unit = (
+        f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy "
+        f"by {first.method}"
+    )
     if objections[best]:
         deploy, reason = False, f"{name} has {unit}, but {'; '.join(objections[best])}"
     elif not np.isfinite(low):
@@ -201,7 +203,9 @@ def _speaks(found: Estimates, which: int) -> bool:
 
 
 def _standing(found: Estimates, told: np.ndarray) -> tuple[bool, float]:
-    """How a policy stands by its gain: by the lower end, or of a few members, whose spread is a matter of chance, by the gain."""
+    """How a policy stands by its gain: by the lower end, or of a few members, whose spread is a matter of chance, by the
+    gain.
+    """
     few = found.influence is None and (found.redraws is None or len(found.redraws) < BOOTSTRAP)
     sure = told[0] if few or not np.isfinite(told[1]) else told[1]
     return bool(np.isfinite(told[1])), float(sure) if np.isfinite(sure) else -np.inf

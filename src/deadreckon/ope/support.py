@@ -24,9 +24,9 @@ class Support(NamedTuple):
     """How much of what each policy does the log supports; (policies,) without the log's own, NaN where it cannot be told.
 
     Attributes:
-        missing: share of the policy's actions, in states of the log, without logged support: discrete actions that the behaviour
-            policy takes less than a tenth as often as a uniform choice would; continuous ones outside what 99 % of the log's own
-            actions lie within.
+        missing: share of the policy's actions, in states of the log, without logged support: discrete actions that the
+            behaviour policy takes less than a tenth as often as a uniform choice would; continuous ones outside what 99 % of
+            the log's own actions lie within.
         ratio: mean weight of one step, pi(a|s) / beta(a|s) of the logged action, which is one where there is support.
         ratio_high: upper end of its one-sided 99 % interval.
         degenerate: whether the weights mean nothing; see `Actor.degenerate`.

@@ -35,9 +35,9 @@ class Actor:
         spec: of the log.
         greedy: deterministic (greedy) instead of sampled actions.
         seed: of all draws; row `i` of a table is drawn alike whatever is asked for besides it.
-        noise: standard deviation, on the scale where actions are in [-1, 1], that deterministic policies of continuous actions are
-            given where weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have those
-            of policies that do not tell how likely their actions are.
+        noise: standard deviation, on the scale where actions are in [-1, 1], that deterministic policies of continuous actions
+            are given where weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have
+            those of policies that do not tell how likely their actions are.
     """
 
     policies: Sequence[Any]
@@ -52,7 +52,10 @@ class Actor:
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
             if self.greedy and not self.spec.discrete and not isinstance(policy, Deployed) and policy.has_log_prob:
-                raise UserError(f"{name} samples its actions and does not tell a deterministic (greedy) one; judge sampled actions (greedy=False)")
+                raise UserError(
+                    f"{name} samples its actions and does not tell a deterministic (greedy) one; judge sampled actions "
+                    "(greedy=False)"
+                )
             wanted = _observation_size(policy)
             if wanted not in (None, self.spec.observation_size):
                 raise UserError(
@@ -100,8 +103,8 @@ class Actor:
 
     @property
     def degenerate(self) -> np.ndarray:
-        """(policies,) whether importance weights mean nothing: actions are continuous, and the policy is deterministic or does not
-        tell how likely its actions are."""
+        """(policies,) whether importance weights mean nothing: actions are continuous, and the policy is deterministic or does
+        not tell how likely its actions are."""
         if self.spec.discrete:
             return np.zeros(len(self.policies), bool)
         return np.array([self.greedy or draws_nothing(policy) or not policy.has_log_prob for policy in self.policies])

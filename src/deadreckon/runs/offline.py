@@ -139,10 +139,13 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         everything = np.arange(data.episodes)
         seen_all = "it has learned from these episodes"
         against = [NOBODY if nobody else seen_all for nobody in unknown]
-        return Fresh(everything, against, f"all {data.episodes:,} episodes, which policies have learned from: estimates are optimistic")
+        told = f"all {data.episodes:,} episodes, which policies have learned from: estimates are optimistic"
+        return Fresh(everything, against, told)
     against = [NOBODY if nobody else None for nobody in unknown]
     held = np.flatnonzero(left)
-    those = f"{len(held):,} held-out episodes of {data.episodes:,}" if taught else f"{len(held):,} episodes, none of which taught a policy"
+    those = f"{len(held):,} episodes, none of which taught a policy"
+    if taught:
+        those = f"{len(held):,} held-out episodes of {data.episodes:,}"
     return Fresh(held, against, those + (", as far as is known" if any(unknown) else ""))
 
 
@@ -172,8 +175,8 @@ def judge(
 ) -> Judged:
     """Estimates policies from a log, decides which to deploy, if any, and then looks into the simulator whether that was right.
 
-    Policies are judged on the episodes that none of them has learned from, which is looked up by the contents of episodes. Where
-    there are none, or nobody knows, estimates say so and nothing is deployed.
+    Policies are judged on the episodes that none of them has learned from, which is looked up by the contents of episodes.
+    Where there are none, or nobody knows, estimates say so and nothing is deployed.
 
     Args:
         given: where the policies are; see `gather`.
@@ -187,7 +190,8 @@ def judge(
         episodes: of a policy there.
         seed: random seed.
         model: how the behaviour policy is learned where that is needed.
-        cluster: column of the log whose values are redrawn as one, such as a user; None: the one by which episodes were held out.
+        cluster: column of the log whose values are redrawn as one, such as a user; None: the one by which episodes were held
+            out.
         unseen: assert that the policies have not learned from this log, where their files do not say it.
         accept_model_based: deploy also by estimates that no logged reward corrects.
         counted: take note of the look at these episodes, whose level falls with the looks there have been.
@@ -296,7 +300,8 @@ def checked(told: dict[str, Any]) -> str:
     if rank == 1:
         return f"{found}the best of {len(names)}"
     return (
-        f"{found}number {rank} of {len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of {lost:.2f}{share}"
+        f"{found}number {rank} of {len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of "
+        f"{lost:.2f}{share}"
     )
 
 
@@ -305,7 +310,8 @@ def supports(told: dict[str, Any]) -> str:
     names = [each["name"] for each in told["policies"]]
     width = max(map(len, names))
     shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in told["support"]["missing"]]
-    weights = ["" if mean is None else f", mean weight of a step {mean:.2f} (1 where there is support)" for mean in told["support"]["ratio"]]
+    words = "mean weight of a step {:.2f} (1 where there is support)"
+    weights = ["" if mean is None else f", {words.format(mean)}" for mean in told["support"]["ratio"]]
     lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
     return "\n".join(["share of each policy's actions without support in the log", *lines])
 

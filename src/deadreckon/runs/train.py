@@ -193,7 +193,8 @@ def train_together(
 
 def _train(
     asked: Mapping[Path, Sequence[Agent]], out: Path, log: Dataset, *, steps: int, seed: int,
-    task: Task | str | Literal[False] | None, evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool | None, strict: bool,
+    task: Task | str | Literal[False] | None, evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool
+        | None, strict: bool,
     holdout: Holdout | Fold | float | None, watch: Watcher,
 ) -> list[Run]:  # fmt: skip
     """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
