@@ -209,7 +209,10 @@ def test_estimators_share_what_they_fit(monkeypatch):
     monkeypatch.setattr(Case, "train", count)
     for estimator in (TINY, DoublyRobust(fqe=TINY), DoublyRobust(kind="magic", fqe=TINY), ImportanceSampling()):
         estimator.on(case)
-    assert fits == ["fqe"]
+    assert fits == ["fqe", "fqe by folds"]
+    in_sample = DoublyRobust(fqe=TINY, folds=1)
+    in_sample.on(case)
+    assert len(fits) == 2  # which shares those of the estimator itself
 
 
 def test_a_killed_fit_goes_on(tmp_path):
@@ -243,7 +246,7 @@ def test_a_killed_fit_goes_on(tmp_path):
 def test_refusals():
     log = lqr(-0.5, 0.5, 3, 5)
     silent = BlackBoxPolicy(lambda seen, rng: seen)
-    with pytest.raises(UserError, match=r"discount must be 0 \.\. 1 without 1, got 1.0"):
+    with pytest.raises(UserError, match="discount=1 needs episodes that end by a terminal, or a horizon: lqr has time-outs"):
         Case(log, silent, discount=1.0)
     with pytest.raises(UserError, match="no policy to judge"):
         Case(log, [])

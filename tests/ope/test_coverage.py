@@ -8,8 +8,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import Case, coverage, select
-from deadreckon.ope.coverage import MOSTLY
 from deadreckon.ope.estimate import BehaviorModel
+from deadreckon.ope.support import MISSING, Support
 from deadreckon.policies import BlackBoxPolicy
 from tests.ope.test_select import estimates
 
@@ -115,15 +115,24 @@ def test_what_the_log_does_not_cover_comes_last():
     draws = np.random.default_rng(0).standard_normal((200, 2)) * 0.1 + [18.0, 3.0]
     found = estimates("FQE-L2", [18.0, 3.0], draws)
     assert select([found]).name == "a"
-    choice = select([found], np.array([MOSTLY - 0.01, MOSTLY]))
+    choice = select([found], lacking([MISSING + 0.01, MISSING]))
     assert choice.name == "b"
     assert choice.deploy
-    assert choice.warnings == ("the log covers less than half of what these do, and estimates of them are guesses: a (49 %)",)
-    alone = select([found], np.array([0.2, 0.1]))
+    assert choice.warnings == ("a: 11 % of its actions have no support in the log",)
+    alone = select([found], lacking([0.8, 0.9]))
     assert not alone.deploy
     assert alone.name == "a"
-    assert "but only 20 % of what it does is covered by the log" in alone.reason
-    unknown = select([found], np.full(2, np.nan))
-    assert (unknown.name, unknown.warnings) == ("a", ("the log is too short to tell how much of what a does it covers",))
+    assert "but 80 % of its actions have no support in the log" in alone.reason
+    short = select([found], Support(np.zeros(2), np.full(2, 0.7), np.array([0.94, 0.96]), np.zeros(2, bool)))
+    assert short.objections[0][0].startswith("its importance weights average 0.70 a step instead of 1 (at most 0.94")
+    assert not short.objections[1]
+    unknown = select([found], lacking(np.full(2, np.nan)))
+    assert (unknown.name, unknown.warnings) == ("a", ("the log is too short to tell how many of a's actions have support",))
     with pytest.raises(UserError, match="a number for each of 2 policies, got 3"):
-        select([found], np.ones(3))
+        select([found], lacking(np.zeros(3)))
+
+
+def lacking(missing):
+    """Support by the share of actions without it alone."""
+    nothing = np.full(len(missing), np.nan)
+    return Support(np.asarray(missing, float), nothing, nothing, np.zeros(len(missing), bool))

@@ -1,14 +1,21 @@
 """Policies judged from a log and checked in the simulator, and what a page shows of it."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from deadreckon.agents.bc import BC
 from deadreckon.collect import generate
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
+from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
+from deadreckon.policies import store
 from deadreckon.report import write
+from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.offline import checked, gather, judge, read_estimates
 from deadreckon.runs.train import train
 
@@ -53,30 +60,116 @@ def test_the_page_shows_it(made):
     folder, *_ = made
     page = write([folder / "bc"], folder / "page.html", estimates=folder / "ope").read_text()
     assert 'id="estimates"' in page
-    assert "FQE-L2: estimate against truth" in page
-    assert "Checked: in the simulator" in page
+    assert "estimate against true value" in page
+    assert "Checked afterwards in the simulator" in page
     plain = write([folder / "bc"], folder / "plain.html").read_text()
     assert 'id="estimates"' not in plain
     with pytest.raises(UserError, match="no estimates in"):
         write([folder / "bc"], folder / "page.html", estimates=folder)
 
 
-def test_estimates_from_before_coverage_was_told(made, tmp_path):
-    folder, _, (_, _, told) = made
-    assert len(told["covered"]) == 2
-    write_json(tmp_path / "estimates.json", {name: value for name, value in told.items() if name != "covered"})
-    assert read_estimates(tmp_path)["covered"] == [None, None]
-    assert "within the log" in write([folder / "bc"], tmp_path / "page.html", estimates=tmp_path).read_text()
+def test_estimates_from_before_episodes_were_held_out_are_refused(made, tmp_path):
+    _, _, (_, _, told) = made
+    write_json(tmp_path / "estimates.json", {name: value for name, value in told.items() if name != "estimand"})
+    with pytest.raises(UserError, match="judged policies on the rows that taught them; estimate them again"):
+        read_estimates(tmp_path)
 
 
 def test_where_policies_come_from(made):
     folder, *_ = made
-    policies, owners = gather([folder / "bc", folder / "bc" / "policies" / "seed0.npz", "hopper"])
-    assert len(policies) == len(owners) == 2 + 1 + 11
-    assert owners[0] == ("bc", 0)
-    assert owners[2] == ("seed0", None)
-    assert owners[-1] == ("hopper snapshot-10", None)
+    found = gather([folder / "bc", folder / "bc" / "policies" / "seed0.npz", "hopper"])
+    assert len(found) == 2 + 1 + 11
+    assert (found[0].run, found[0].seed) == ("bc", 0)
+    assert (found[2].run, found[2].seed) == ("seed0", None)
+    np.testing.assert_array_equal(found[0].taught, found[2].taught)  # a file tells what a run tells
+    assert (found[-1].run, found[-1].taught) == ("hopper snapshot-10", None)
     with pytest.raises(UserError, match="there are no policies of 'nothing'"):
         gather(["nothing"])
     with pytest.raises(UserError, match="no policy to judge"):
         gather([])
+
+
+# ---- fresh episodes -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def noise(tmp_path_factory):
+    """A log of one step and rewards that are noise, and a clone that learned from four fifths of it."""
+    rng = np.random.default_rng(0)
+    log = Dataset.from_arrays(
+        observations=rng.standard_normal((300, 2)), actions=rng.integers(0, 3, 300), rewards=rng.standard_normal(300),
+        terminals=np.ones(300, bool), behavior_log_probs=np.full(300, -np.log(3)), action_space=Discrete(3), name="noise",
+        user=np.repeat(np.arange(30), 10),
+    )  # fmt: skip
+    folder = tmp_path_factory.mktemp("noise")
+    return log, train(BC(hidden=(8,)), log, steps=20, out=folder / "bc"), folder
+
+
+QUICK = {"model": BehaviorModel(hidden=(8,), steps=50), "discount": 0.0}
+
+
+def test_policies_are_judged_on_the_episodes_that_taught_none_of_them(noise):
+    log, run, _ = noise
+    told = judge([run], log, **QUICK).told
+    assert (told["judged"]["episodes"], told["judged"]["of"], told["judged"]["fresh"]) == (60, 300, True)
+    assert np.isin(run.held, log.episode_ids).all()
+    # The part that was learned from, under whatever name: nothing of it is fresh.
+    part = log.select(np.flatnonzero(np.isin(log.episode_ids, run.taught)), name="another")
+    own = judge([run], part, **QUICK)
+    assert not own.told["judged"]["fresh"]
+    assert not own.choice.deploy
+    assert "it has learned from these episodes" in own.choice.reason
+    # A log that it has never seen.
+    other = log.select(np.arange(300)[::-1])
+    new = dataclasses.replace(other, rewards=other.rewards + 1.0, part_of=None)
+    assert judge([run], new, **QUICK).told["judged"]["episodes"] == 300
+
+
+def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_path):
+    log, run, _ = noise
+    store.save(tmp_path / "mine.npz", run.policy)
+    unknown = judge([tmp_path / "mine.npz"], log, **QUICK)
+    assert "nobody knows whether it has learned from these episodes" in unknown.choice.reason
+    said = judge([tmp_path / "mine.npz"], log, unseen=True, **QUICK)
+    assert said.told["judged"]["fresh"]
+    assert "as the user says" in said.told["judged"]["words"]
+
+
+def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):
+    log, _, folder = noise
+    run = train(BC(hidden=(8,)), log, steps=20, out=folder / "users", holdout=Holdout(0.4, "user"))
+    told = judge([run], log, **QUICK).told
+    assert told["judged"]["cluster"] == "user"
+    assert told["judged"]["units"] == len(np.unique(log.extras["user"][np.isin(log.episode_ids, run.held)]))
+
+
+def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_path, monkeypatch):
+    log, run, folder = noise
+    monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
+    other = train(BC(hidden=(8,)), log, steps=30, seed=5, out=folder / "other", holdout=Holdout())
+    levels = [judge(each, log, **QUICK).told["looks"] for each in ([run], [other], [run], [run, other])]
+    assert [each["number"] for each in levels] == [1, 2, 1, 3]  # the same policies again are the same look
+    assert [each["alpha"] for each in levels] == [0.025, 0.0125, 0.025, 0.00625]
+    assert levels[-1]["policies"] == 4
+    uncounted = judge([run], log, counted=False, **QUICK).told["looks"]
+    assert (uncounted["alpha"], uncounted["counted"]) == (0.05, False)
+    [note] = (tmp_path / "looks").glob("*.json")
+    note.write_text("[]")
+    with pytest.raises(UserError, match="is not a note of looks"):
+        judge([run], log, **QUICK)
+
+
+def test_a_cross_fit_is_judged_on_every_episode(noise):
+    log, _, folder = noise
+    crossed = cross_fit(BC(hidden=(8,)), log, folds=3, steps=20, out=folder / "crossed")
+    judged = judge([folder / "crossed"], log, **QUICK)
+    assert judged.told["judged"]["episodes"] == 300
+    assert judged.told["judged"]["fresh"]
+    [name] = [each["name"] for each in judged.told["policies"]]
+    assert name == "crossed seed 0"
+    # By hand: each episode weighted by the policy that has not seen it.
+    fold = crossed.fold_of(log)
+    probs = np.stack([np.asarray(run.policy.action_probs(log.observations)) for run in crossed.runs])
+    each = 3 * probs[fold, np.arange(300), log.actions] * log.rewards
+    found = judge([crossed], log, [ImportanceSampling(normalised=False)], **QUICK).estimates[0]
+    assert found.value[0] == pytest.approx(each.mean(), rel=1e-4)

@@ -12,7 +12,6 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope import inference
-from deadreckon.ope.coverage import MOSTLY
 from deadreckon.ope.estimate import LOGGED, Estimates
 from deadreckon.ope.intervals import ALPHA, percentiles, spread
 from deadreckon.ope.support import Support
@@ -98,7 +97,6 @@ def select(
     seen: Sequence[str | None] | None = None,
     accept_model_based: bool = False,
     alpha: float = ALPHA,
-    covered: np.ndarray | None = None,
 ) -> Choice:
     """Chooses by the first of several estimates of the same policies; the others are evidence.
 
@@ -110,7 +108,6 @@ def select(
         seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
         accept_model_based: deploy also by estimates that no logged reward corrects.
         alpha: share of logs for which one of the intervals may miss.
-        covered: (policies,) shares of `coverage`, instead of `support`.
 
     Raises:
         UserError: no estimates, of different policies, or without the behaviour policy.
@@ -121,8 +118,8 @@ def select(
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
     names = [name for name in first.names if name != LOGGED]
-    if covered is not None and len(covered) != len(names):
-        raise UserError(f"covered must have a number for each of {len(names)} policies, got {len(covered)}")
+    if support is not None and len(support.missing) != len(names):
+        raise UserError(f"support must have a number for each of {len(names)} policies, got {len(support.missing)}")
     if seen is not None and len(seen) != len(names):
         raise UserError(f"seen must have an entry for each of {len(names)} policies, got {len(seen)}")
     found = [gains(each, alpha) for each in estimates]
@@ -132,8 +129,6 @@ def select(
         own = [] if seen is None or seen[i] is None else [str(seen[i])]
         own += _against(first, i, accept_model_based, support)
         own += [] if support is None else support.objections(i)
-        if covered is not None and covered[i] < MOSTLY:
-            own.append(f"only {100 * covered[i]:.0f} % of its actions lie within what the log shows")
         others = zip(estimates[1:], found[1:])
         own += [f"{each.method} finds it worse" for each, told in others if _speaks(each, i) and told[i, 2] < 0]
         objections.append(tuple(own))
@@ -158,6 +153,8 @@ def select(
         agrees = "agrees that it is best" if chosen == best else f"would choose {names[chosen]}"
         evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}], {agrees}")
     warnings = list(first.warnings)
+    if support is not None and np.isnan(support.missing[best]):
+        warnings.append(f"the log is too short to tell how many of {name}'s actions have support")
     for i, own in enumerate(objections):
         if i != best and own:
             warnings.append(f"{names[i]}: {'; '.join(own)}")
