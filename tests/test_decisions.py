@@ -205,8 +205,8 @@ def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):
     monkeypatch.setattr(decision_study.trial, "learned", lambda log, discount, seed: evenly)
     monkeypatch.setattr(decision_study.trial, "NONE_BETTER", 0.0)
     path = tmp_path / "missing" / "0.json"
-    first = trial("missing", 4, ["oracle", "argmax-wis", "new"], path, 200)
-    assert set(first["rules"]) == {"oracle", "argmax-wis"}  # the new one says nothing yet
+    first = trial("missing", 4, ["oracle", "argmax-wis"], path, 200)
+    assert set(first["rules"]) == {"oracle", "argmax-wis"}
     text = path.read_text()
     assert trial("missing", 4, ["oracle"], path, 200) == json.loads(text)
     assert path.read_text() == text

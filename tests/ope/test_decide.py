@@ -18,7 +18,7 @@ from deadreckon.theory.tabular import softmax
 from tests.ope.worlds import as_policy, tables
 
 QUICK = BehaviorModel(hidden=(8,), steps=300, lr=1e-2)
-DRL, DR = DoublyRobust(kind="marginal", fqe=LinearFQE()), DoublyRobust(kind="dr", fqe=LinearFQE())
+DRL, DR = DoublyRobust(kind="marginal", fqe=LinearFQE()), DoublyRobust(kind="dr", fqe=LinearFQE(cosines=32))
 
 
 def finite_value(world, policy, discount, horizon):
@@ -255,7 +255,7 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
 
 def test_intervals_of_all_policies_at_once_by_simulation():
     """Eight estimates of skewed scores that vary together, of 60 units: all inside in 95 % of logs, each alone in more."""
-    rng, hits, alone, count = np.random.default_rng(0), 0, 0, 600
+    rng, hits, alone, count = np.random.default_rng(0), 0, 0, 300
     for seed in range(count):
         scores = rng.exponential(size=(60, 9)) - 1.0
         scores[:, :8] = 0.5 * scores[:, [8]] + scores[:, :8]
@@ -265,7 +265,7 @@ def test_intervals_of_all_policies_at_once_by_simulation():
         hits += bool(((low <= 0) & (high >= 0)).all())
         one_low, one_high = inference.intervals(mean, scores[:, :8] - mean, seed=seed)
         alone += np.mean((one_low <= 0) & (one_high >= 0))
-    assert 0.93 <= hits / count <= 0.985, hits / count
+    assert 0.915 <= hits / count <= 0.985, hits / count  # three deviations of 300 draws
     assert 0.93 <= alone / count <= 0.975, alone / count
 
 
@@ -378,12 +378,12 @@ def test_few_clusters_decide_nothing():
 
 
 def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
-    """Rewards depend on the context and the action; 60 logs, known propensities (300, and learned ones, in the study)."""
+    """Rewards depend on the context and the action; 60 logs, known propensities (many more, and learned ones, in the study)."""
     rng, errors, hits = np.random.default_rng(0), [], 0
     weights = np.random.default_rng(1).standard_normal((4, 3))
     probs = lambda seen: softmax(2.0 * seen @ weights)  # noqa: E731
     policy = BlackBoxPolicy(lambda seen, rng: probs(seen).argmax(1), action_probs=probs)
-    many = rng.standard_normal((200_000, 4))
+    many = rng.standard_normal((100_000, 4))
     exact = (probs(many) * (many @ weights)).sum(1).mean()
     for seed in range(60):
         seen = rng.standard_normal((500, 4))
@@ -402,9 +402,9 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
 
 
 def test_pure_noise_is_never_praised():
-    """Policies that memorised the learning part, on 40 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
+    """Policies that memorised the learning part, on 25 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
     deployed = 0
-    for seed in range(40):
+    for seed in range(25):
         log = bandit(np.random.default_rng(seed), rows=500)
         part, _ = log.split(0.8, seed=seed)
         held = np.flatnonzero(~np.isin(log.episode_ids, part.episode_ids))

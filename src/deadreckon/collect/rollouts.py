@@ -115,7 +115,7 @@ def played(task: Task, policy: Deployed | None, rows: int, seed: int) -> Dataset
         log = perform(
             task, [Act(policy, rows)], name=task.name, seed=seed, provenance=provenance, scratch=Path(scratch) / "rows"
         )
-        return log.select(np.arange(log.episodes))  # in memory, not where the scratch was
+        return log.loaded()  # in memory, not where the scratch was
 
 
 def _perform(
