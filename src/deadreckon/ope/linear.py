@@ -16,7 +16,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from deadreckon.ope.critics import OutOfFold
-from deadreckon.ope.estimand import discounted_steps
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.features import Features
 from deadreckon.ope.intervals import percentiles
@@ -67,7 +66,6 @@ class Sums:
         lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because
             the log does not show what it did next.
         logged: index of the behaviour policy, or -1.
-        low, high: least and greatest reward.
     """
 
     gram: np.ndarray
@@ -80,8 +78,6 @@ class Sums:
     lost_reward: np.ndarray
     lost_rows: np.ndarray
     logged: int
-    low: float
-    high: float
 
     def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(groups, ...) gram, reward and rows of one policy."""
@@ -180,7 +176,6 @@ class Fit:
             np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
             np.zeros(groups), np.bincount(group, minlength=groups).astype(float),
             np.zeros((groups, d, d)), np.zeros((groups, d)), np.zeros(groups), count - 1 if case.logged else -1,
-            float(data.spec.reward.min) / self.std, float(data.spec.reward.max) / self.std,
         )  # fmt: skip
         after, first = self.next_actions(case), case.initial_actions(self.samples)
         of_row = group[data.episode_of]
@@ -321,7 +316,7 @@ class Fit:
                 if key not in ridges:
                     ridges[key] = self.ridge(judged, i, taught or others)
                 critics.append(self.critic(judged, weight, i, ridges[key]))
-            self.tell(out, fold, k, critics, (judged.low, judged.high))
+            self.tell(out, fold, k, critics)
         return out
 
     def _judged_and_taught(self, fold: np.ndarray, folds: int, start: bool) -> Sums:
@@ -332,9 +327,9 @@ class Fit:
         part = np.random.default_rng([self.case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
         more = self.sums(teach, part, PARTS, start=start)
         both = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
-        return replace(judged, **both, low=min(judged.low, more.low), high=max(judged.high, more.high))
+        return replace(judged, **both)
 
-    def tell(self, out: OutOfFold, fold: np.ndarray, k: int, critics: Sequence[Critic], bounds: tuple[float, float]) -> None:
+    def tell(self, out: OutOfFold, fold: np.ndarray, k: int, critics: Sequence[Critic]) -> None:
         """Notes what the critics of one fold say of its episodes, and how well they fit some of the rows that taught them.
 
         Args:
@@ -342,7 +337,6 @@ class Fit:
             fold: (episodes,) of each.
             k: the fold that the critics have not seen.
             critics: one a policy.
-            bounds: least and greatest reward, in its standard deviations.
         """
         case, data, marginal = self.case, self.case.data, out.weighted is not None
         after, first = self.next_actions(case), case.initial_actions(self.samples)
@@ -350,14 +344,14 @@ class Fit:
         for part in blocks(np.flatnonzero(fold == k)):
             phi = self.features.expected(data.observations[data.starts[part]], first[part])
             for i, critic in enumerate(critics):
-                out.begins[i, part] = self._value(phi[:, i] @ critic.weights[-1], self.horizon, bounds)
+                out.begins[i, part] = self.std * (phi[:, i] @ critic.weights[-1])
 
         def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
             phi = self.features.taken(data.observations[part], data.actions[part])
             if after is None:
-                return (self._errors(part, phi, None, critic, bounds, marginal) for critic in critics)
+                return (self._errors(part, phi, None, critic, marginal) for critic in critics)
             follows = self.features.expected(data.next_observations_at(part), after[part])
-            return (self._errors(part, phi, follows[:, i], critic, bounds, marginal) for i, critic in enumerate(critics))
+            return (self._errors(part, phi, follows[:, i], critic, marginal) for i, critic in enumerate(critics))
 
         of_row = fold[data.episode_of]
         for part in blocks(np.flatnonzero(of_row == k)):
@@ -369,21 +363,13 @@ class Fit:
         for i, found in enumerate(errors(seen, False)):
             out.fitted[i] += np.square(found["errors"]).mean() / (int(fold.max()) + 1)
 
-    def _value(self, x: np.ndarray, steps: int | None, bounds: tuple[float, float]) -> np.ndarray:
-        """Values cut at what a return of so many steps can be, in units of the reward."""
-        if steps == 0:
-            return np.zeros_like(x)
-        span = self.case.span if steps is None else discounted_steps(self.case.discount, steps)
-        low, high = min(bounds[0], 0.0) * span, max(bounds[1], 0.0) * span
-        if self.case.discount == 1.0 and steps is None:  # an episode may be longer than any that was seen
-            return x * self.std
-        return np.clip(x, low, high) * self.std
-
     def _errors(
-        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray | None, critic: Critic, bounds: tuple[float, float],
-        marginal: bool,
+        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray | None, critic: Critic, marginal: bool
     ) -> dict[str, np.ndarray]:
         """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies.
+
+        Values are not cut at what a return can be: V has to be the mean of Q over the policy's actions, or the estimate is
+        biased.
 
         Features of what follows are None where nothing that follows counts.
         """
@@ -393,18 +379,15 @@ class Fit:
         q = phi @ critic.weights.T  # (rows, steps)
         following = np.zeros_like(q) if follows is None else follows @ critic.weights.T
         if self.horizon is None:
-            v = self._value(following[:, 0], None, bounds) * goes_on
-            error = np.where(known, rewards + discount * v - self._value(q[:, 0], None, bounds), 0.0)
+            error = np.where(known, rewards + self.std * (discount * following[:, 0] * goes_on - q[:, 0]), 0.0)
             found = {"errors": error}
             if marginal:
                 weight = phi @ critic.ratios.T
                 found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.span}
             return found
         time, rows, last = case.time[part], np.arange(len(part)), self.horizon - 1
-        steps = range(self.horizon)
-        every_q = np.stack([self._value(q[:, h], h + 1, bounds) for h in steps], 1)  # with h + 1 steps to go
-        later = [self._value(following[:, h], h + 1, bounds) for h in range(self.horizon - 1)]
-        every_v = np.stack([np.zeros(len(part)), *later], 1)
+        every_q = self.std * q  # with 1, 2, ... steps to go
+        every_v = self.std * np.concatenate([np.zeros((len(part), 1)), following[:, :-1]], 1)
         every_v *= goes_on[:, None]
         # Where the horizon ends an episode, nothing that follows counts, whether it is known or not.
         left = last - time

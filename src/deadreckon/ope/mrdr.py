@@ -212,11 +212,10 @@ def out_of_fold(
         for k in range(folds):
             others = np.delete(np.arange(groups), k)
             theta[k, :, t] = [_solve(gram[i, others], moment[i, others], fit) for i in range(case.count)]
-    bounds = float(rewards.min()) / fit.std, float(rewards.max()) / fit.std
     for k in range(folds):
         # Of a critic the first weights are those with one step to go.
         critics = [Critic(own[::-1], own[::-1], 0.0, bool(ok)) for own, ok in zip(theta[k], out.settled)]
-        fit.tell(out, fold, k, critics, bounds)
+        fit.tell(out, fold, k, critics)
     return out
 
 
