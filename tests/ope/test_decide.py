@@ -230,15 +230,15 @@ def test_values_are_means_of_action_values(kind):
     Rewards are rare, so that critics say less than zero of some actions; cutting these at zero would be a bias.
     """
     rng = np.random.default_rng(8)
-    seen, paid = rng.standard_normal((60, 5)), (rng.random((60, 4)) < 0.15).astype(float)
+    seen, paid = rng.standard_normal((150, 5)), (rng.random((150, 4)) < 0.15).astype(float)
     log = Dataset.from_arrays(
-        observations=np.repeat(seen, 4, 0), actions=np.tile(np.arange(4), 60), rewards=paid.reshape(-1),
-        terminals=np.ones(240, bool), action_space=Discrete(4), behavior_log_probs=np.full(240, -np.log(4)),
+        observations=np.repeat(seen, 4, 0), actions=np.tile(np.arange(4), 150), rewards=paid.reshape(-1),
+        terminals=np.ones(600, bool), action_space=Discrete(4), behavior_log_probs=np.full(600, -np.log(4)),
     )  # fmt: skip
     weights = rng.standard_normal((5, 4))
     probs = lambda x: softmax(x @ weights)  # noqa: E731
     policy = BlackBoxPolicy(lambda x, rng: probs(x).argmax(1), action_probs=probs)
-    case = Case(log, policy, discount=0.0, horizon=1, logged=True, clusters=np.repeat(np.arange(60), 4))
+    case = Case(log, policy, discount=0.0, horizon=1, logged=True, clusters=np.repeat(np.arange(150), 4))
     found = DoublyRobust(kind=kind, fqe=LinearFQE(cosines=32, ridge=0.1)).on(case)
     assert found.value[0] == pytest.approx((probs(seen) * paid).sum(1).mean(), abs=1e-5)
 
