@@ -251,7 +251,9 @@ def _estimated(
     log, out = catalogue.load(source(jobs[0])), store.path / "estimates"
     if jobs[0].asked.get("divided"):
         log = trial_parts(log)[1]
-    judged = judge(list(folders), log, estimators, out=out, model=model, discount=discount, greedy=True, watch=watch)
+    options = {"discount": discount, "greedy": True, "model": model, "watch": watch}
+    # These episodes choose settings, and no card rests on them: nobody counts the looks at them.
+    judged = judge(list(folders), log, estimators, out=out, counted=False, **options)
     values: dict[str, list[float]] = {}
     owners = {folder.name: method for folder, method in folders.items()}
     for policy, value in zip(judged.told["policies"], judged.told["results"][0]["value"]):
