@@ -88,7 +88,7 @@ def main() -> int:
     os.environ |= ONE_THREAD  # before anything starts threads; the workers inherit it
     options = parse()
     from decision_study import FAMILIES
-    from decision_study.rules import AWAITED, RULES
+    from decision_study.rules import RULES
     from decision_study.summary import tables
     from decision_study.trial import CONFIRM
 
@@ -100,7 +100,7 @@ def main() -> int:
         if name not in FAMILIES or (FAMILIES[name].split == "confirmatory" and not confirm):
             print(f"error: no {options.split} family {name!r}; there are {', '.join(FAMILIES)}", file=sys.stderr)
             return 2
-    rules = options.rules or [rule for rule in RULES if rule not in AWAITED]
+    rules = options.rules or list(RULES)
     if not options.table:
         return 1 if work(options, families, rules) else 0
     files = [path for name in families for path in sorted((options.out / name).glob("*.json"), key=lambda p: int(p.stem))]

@@ -252,7 +252,6 @@ def new(task: Task) -> Verdict:
     return Verdict(index, *choice.gains.T, why=choice.reason)
 
 
-AWAITED = ()
 RULES: dict[str, Callable[[Task], Verdict]] = {
     "new": new, "old-train": old_train, "old-held": old_held, "oracle": oracle, "argmax-fqe": argmax_fqe,
     "argmax-wis": argmax_wis,

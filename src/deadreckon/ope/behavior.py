@@ -79,12 +79,10 @@ class Behavior(NamedTuple):
     Attributes:
         log_probs: (rows,) log-probabilities of the logged actions, or log-densities.
         chances: (rows, actions) probabilities of all actions; None where they are continuous.
-        checked: mean negative log-likelihood on the rows that said when to stop.
     """
 
     log_probs: np.ndarray
     chances: np.ndarray | None
-    checked: float
 
 
 def out_of_fold(case: Case, model: BehaviorModel, folds: int) -> Behavior:
@@ -124,12 +122,11 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     state = case.train(learner, rows, model.steps, "behaviour by folds")
     nets, view, own = state.best.params, rows.view, case.data
     of_row = fold[own.episode_of]
-    checked = float(np.mean(np.asarray(state.best.loss)))
     observe = lambda seen: view.observe(np.asarray(seen))  # noqa: E731
     if not data.spec.discrete:
         unit = np.asarray(view.to_unit(np.asarray(own.actions)))
         told = in_blocks(lambda seen, act: _densities(nets, observe(seen), act), own.observations, unit)
-        return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - view.log_scale, None, checked)
+        return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - view.log_scale, None)
     of_all = lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
     logits = in_blocks(of_all, own.observations)
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
@@ -140,7 +137,7 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
         seen = in_blocks(of_all, part)[k].T
         logits[of_row == k] /= temperature(seen.astype(np.float64), np.asarray(data.actions[some]))
     log_chances = log_softmax(logits, axis=1)
-    return Behavior(log_chances[np.arange(len(own)), np.asarray(own.actions)], np.exp(log_chances), checked)
+    return Behavior(log_chances[np.arange(len(own)), np.asarray(own.actions)], np.exp(log_chances))
 
 
 @jax.jit

@@ -24,7 +24,6 @@ from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.policies.policy import Categorical
 
 LEVEL = 0.99  # of the log's own actions are covered
-MOSTLY = 0.5  # of what a policy does is to be covered; below, one is warned
 # The bound comes from this share of the log's rows, or more, to have so many rows and episodes; never from more than half.
 HELD, FEWEST_ROWS, FEWEST_EPISODES = 0.1, 200, 5
 MOST = 8192  # of these rows are looked at
