@@ -164,6 +164,14 @@ def posterior(name: str, seen: np.ndarray) -> np.ndarray:
     return softmax(logs)
 
 
+def discriminant(name: str, seen: np.ndarray) -> np.ndarray:
+    """(n, classes) scores of linear discriminant analysis: log-probabilities if the classes had one covariance."""
+    shares, means, factors = generative(name)
+    pooled = np.einsum("c,cij,ckj->ik", shares, factors, factors)
+    weights = np.linalg.solve(pooled, means.T)
+    return seen @ weights - 0.5 * (means * weights.T).sum(1) + np.log(shares)
+
+
 def contexts(name: str) -> Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]:
     """Draws of the generative model."""
     shares, means, factors = generative(name)
@@ -179,8 +187,12 @@ def contexts(name: str) -> Callable[[np.random.Generator, int], tuple[np.ndarray
     return draw
 
 
-def classes(known: bool) -> Callable[[int, int], Problem]:
-    """An action is a guess of the class; a reward is 1 where it is right, and the other way round by chance."""
+def classes(known: bool, linear_own: bool) -> Callable[[int, int], Problem]:
+    """An action is a guess of the class; a reward is 1 where it is right, and the other way round by chance.
+
+    The log's own policy is drawn to the right classes as a linear classifier sees them, or as they are, which no model learns
+    from a few thousand rows where there are many classes.
+    """
 
     def make(seed: int, rows: int) -> Problem:
         rng = np.random.default_rng([seed, WORLD])
@@ -189,17 +201,20 @@ def classes(known: bool) -> Callable[[int, int], Problem]:
         draw, (shares, means, _) = contexts(name), generative(name)
         probs = lambda seen: posterior(name, seen)  # noqa: E731
         mean = lambda seen, unseen: flips + (1.0 - 2.0 * flips) * probs(seen)  # noqa: E731
+        right = (lambda seen: discriminant(name, seen)) if linear_own else (lambda seen: np.log(probs(seen) + 1e-6))
         if rng.random() < NEAR:
+
             def chances(seen):
-                best = np.eye(len(shares))[probs(seen).argmax(1)]
+                best = softmax(right(seen)) if linear_own else np.eye(len(shares))[right(seen).argmax(1)]
                 return 0.05 / len(shares) + 0.95 * best
         else:
             weights = linear(rng, means.shape[1], len(shares))
             blend, share, decided = rng.uniform(0.0, 1.0), rng.uniform(0.05, 0.3), rng.uniform(0.5, 1.5)
 
             def chances(seen):
-                logits = blend * np.log(probs(seen) + 1e-6) / 3.0 + (1.0 - blend) * seen @ weights
+                logits = blend * right(seen) / 3.0 + (1.0 - blend) * seen @ weights
                 return share / len(shares) + (1.0 - share) * softmax(decided * logits)
+
         world = Bandit(draw, mean, chances, seed)
         by = (rng.uniform(0.3, 1.0), -rng.uniform(0.3, 1.0))
         candidates = {
@@ -328,8 +343,9 @@ NEVER = "never: all policies are worth the same"
 FAMILIES = (
     Family("null-bandit", null(True), NEVER),
     Family("null-bandit-unknown", null(False), NEVER),
-    Family("classes", classes(True), "always `better`, by little in the 30 % of logs whose own policy is near the best"),
-    Family("classes-unknown", classes(False), "as `classes`"),
+    Family("classes", classes(True, False), "always `better`, by little in the 30 % of logs whose own policy is near the best"),
+    Family("classes-unknown", classes(False, True), "as `classes`"),
+    Family("classes-rough", classes(False, False), "as `classes`, whose twin it is"),
     Family("missing", missing(False, True), "where the action that the log lacks is good, or its own policy not near the best"),
     Family("missing-unknown", missing(False, False), "as `missing`"),
     Family("supported", missing(True, True), "as `missing`, whose twin it is"),

@@ -148,16 +148,26 @@ class Problem:
         """The value of the policy that made the log."""
         return self.world.gains([], np.zeros(0))[2]
 
+    @property
+    def units(self) -> np.ndarray:
+        """(episodes,) the cluster of each, 0, 1, ..., or its own number."""
+        if self.cluster is None:
+            return np.arange(self.log.episodes)
+        return np.unique(self.log.extras[self.cluster][self.log.starts], return_inverse=True)[1]
+
     def parts(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Episodes to learn from and those that are held out: a fifth of them, or of the clusters, at random."""
-        log = self.log
-        of = np.arange(log.episodes)
-        if self.cluster is not None:
-            of = np.unique(log.extras[self.cluster][log.starts], return_inverse=True)[1]
+        of = self.units
         units = int(of.max()) + 1
         held = np.random.default_rng([seed, HOLD]).permutation(units)[: max(round(HELD * units), 1)]
         out = np.isin(of, held)
         return np.flatnonzero(~out), np.flatnonzero(out)
+
+    def folds(self, seed: int, count: int) -> np.ndarray:
+        """(episodes,) fold of each, at random; clusters stay whole."""
+        of = self.units
+        units = int(of.max()) + 1
+        return (np.random.default_rng([seed, HOLD]).permutation(units) % count)[of]
 
     def part(self, episodes: np.ndarray) -> tuple[Dataset, dict[str, np.ndarray]]:
         """These episodes of the log, and what is hidden of them."""

@@ -7,7 +7,7 @@ members where it does not. They are kept here because the package has them no mo
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,12 +18,17 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.ope import Case
 from deadreckon.ope.decide import decide
+from deadreckon.ope.estimate import CrossFitted
 from deadreckon.ope.intervals import student
+from deadreckon.ope.select import UNITS
 from decision_study.fqe import fqe
+from decision_study.learn import learned
 from decision_study.problem import Problem
 
 ALPHA = 0.05
 FIRST_LOOK = 0.025  # of it that the package spends when a split is looked at for the first time
+FOLDS = 5  # of a cross-fit
+CROSS = 50  # episodes of one step, or clusters of them, below which it is better than a fifth that is held out
 TENTH = 0.1  # of the held-out standard error, which the truth's may be
 FEW, MOSTLY, LEVEL = 10.0, 0.5, 0.99  # episodes that weights rest on; share of actions that are shown; what counts as shown
 
@@ -36,6 +41,8 @@ class Verdict:
         choice: the policy to deploy, by its place; None: none of them.
         gain, low, high: (policies,) estimates of the gains, and intervals that hold for all at once; infinite: it has none.
         why: in one line, where it says more.
+        told: (policies,) whether it said that the log has no support for what a policy does; None: it does not look.
+        true: (policies,) true gains of the policies that it judged, where these are not the task's own.
     """
 
     choice: int | None
@@ -43,6 +50,8 @@ class Verdict:
     low: np.ndarray
     high: np.ndarray
     why: str = ""
+    told: np.ndarray | None = None
+    true: np.ndarray | None = None
 
 
 @dataclass
@@ -239,17 +248,44 @@ def argmax_wis(task: Task) -> Verdict:
 
 
 def new(task: Task) -> Verdict:
-    """The package's decision card, on the held-out part."""
+    """The package's decision card, on the held-out part, or cross-fitted where that has few episodes or clusters."""
+    problem = task.problem
+    units, held = problem.units, problem.parts(task.seed)[1]
+    if len(np.unique(units[held])) < (CROSS if problem.log.lengths.max() == 1 else UNITS):
+        return _crossed(task)
+    return _card(task, task.policies, held)
+
+
+def _crossed(task: Task) -> Verdict:
+    """Learned `FOLDS` times, and each fold judged by the policy that has not seen it: of mixtures that draw one of these."""
+    problem = task.problem
+    which = problem.folds(task.seed, FOLDS)
+    parts = [problem.part(np.flatnonzero(which != k))[0] for k in range(FOLDS)]
+    each = [learned(part, problem.estimand.discount, task.seed) for part in parts]
+    share = np.bincount(which, minlength=FOLDS) / len(which)
+    error = TENTH * float(np.median(task.truth[3]))
+    policies, true = {}, []
+    for name, policy in task.policies.items():
+        own = [policy] if name in problem.candidates else [found[name] for found in each if name in found]
+        if len(own) not in (1, FOLDS):
+            continue  # its numbers went bad in a fold
+        policies[name] = policy if len(own) == 1 else CrossFitted(tuple(own), which)
+        gains = np.zeros(len(own)) if problem.null else problem.world.gains(own, np.full(len(own), error))[0]
+        true.append(float(gains @ share) if len(own) > 1 else float(gains[0]))
+    return replace(_card(task, policies, np.arange(problem.log.episodes)), true=np.array(true))
+
+
+def _card(task: Task, policies: Mapping[str, Any], held: np.ndarray) -> Verdict:
     problem, estimand = task.problem, task.problem.estimand
-    held = np.flatnonzero(np.isin(np.arange(problem.log.episodes), problem.parts(task.seed)[1]))
-    clusters = None if problem.cluster is None else problem.log.extras[problem.cluster][problem.log.starts]
     case = Case(
-        problem.log, list(task.policies.values()), discount=estimand.discount, horizon=estimand.horizon, greedy=estimand.greedy,
-        names=list(task.policies), logged=True, held=held, clusters=clusters, seed=task.seed % 2**32, noise=None,
+        problem.log, list(policies.values()), discount=estimand.discount, horizon=estimand.horizon, greedy=estimand.greedy,
+        names=list(policies), logged=True, held=held, clusters=problem.units, seed=task.seed % 2**32, noise=None,
     )  # fmt: skip
-    choice = decide(case, alpha=FIRST_LOOK).choice
-    index = list(task.policies).index(choice.name) if choice.deploy else None
-    return Verdict(index, *choice.gains.T, why=choice.reason)
+    found = decide(case, alpha=FIRST_LOOK)
+    choice = found.choice
+    index = list(policies).index(choice.name) if choice.deploy else None
+    told = np.array([bool(found.support.objections(i)) for i in range(len(policies))])
+    return Verdict(index, *choice.gains.T, why=choice.reason, told=told)
 
 
 RULES: dict[str, Callable[[Task], Verdict]] = {

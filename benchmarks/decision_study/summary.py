@@ -2,15 +2,94 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 Z = 1.96
-COLUMNS = (
-    "rule", "logs", "deploys", "deploys what is not better", "… at most", "not better, of what it deploys", "… at most",
-    "mean gain", "of the oracle's gain", "all intervals hold", "… at least", "infinite", "width / oracle's",
+TWINS = ("missing", "missing-unknown", "supported", "supported-unknown")
+LEARNED = ("bc", "iql", "cql", "awac", "td3_bc")
+WHAT = {
+    "new": "the package", "old-train": "531dcab, training rows", "old-held": "531dcab, held-out rows", "oracle": "oracle",
+    "argmax-fqe": "argmax of FQE", "argmax-wis": "argmax of WIS",
+}  # fmt: skip
+RULE = (
+    "rule", "deploys", "… what is not better", "… at most", "not better, of what it deploys", "… at most", "mean gain",
+    "of the oracle's", "all intervals hold", "… at least", "endless", "width / oracle's",
 )  # fmt: skip
+OVERVIEW = (
+    "family", "logs", "deploys", "… what is not better", "… at most", "not better, of what it deploys", "mean gain",
+    "531dcab's, same rows", "difference ± error", "of the oracle's", "all intervals hold", "… at least", "endless",
+    "width / oracle's",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a rule did on some logs.
+
+    Attributes:
+        logs: how many.
+        deploys, bad, holds: on how many it deploys, deploys what is not better, and has intervals that all hold.
+        gains: (logs,) true gain of what it deploys; 0: nothing.
+        oracle: sum of the oracle's.
+        endless: share of the intervals without an end.
+        width: median width of the others, over the oracle's.
+    """
+
+    logs: int
+    deploys: int
+    bad: int
+    holds: int
+    gains: np.ndarray
+    oracle: float
+    endless: float
+    width: float
+
+    @classmethod
+    def of(cls, trials: Sequence[dict[str, Any]], rule: str) -> "Facts | None":
+        """None where the rule has said nothing."""
+        trials = [trial for trial in trials if rule in trial["rules"]]
+        if not trials:
+            return None
+        said = [trial["rules"][rule] for trial in trials]
+        true = [np.array(one.get("true", trial["gains"])) for one, trial in zip(said, trials)]
+        got = np.array([0.0 if one["choice"] is None else float(own[one["choice"]]) for one, own in zip(said, true)])
+        chosen = np.array([one["choice"] is not None for one in said])
+        best = [trial["rules"].get("oracle", {"choice": None})["choice"] for trial in trials]
+        ends = [_ends(one) for one in said]
+        holds = [bool(((low <= own + 1e-9) & (own - 1e-9 <= high)).all()) for (low, high), own in zip(ends, true)]
+        ratios = []
+        for (low, high), trial in zip(ends, trials):
+            if "oracle" in trial["rules"] and len(low) == len(trial["gains"]):
+                a, b = _ends(trial["rules"]["oracle"])
+                with np.errstate(all="ignore"):
+                    ratio = (high - low) / (b - a)
+                ratios.append(ratio[np.isfinite(ratio)])
+        widths = np.concatenate(ratios) if ratios else np.zeros(0)
+        return cls(
+            len(trials), int(chosen.sum()), int((chosen & (got <= 0.0)).sum()), sum(holds), got,
+            sum(0.0 if one is None else trial["gains"][one] for one, trial in zip(best, trials)),
+            float(np.concatenate([np.isinf(low) | np.isinf(high) for low, high in ends]).mean()),
+            float(np.median(widths)) if len(widths) else math.nan,
+        )  # fmt: skip
+
+    def cells(self, intervals: bool) -> dict[str, str]:
+        """In words, by column."""
+        found = {
+            "logs": str(self.logs), "deploys": _share(self.deploys, self.logs),
+            "… what is not better": _share(self.bad, self.logs), "… at most": _most(self.bad, self.logs),
+            "not better, of what it deploys": _share(self.bad, self.deploys), "mean gain": f"{self.gains.mean():+.3g}",
+            "of the oracle's": f"{100 * self.gains.sum() / self.oracle:.0f} %" if self.oracle > 0 else "–",
+        }  # fmt: skip
+        if intervals:
+            found |= {
+                "all intervals hold": _share(self.holds, self.logs),
+                "… at least": f"{100 * wilson(self.holds, self.logs)[0]:.1f} %", "endless": f"{100 * self.endless:.0f} %",
+                "width / oracle's": "–" if math.isnan(self.width) else f"{self.width:.2f}",
+            }  # fmt: skip
+        return found
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
@@ -22,39 +101,46 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
     return (middle - half) / (1 + square), (middle + half) / (1 + square)
 
 
-def described(trials: Sequence[dict[str, Any]], rule: str) -> list[str] | None:
-    """A row of the table; None where the rule has said nothing."""
-    trials = [trial for trial in trials if rule in trial["rules"]]
-    if not trials:
-        return None
-    said = [trial["rules"][rule] for trial in trials]
-    got = [0.0 if one["choice"] is None else trial["gains"][one["choice"]] for one, trial in zip(said, trials)]
-    deploys = sum(one["choice"] is not None for one in said)
-    bad = sum(one["choice"] is not None and gain <= 0.0 for one, gain in zip(said, got))
-    best = [trial["rules"].get("oracle", {"choice": None})["choice"] for trial in trials]
-    most = sum(0.0 if one is None else trial["gains"][one] for one, trial in zip(best, trials))
-    cells = [rule, str(len(trials)), _share(deploys, len(trials)), _share(bad, len(trials)),
-             f"{100 * wilson(bad, len(trials))[1]:.1f} %", _share(bad, deploys),
-             f"{100 * wilson(bad, deploys)[1]:.1f} %" if deploys else "–", f"{np.mean(got):+.3g}",
-             f"{100 * sum(got) / most:.0f} %" if most > 0 else "–"]  # fmt: skip
-    if rule.startswith("argmax"):
-        return [*cells, "–", "–", "–", "–"]
-    ends = [_ends(one) for one in said]
-    holds = sum(
-        bool(((low <= np.array(t["gains"]) + 1e-9) & (np.array(t["gains"]) - 1e-9 <= high)).all())
-        for (low, high), t in zip(ends, trials)
-    )
-    endless = np.concatenate([np.isinf(low) | np.isinf(high) for low, high in ends])
-    ratios = []
-    for (low, high), trial in zip(ends, trials):
-        if "oracle" in trial["rules"]:
-            a, b = _ends(trial["rules"]["oracle"])
-            with np.errstate(all="ignore"):
-                ratio = (high - low) / (b - a)
-            ratios.append(ratio[np.isfinite(ratio)])
-    widths = np.concatenate(ratios) if ratios else np.zeros(0)
-    return [*cells, _share(holds, len(trials)), f"{100 * wilson(holds, len(trials))[0]:.1f} %", f"{100 * endless.mean():.0f} %",
-            f"{np.median(widths):.2f}" if len(widths) else "–"]  # fmt: skip
+def tables(trials: Sequence[dict[str, Any]], rules: Sequence[str], better: dict[str, str]) -> str:
+    """The new rule in all families; then a table a family, with all rules; gains of different families are not averaged."""
+    names = list(dict.fromkeys(trial["family"] for trial in trials))
+    by_name = {name: [trial for trial in trials if trial["family"] == name] for name in names}
+    rows = [_overview(name, own) for name, own in by_name.items()]
+    rows.append(_overview("all families", trials))
+    for gain in ("mean gain", "531dcab's, same rows", "difference ± error", "of the oracle's", "width / oracle's"):
+        rows[-1][OVERVIEW.index(gain)] = "–"
+    parts = [_markdown(OVERVIEW, rows)]
+    for name, own in by_name.items():
+        some = sum(max(trial["gains"]) > 0 for trial in own)
+        head = f"### {name}\n\n{len(own)} logs, {some} of them with a candidate that is better."
+        if name in better:
+            head += f" A better one is there {better[name]}"
+            head += "." if better[name].startswith("never") else "; in a quarter of the logs it is taken away."
+        rows = []
+        for rule in rules:
+            if facts := Facts.of(own, rule):
+                cells = facts.cells(not rule.startswith("argmax")) | {"rule": WHAT[rule]}
+                row = [cells.get(column, "–") for column in RULE]
+                second = len(RULE) - 1 - RULE[::-1].index("… at most")  # of what it deploys
+                row[second] = _most(facts.bad, facts.deploys)
+                rows.append(row)
+        parts.append(head + "\n\n" + _markdown(RULE, rows) + (_told(own) if name in TWINS else ""))
+    return "\n\n".join(parts)
+
+
+def _overview(name: str, trials: Sequence[dict[str, Any]]) -> list[str]:
+    facts, old = Facts.of(trials, "new"), Facts.of(trials, "old-held")
+    cells = {"family": name} | ({} if facts is None else facts.cells(True))
+    if facts is not None and old is not None and facts.logs == old.logs:
+        less = facts.gains - old.gains
+        cells["531dcab's, same rows"] = f"{old.gains.mean():+.3g}"
+        if len(less) > 1:
+            cells["difference ± error"] = f"{less.mean():+.2g} ± {less.std(ddof=1) / math.sqrt(len(less)):.1g}"
+    return [cells.get(column, "–") for column in OVERVIEW]
+
+
+def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join("| " + " | ".join(row) + " |" for row in (columns, ["---"] * len(columns), *rows))
 
 
 def _ends(one: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -66,19 +152,31 @@ def _share(hits: int, count: int) -> str:
     return f"{100 * hits / count:.1f} %" if count else "–"
 
 
-def tables(trials: Sequence[dict[str, Any]], rules: Sequence[str], better: dict[str, str]) -> str:
-    """A table a family, and one of all of them; the mean gain is left to the families, whose rewards differ."""
-    names = list(dict.fromkeys(trial["family"] for trial in trials))
-    parts = []
-    for name in [*names, "all families"]:
-        own = [trial for trial in trials if name in ("all families", trial["family"])]
-        some = sum(max(trial["gains"]) > 0 for trial in own)
-        head = f"### {name}\n\n{len(own)} logs, {some} of them with a candidate that is better."
-        if name in better:
-            head += f" A better one is there {better[name]}; in a quarter of the logs it is taken away."
-        rows = [row for rule in rules if (row := described(own, rule))]
-        if name == "all families":
-            rows = [[*row[:7], "–", "–", *row[9:]] for row in rows]
-        lines = ["| " + " | ".join(row) + " |" for row in (COLUMNS, ["---"] * len(COLUMNS), *rows)]
-        parts.append(head + "\n\n" + "\n".join(lines))
-    return "\n\n".join(parts)
+def _most(hits: int, count: int) -> str:
+    return f"{100 * wilson(hits, count)[1]:.1f} %" if count else "–"
+
+
+def _told(trials: Sequence[dict[str, Any]]) -> str:
+    """What the new rule says of support, in a sentence: of the candidates that were made by hand, which take actions that the
+    log has or lacks."""
+    hits = count = deploys = 0
+    for trial in trials:
+        one = trial["rules"].get("new", {})
+        hand = [i for i, name in enumerate(trial["policies"]) if name not in LEARNED]
+        if len(one.get("told", [])) != len(trial["policies"]) or not hand:
+            continue
+        count += 1
+        told = [one["told"][i] for i in hand]
+        hits += any(told) if trial["supported"] else all(told)
+        deploys += one["choice"] in hand
+    if not count:
+        return ""
+    if trials[0]["supported"]:
+        return (
+            f"\n\nOf candidates made by hand the package says that support is missing in {hits} of {count} logs "
+            f"({_share(hits, count)}), which is false."
+        )
+    return (
+        f"\n\nThe package says that support is missing, of all candidates made by hand, in {hits} of {count} logs "
+        f"({_share(hits, count)}), and deploys one of them in {deploys}."
+    )

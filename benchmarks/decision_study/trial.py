@@ -71,7 +71,12 @@ def _facts(task: Task) -> dict[str, Any]:
 def _plain(verdict: Verdict) -> dict[str, Any]:
     """Infinite ends are null: JSON has no infinity."""
     numbers = lambda x: [float(v) if np.isfinite(v) else None for v in np.asarray(x, float)]  # noqa: E731
-    return {
+    found: dict[str, Any] = {
         "choice": None if verdict.choice is None else int(verdict.choice), "gain": numbers(verdict.gain),
         "low": numbers(verdict.low), "high": numbers(verdict.high), "why": verdict.why,
     }  # fmt: skip
+    if verdict.told is not None:
+        found["told"] = verdict.told.tolist()
+    if verdict.true is not None:
+        found["true"] = verdict.true.tolist()
+    return found

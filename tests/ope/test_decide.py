@@ -268,6 +268,16 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
     # By hand: each row's weight is that of the policy of its fold.
     probs = np.stack([p.action_probs(log.observations) for p in policies])[which, np.arange(900), log.actions]
     assert found.value[0] == pytest.approx((4 * probs * log.rewards).mean(), rel=1e-5)
+    # Folds judge each other's policies: errors count more.
+    assert case.inflation.tolist() == [np.sqrt(2), 1.0, 1.0]
+    alone = ImportanceSampling(normalised=False).on(Case(log, [policies[0]], discount=0.0, logged=True, names=["seen"]))
+    assert found.high[1] - found.low[1] == pytest.approx(alone.high[0] - alone.low[0])
+    plain = inference.intervals(found.value, found.influence, seed=case.seed)
+    assert found.high[0] - found.low[0] == pytest.approx(np.sqrt(2) * (plain[1][0] - plain[0][0]))
+    # Ratios of occupancies follow one policy from state to state.
+    assert [each.label for each in automatic(case)] == ["DR-linear", "WPDIS"]
+    with pytest.raises(UserError, match="follows one policy from state to state"):
+        DoublyRobust(kind="marginal", fqe=LinearFQE()).on(case)
 
 
 # ---- simultaneous -------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from deadreckon.errors import UserError
-from deadreckon.ope.pareto import k_limit, pareto_k
+from deadreckon.ope.pareto import diagnosed, pareto_k
 
 
 @pytest.mark.parametrize("k", [0.0, 0.3, 0.7, 1.2])
@@ -49,10 +49,16 @@ def test_what_has_no_tail():
             pareto_k(np.array([0.0, bad]))
 
 
-def test_the_limit():
-    assert k_limit(100) == pytest.approx(0.5)
-    assert k_limit(10**6) == 0.7
-    assert k_limit(5) == 0.0
+def test_k_of_a_short_tail_is_not_certain():
+    """Weights of k = 0.4: of sixty, k is found above 0.7 often, and hardly ever with confidence."""
+    rng = np.random.default_rng(0)
+    many = [np.log(stats.genpareto.rvs(0.4, size=60, random_state=rng)) for _ in range(200)]
+    found = diagnosed(many)
+    assert (found["pareto k"] > 0.7).mean() > 0.1
+    assert (found["pareto k low"] > 0.7).mean() < 0.05
+    heavy = diagnosed([np.log(stats.genpareto.rvs(1.5, size=2000, random_state=rng)) for _ in range(20)])
+    assert (heavy["pareto k low"] > 0.7).all()
+    assert diagnosed([np.zeros(100)])["pareto k low"][0] == -np.inf
 
 
 def test_two_weights_have_no_tail():

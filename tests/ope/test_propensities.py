@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
-from deadreckon.ope.propensities import calibration_error, gaussian_scale, temperature, vector_scaling
+from deadreckon.ope.propensities import shifts, temperature
 
 
 def log_softmax(z):
@@ -46,7 +46,7 @@ def test_the_exact_optimum_of_two_actions():
 
 
 def test_an_overfitted_model_is_too_sure():
-    """Logistic regression on as many features as rows: out of fold T is far above one, and calibration improves."""
+    """Logistic regression on as many features as rows: out of fold T is far above one, and the likelihood improves."""
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(0)
@@ -60,44 +60,25 @@ def test_an_overfitted_model_is_too_sure():
     assert t > 2.0
     assert temperature(logits[fit], taken[fit]) < 1.0  # what it was fitted to shows the opposite
     assert likelihood(logits[test] / t, taken[test]) > likelihood(logits[test], taken[test]) + 0.1
-    before, after = (calibration_error(log_softmax(logits[test] / each), taken[test]) for each in (1.0, t))
-    assert after < 0.5 * before
 
 
-def test_vector_scaling_recovers_scales_and_shifts():
-    rng = np.random.default_rng(1)
-    logits = rng.standard_normal((30_000, 3))
-    scale, shift = np.array([0.5, 1.0, 2.0]), np.array([0.3, -0.5, 0.2])
-    taken = drawn(scale * logits + shift, rng)
-    a, b = vector_scaling(logits, taken)
-    assert a == pytest.approx(scale, abs=0.08)
-    assert b - b.mean() == pytest.approx(shift - shift.mean(), abs=0.04)  # a shift of all changes nothing
-    # With few rows it stays near the one temperature.
-    a, b = vector_scaling(logits[:4], taken[:4], ridge=1e6)
-    assert a == pytest.approx(np.full(3, 1 / temperature(logits[:4], taken[:4])), abs=1e-3)
-    assert b == pytest.approx(np.zeros(3), abs=1e-3)
-
-
-def test_calibration_error_by_hand():
-    """Two groups of rows: said 0.8 and 0.4, taken 0.5 and 0.5; for both actions."""
-    probs = np.array([[0.8, 0.2]] * 4 + [[0.4, 0.6]] * 4)
-    taken = np.array([0, 0, 1, 1, 0, 0, 1, 1])
-    assert calibration_error(np.log(probs), taken, bins=2) == pytest.approx(2 * (0.3 + 0.1) / 2)
-    assert calibration_error(np.log(np.full((8, 2), 0.5)), taken) == pytest.approx(0.0)
+def test_shifts_make_actions_as_frequent_as_they_are():
+    """A model that is right but for a shift is mended; an action that was never taken becomes rare, and not impossible."""
     rng = np.random.default_rng(0)
     logits = rng.standard_normal((20_000, 4))
-    right = drawn(logits, rng)
-    assert calibration_error(log_softmax(logits), right) < 0.045
-    assert calibration_error(log_softmax(3 * logits), right) > 0.3
+    chances = np.exp(logits) / np.exp(logits).sum(1, keepdims=True)
+    taken = (rng.random(len(chances))[:, None] >= chances.cumsum(1)[:, :-1]).sum(1)
+    off = np.array([1.0, -0.5, 0.0, 0.3])
+    found = shifts(logits + off, taken)
+    assert np.ptp(found + off) < 0.12
+    mended = np.exp(logits + off + found)
+    mended /= mended.sum(1, keepdims=True)
+    assert np.allclose(mended.mean(0), np.bincount(taken) / len(taken), atol=1e-3)
 
-
-def test_gaussian_scale():
-    rng = np.random.default_rng(0)
-    residuals = rng.standard_normal((40_000, 2)) * [1.5, 0.7]
-    found = gaussian_scale(residuals)
-    assert found == pytest.approx([1.5, 0.7], rel=0.02)
-    density = lambda s: (-0.5 * (residuals / s) ** 2 - np.log(s)).sum()  # noqa: E731
-    assert density(found) > max(density(found * 1.001), density(found * 0.999))
+    some, few = logits[:80], np.minimum(taken[:80], 2)  # the last one is never taken
+    left = np.exp(some + shifts(some, few))
+    left /= left.sum(1, keepdims=True)
+    assert 0.0 < left[:, 3].mean() < 0.02
 
 
 def test_what_cannot_be_calibrated():
@@ -108,7 +89,5 @@ def test_what_cannot_be_calibrated():
     ):  # fmt: skip
         with pytest.raises(UserError, match=match):
             temperature(logits, taken)
-    with pytest.raises(UserError, match="finite residuals"):
-        gaussian_scale(np.zeros((0, 2)))
-    with pytest.raises(UserError, match="finite logits"):
-        vector_scaling(np.array([[0.0, -np.inf]]), np.zeros(1, int))
+        with pytest.raises(UserError, match=match):
+            shifts(logits, taken)

@@ -30,7 +30,7 @@ def case():
     true = garnet(states=6, actions=3, noise=0.3)
     behavior = tables(true, 1, 0.3)[0]
     best = true.optimal(0.9)
-    policies = [softmax(-best, 1.0), softmax(best, 1.0)]
+    policies = [softmax(-best, 2.0), softmax(best, 2.0)]
     log = true.log(behavior, 300, 60, np.random.default_rng(0))
     made = Case(log, [as_policy(p) for p in policies], discount=0.9, names=["worse", "better"], logged=True)
     made.exact = [true.value(p, 0.9) for p in (*policies, behavior)]
@@ -118,6 +118,64 @@ def test_estimates_that_speak_against_the_choice():
         assert choice.deploy == deploy
         assert ("but WDR finds it worse" in choice.reason) != deploy
         assert any("the weights of a in WDR rest on 3.0 episodes" in line for line in choice.warnings) == deploy
+
+
+def weighted(gain, spread, diagnostics, effective=100.0, count=200):
+    """Of one policy by influence functions, and the log's own."""
+    psi = np.random.default_rng(0).standard_normal(count)
+    psi = spread * np.sqrt(count) * (psi - psi.mean()) / psi.std()
+    value, effective = np.array([gain, 0.0]), np.array([effective, float(count)])
+    influence = np.stack([psi, np.zeros(count)], 1)
+    more = {name: np.array([number, float(name != "normalising")]) for name, number in diagnostics.items()}
+    return Estimates("DR", ("a", LOGGED), value, value, value, Estimand(0.9), influence=influence, effective=effective,
+                     corrected=True, diagnostics=more)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("diagnostics", "effective", "why"),
+    [
+        ({}, 100.0, None),
+        ({"effective share": 0.1}, 40.0, "rest on 40.0 episodes, 50 or 20 % of them"),
+        ({"effective share": 0.1}, 60.0, None),
+        ({"effective share": 0.3}, 40.0, None),
+        ({"mean weight": 0.6, "mean weight high": 0.9}, 100.0, "average 0.60 instead of 1"),
+        ({"mean weight": 0.6, "mean weight high": 1.1}, 100.0, None),
+        ({"pareto k": 0.9, "pareto k low": 0.8}, 40.0, "too heavy a tail"),
+        ({"pareto k": 0.9, "pareto k low": 0.8}, 60.0, None),
+        ({"pareto k": 0.9, "pareto k low": 0.6}, 40.0, None),
+        ({"settled": 0.0}, 100.0, "has not settled"),
+    ],
+)
+def test_what_an_interval_does_not_know_makes_it_endless(diagnostics, effective, why):
+    choice = select([weighted(1.0, 0.1, diagnostics, effective)])
+    assert choice.deploy == (why is None)
+    if why is None:
+        assert 0.7 < choice.low < choice.high < 1.3
+    else:
+        assert why in choice.reason
+        assert (choice.low, choice.high) == (-np.inf, np.inf)
+        assert choice.gains[0, 1] == -np.inf
+
+
+def test_learned_propensities_that_do_not_fit_widen_intervals():
+    right, wrong = (select([weighted(1.0, 0.1, {"normalising": shift})]) for shift in (0.0, -0.3))
+    assert wrong.high - wrong.low == pytest.approx(right.high - right.low + 4 * 0.3)
+    assert wrong.low + wrong.high == pytest.approx(right.low + right.high)
+    assert any("do not fit the log" in line for line in wrong.warnings)
+    assert not right.warnings
+
+
+def test_errors_of_cross_fitted_policies_count_more():
+    """Two folds whose policies copy each other's luck: the variance of the estimate is twice that of independent folds."""
+    rng, luck = np.random.default_rng(0), []
+    for _ in range(4_000):
+        a, b = rng.standard_normal(2)
+        luck.append(a * b + b * a)
+    assert np.var(luck) == pytest.approx(2 * 2, rel=0.15)
+    found = weighted(1.0, 0.1, {})
+    wide = select([dataclasses.replace(found, inflation=np.array([np.sqrt(2), 1.0]))])
+    plain = select([found])
+    assert wide.high - wide.low == pytest.approx(np.sqrt(2) * (plain.high - plain.low))
 
 
 @pytest.mark.parametrize("kind", ["feedforward", pytest.param("autoregressive", marks=pytest.mark.slow)])

@@ -2,7 +2,8 @@
 
 A model that has seen a row takes its action for likelier than it is: weights shrink, and importance sampling with them. So each
 fold has a model of its own, which learns from the other folds and from all episodes that are not judged, and stops where its
-loss on a tenth of these, which do not teach it, is least. Its temperature is then set on that tenth too (Guo et al. 2017).
+loss on a tenth of these, which do not teach it, is least. Its temperature is then set on that tenth too (Guo et al. 2017),
+shifts make each action as frequent as it is, and none is rarer than one row among all that taught it.
 All folds are lanes of one program.
 """
 
@@ -12,20 +13,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import log_softmax
+from scipy.special import softmax
 
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope.critics import Best, in_blocks
 from deadreckon.ope.estimate import BehaviorModel, Case
-from deadreckon.ope.propensities import temperature
+from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Categorical, create_actor
 from deadreckon.training.learner import static
 
 # What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
 PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
+PRIOR = 10.0  # rows that say that the temperature is one
+LOOKED_AT = 4096  # rows by which propensities are calibrated, at most
 CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
 
 
@@ -130,14 +133,25 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     of_all = lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
     logits = in_blocks(of_all, own.observations)
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
-    for k, rows_of in enumerate(check.T):
-        # On at most a few thousand of the rows that said when to stop.
-        some = np.flatnonzero(rows_of[data.episode_of])[:: max(1, int(rows_of[data.episode_of].sum()) // 4096)]
-        part = np.asarray(data.observations[some])
-        seen = in_blocks(of_all, part)[k].T
-        logits[of_row == k] /= temperature(seen.astype(np.float64), np.asarray(data.actions[some]))
-    log_chances = log_softmax(logits, axis=1)
-    return Behavior(log_chances[np.arange(len(own)), np.asarray(own.actions)], np.exp(log_chances))
+    floor = np.empty(len(own))
+    rng = np.random.default_rng([case.seed, 14])
+    taken = np.asarray(data.actions)
+    for k in range(check.shape[1]):
+        # The temperature by rows that said when to stop, the shifts by all that are not of the fold; a few thousand are enough.
+        told = [_some(columns[data.episode_of, k] > 0, rng) for columns in (check, weight + check)]
+        logits_of = [in_blocks(of_all, np.asarray(data.observations[some]))[k].T.astype(np.float64) for some in told]
+        sure = temperature(logits_of[0], taken[told[0]], PRIOR)
+        logits[of_row == k] = logits[of_row == k] / sure + shifts(logits_of[1] / sure, taken[told[1]])
+        # No rows can tell that an action is rarer than one more of them would be: their number bounds the weights.
+        floor[of_row == k] = 1.0 / (1.0 + weight[data.episode_of, k].sum())
+    chances = (1.0 - floor[:, None]) * softmax(logits, axis=1) + floor[:, None] / logits.shape[1]
+    return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances)
+
+
+def _some(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """At most `LOOKED_AT` of the rows that are marked."""
+    found = np.flatnonzero(rows)
+    return np.sort(rng.choice(found, min(len(found), LOOKED_AT), replace=False))
 
 
 @jax.jit

@@ -59,7 +59,7 @@ class Confounding:
     def gain(self, which: int, gamma: float) -> tuple[float, float]:
         """The ends of one policy's gain, if odds are off by up to `gamma`: those of its bounds, with their intervals."""
         ends, influence = self._one(which, gamma)
-        error = inference.errors(influence.T) * self.factor
+        error = self.case.inflation[which] * inference.errors(influence.T) * self.factor
         return float(ends[0] - error[0]), float(ends[1] + error[1])
 
     def tipping(self, which: int) -> float:

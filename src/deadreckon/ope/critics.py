@@ -187,6 +187,8 @@ class OutOfFold:
         following[:, ends] = np.where(np.asarray(data.terminals)[ends] | unknown, 0.0, last)
         out.begins[:] = begins
         out.errors[:] = np.asarray(data.rewards, np.float64) + case.discount * following - chosen
-        # Where nobody knows what came next, nothing is corrected.
+        # Where nobody knows what came next, or for the behaviour policy what it did next, nothing is corrected.
         out.errors[:, ends[unknown]] = 0.0
+        if case.logged:
+            out.errors[-1, ~case.shown] = 0.0
         return out

@@ -9,6 +9,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.confounding import Confounding, one_step
 from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
@@ -17,7 +18,7 @@ from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import PROPENSITIES, as_estimator
-from deadreckon.ope.select import Choice, select
+from deadreckon.ope.select import MANY, SHARE, Choice, select
 from deadreckon.ope.sensitivity import weight_box
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
@@ -25,7 +26,6 @@ from deadreckon.ope.tail import tails
 UNSEEN = "no check can see confounding: something that was not recorded and made both the logged actions and the rewards"
 GROUPS = 50  # whose gains are told apart at most
 MOST = 100.0  # factor of odds up to which the tipping point is searched
-ENOUGH = 0.1  # of the judged episodes, which weights of whole episodes must amount to for every policy
 
 
 class Decision(NamedTuple):
@@ -99,7 +99,11 @@ def decide(
 
 
 def check(
-    case: Case, guarantee: bool, return_range: tuple[float, float] | None, confounding: float | None, groups: Groups | None,
+    case: Case,
+    guarantee: bool,
+    return_range: tuple[float, float] | None,
+    confounding: float | None,
+    groups: Groups | None,
     tail: float | None,
 ) -> None:
     """Refuses what cannot be asked of a case, before anything is fitted or looked at; arguments as of `decide`.
@@ -172,11 +176,12 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
 
     - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
       known, and what is left is model-based (`fqe`).
-    - One step, or weights of whole episodes that for every policy amount to a tenth of the episodes or more: doubly robust with
-      linear critics (`dr-linear`).
-    - Else, where observations take few values: doubly robust by ratios of occupancies (`drl`), whose variance does not grow
-      with the product of the weights, with `dr-linear` as evidence. With other observations `drl` rests on its features being
-      right, which nothing corrects, so it is evidence alone unless model-based estimates are accepted.
+    - One step, cross-fitted policies, or weights of whole episodes that for every policy amount to a fifth of the episodes or
+      to fifty (`select.SHARE`, `select.MANY`): doubly robust with linear critics (`dr-linear`).
+    - Else, or where what is asked for lies beyond the ends of the recording, and observations take few values: doubly robust by
+      ratios of occupancies (`drl`), whose variance does not grow with the product of the weights, with `dr-linear` as evidence.
+      With other observations `drl` rests on its features being right, which nothing corrects, so it is evidence alone unless
+      model-based estimates are accepted.
 
     Args:
         case: log and policies.
@@ -190,16 +195,18 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
     weighted = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model)
     if case.data.successors is not None:
         return [DoublyRobust(kind="marginal", fqe=LinearFQE())]
-    if case.data.lengths.max() == 1:
+    if case.data.lengths.max() == 1 or case.crossed:
         return [weighted, ImportanceSampling(model=model)]
+    critics = LinearFQE()
+    marginal = DoublyRobust(kind="marginal", fqe=critics)
+    table = Fit(critics, case).features.table is not None
+    if table and case.beyond > TAIL:
+        return [marginal, weighted]
     episodes = case.episodes
     ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
     last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios[~degenerate]])
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
     effective = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
-    critics = LinearFQE()
-    marginal = DoublyRobust(kind="marginal", fqe=critics)
-    table = Fit(critics, case).features.table is not None
-    if (effective >= ENOUGH * case.data.episodes).all() or not (table or accept_model_based):
+    if (effective >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
         return [weighted, marginal]
     return [marginal, weighted]

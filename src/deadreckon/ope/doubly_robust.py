@@ -23,13 +23,14 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.critics import OutOfFold
-from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimand import TAIL
+from deadreckon.ope.estimate import APART, LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
-from deadreckon.ope.importance import log_ratios, logged_probs
+from deadreckon.ope.importance import log_ratios, logged_probs, multiplied
 from deadreckon.ope.intervals import spread
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.mrdr import out_of_fold
-from deadreckon.ope.pareto import pareto_k
+from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.shrinkage import shrinkage_scores
 from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
@@ -76,7 +77,8 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, effective, redraws, influence, tails, doubts = [], [], [], [], [], []
+        values, effective, redraws, influence, tails, average, doubts, shifts = [], [], [], [], [], [], [], []
+        learned = self.behavior == "learned" or (self.behavior == "auto" and "behavior_log_probs" not in case.data.extras)
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
@@ -92,20 +94,25 @@ class DoublyRobust(Estimator):
                     doubts.append(i)
             else:
                 value, redrawn, pulled = start + sums.value(), drawn + sums.redraw(episodes.counts), sums.influence()
+            if plain and learned:
+                same = episodes.sums(log_rho, errors[i], normalised=True, alive_only=self.alive_only)
+                shifts.append(same.value() - sums.value())
             pulls = pulls + pulled
             values.append(value)
             redraws.append(redrawn)
             influence.append(pulls)
             effective.append(sums.effective)
-            tails.append(pareto_k(episodes.typical(log_rho, whole=False)))
+            tails.append(episodes.typical(log_rho, whole=False))
+            average.append(episodes.average(log_rho))
         effective = np.asarray(effective)
-        warnings = [*episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances)]
+        warnings = self._warnings(case, effective, nuisances)
         if self.kind == "magic" and begins is None:
             warnings.append("its interval knows the variance of the blended corrections and not the bias of what is left out")
         found = Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
-            corrected=True, warnings=tuple(warnings),
-            diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails)},
+            corrected=case.beyond <= TAIL, warnings=tuple(warnings),
+            diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, effective, average)
+            | ({"normalising": np.array(shifts)} if shifts else {}),
         )  # fmt: skip
         for i in doubts:  # the critics' share of doubt is in the redraws alone
             found.low[i], found.high[i] = episodes.percentiles(redraws[i], float(effective[i]))
@@ -170,7 +177,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, _ = self.nuisances(case)
         kept, span = np.exp(episodes.log_kept), self._span(case)
-        values, influence, effective, tails, left = [], [], [], [], []
+        values, influence, effective, tails, average, left = [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             grid = TRUSTED[-1:] if case.names[i] == LOGGED else TRUSTED
@@ -188,18 +195,29 @@ class DoublyRobust(Estimator):
             values.append(value)
             influence.append(pulls)
             effective.append(episodes.sums(log_rho, nuisances.errors[i], normalised=False).effective)
-            tails.append(pareto_k(episodes.typical(log_rho, whole=False)))
+            tails.append(episodes.typical(log_rho, whole=False))
+            average.append(episodes.average(log_rho))
             left.append(over[chosen].mean() / case.span)
         effective = np.asarray(effective)
         warnings = [
-            *episodes.warnings(case.names, effective, beyond=True), *self._unsettled(case, nuisances),
+            *self._warnings(case, effective, nuisances),
             f"the interval of {self.label} knows the variance and not the bias of weights that are not trusted",
         ]  # fmt: skip
         return Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
+            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=case.beyond <= TAIL,
             warnings=tuple(warnings),
-            diagnostics=self._diagnostics(case, nuisances) | {"pareto k": np.array(tails), "untrusted": np.array(left)},
+            diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | {"untrusted": np.array(left)}
+            | multiplied(case, effective, average),
         )  # fmt: skip
+
+    def _warnings(self, case: Case, effective: np.ndarray, nuisances: OutOfFold) -> list[str]:
+        found = case.episodes.warnings(case.names, effective, beyond=True)
+        if case.beyond > TAIL:
+            found.append(
+                f"{100 * case.beyond:.0f} % of the discounted time lies beyond the ends of the recording, where nothing "
+                "corrects the critics; a horizon asks for what was recorded"
+            )
+        return found + self._unsettled(case, nuisances)
 
     @staticmethod
     def _span(case: Case) -> float:
@@ -241,14 +259,17 @@ class DoublyRobust(Estimator):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:
             raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not have seen the rows they weigh")
+        if case.crossed:
+            raise UserError(f"{self.label} {APART}")
         nuisances, _ = self.nuisances(case)
         assert nuisances.weighted is not None
         assert nuisances.weights is not None
         episodes = case.episodes
         of_row = episodes.group[episodes.of]
+        whole = bool(np.asarray(case.data.terminals)[case.data.ends].all())  # also where the horizon ends them
         values, influence, effective = [], [], []
         for i, name in enumerate(case.names):
-            if name == LOGGED and episodes.even:
+            if name == LOGGED and whole:
                 returns = case.data.returns(case.discount)
                 value, pulls, _ = episodes.means(returns)
                 weight = np.ones(episodes.count)
@@ -270,7 +291,12 @@ class DoublyRobust(Estimator):
         warnings = [*few(case.names, effective, episodes.count), *self._unsettled(case, nuisances)]
         means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
         exact = Fit(self.fqe, case).features.table is not None
-        if not exact:
+        if exact:
+            warnings.append(
+                f"{self.label} rests on observations that hold all that matters (the Markov property), which its interval does "
+                "not know"
+            )
+        else:
             warnings.append(
                 "its critics and its ratios are linear in the same features, which are not a table here: where both are wrong, "
                 "nothing corrects them, and the interval does not know"

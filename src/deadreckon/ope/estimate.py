@@ -22,6 +22,7 @@ from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope import inference
 from deadreckon.ope.estimand import Estimand
+from deadreckon.ope.features import Table
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
@@ -34,6 +35,7 @@ Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done a
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
 LOGGED = "behaviour policy"  # the name of the policy that made the log
+APART = "follows one policy from state to state, and cross-fitted ones are one for each fold; use dr-linear"
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
 
@@ -59,6 +61,8 @@ class Estimates:
         warnings: why not to trust it, one line each.
         seconds: it took, without what was there already for another estimator.
         diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
+        inflation: (policies,) by which errors are multiplied, beyond what the influence function says; see `Case.inflation`.
+            None: by one.
     """
 
     method: str
@@ -74,11 +78,10 @@ class Estimates:
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
     diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+    inflation: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
-    def of_influence(
-        cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any
-    ) -> "Estimates":
+    def of_influence(cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
         itself.
         """
@@ -286,8 +289,23 @@ class Case:
 
     @cached_property
     def shown(self) -> np.ndarray:
-        """(rows,) whether the log shows what the behaviour policy did next, or nothing comes next."""
-        return ~self.data._is_end | self.ended
+        """(rows,) whether it is known what the behaviour policy did next: the log shows it, or how often it does so there, or
+        nothing comes next."""
+        return ~self.data._is_end | self.ended | (self._habits is not None)
+
+    @cached_property
+    def beyond(self) -> float:
+        """Share of the discounted time that lies beyond the ends of the recording, where nothing is weighted or corrected."""
+        cut = ~np.asarray(self.data.terminals)[self.data.ends]
+        return float((self.discount**self.data.lengths * cut).mean()) if cut.any() else 0.0
+
+    @cached_property
+    def _habits(self) -> np.ndarray | None:
+        """(episodes, actions) probabilities of the behaviour policy at the final observations, where these are few and have
+        actions elsewhere in the log; None where they are many, or nothing is cut off."""
+        if self.data.terminals[self.data.ends].all() or (table := Table.of(self.log)) is None:
+            return None
+        return table.shares(self.log)[table.codes(np.asarray(self.data.final_observations))]
 
     @cached_property
     def _uncut(self) -> tuple[np.ndarray, np.ndarray]:
@@ -347,7 +365,7 @@ class Case:
 
     def next_actions(self, samples: int) -> np.ndarray:
         """(rows, policies, ...) table of what the policies do after each row; see `Actor.table`."""
-        # What the log's policy would have done after an episode's last row is not known; its last action stands in.
+        # Where nobody knows what the log's policy would have done after an episode's last row, its last action stands in.
         rows = np.arange(len(self.data))
         after = np.where(self.data._is_end, rows, rows + 1)
         return self._table("next", _Following(self.data), samples, NEXT, after)
@@ -378,7 +396,9 @@ class Case:
             if self.logged:
                 taken = np.asarray(self.data.actions)[rows]
                 own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else View.of(self.data.spec).to_unit(taken)[:, None]
-                table[:, -1] = own
+                if self._habits is not None and name == "next":
+                    own[self.data.ends] = self._habits
+                table[:, -1] = own if self._habits is None or name != "final" else self._habits
             return table
 
         # Probabilities are the same however many draws are asked for.
@@ -396,6 +416,18 @@ class Case:
     def crossed(self) -> bool:
         """Whether some of the policies are cross-fitted."""
         return len(self.owner) > len(self.policies)
+
+    @cached_property
+    def inflation(self) -> np.ndarray:
+        """(policies, with the behaviour policy,) by which errors are multiplied: sqrt(2) of cross-fitted policies, else one.
+
+        Folds judge each other's policies. Where one fold by chance likes an action, the other's policy takes it, and the
+        other way round, so that their errors are the same twice and not independent: with t_k the chance of fold k, the
+        estimate is sum_{k != l} t_k t_l, whose variance is twice the sum of those of its folds. No estimate of that from one
+        cross-fit is unbiased (Bengio and Grandvalet 2004), so the most of it is taken.
+        """
+        crossed = np.bincount(self.owner, minlength=len(self.policies)) > 1
+        return np.where(np.append(crossed, [False] * int(self.logged)), np.sqrt(2.0), 1.0)
 
     @cached_property
     def degenerate(self) -> np.ndarray:
@@ -544,6 +576,10 @@ class Estimator(eqx.Module):
         warnings = found.warnings
         if getattr(self, "members", None) == 1:
             warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
+        if case.crossed:
+            more, middle = case.inflation, found.value
+            low, high = middle - more * (middle - found.low), middle + more * (found.high - middle)
+            found = dataclasses.replace(found, low=low, high=high, inflation=more)
         return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)
 
     @property

@@ -13,9 +13,48 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 
 TABLE = 400  # observations x actions up to which there is a feature for each
-PRODUCTS = 120  # products of two numbers, up to so many
+PRODUCTS = 400  # products of two numbers, up to so many
 SCALES = (1.0, 3.0)  # length scales of the cosines, in units of a typical distance
 FAR = 5.0  # standard deviations from the mean beyond which an observation counts as so far
+
+
+class Table:
+    """The different observations of a discrete log, numbered.
+
+    Attributes:
+        seen: (observations, d) each once.
+    """
+
+    def __init__(self, seen: np.ndarray):
+        self.seen = seen
+
+    @classmethod
+    def of(cls, log: Dataset) -> "Table | None":
+        """None where actions are continuous, or observations with actions are more than `TABLE`."""
+        if not log.spec.discrete:
+            return None
+        most = TABLE // log.spec.action_size
+        some = np.unique(np.asarray(log.observations[:: max(1, len(log) // 2000)]), axis=0)
+        if len(some) > most:
+            return None
+        found = np.unique(np.concatenate([np.unique(np.asarray(log.observations), axis=0), log.final_observations]), axis=0)
+        return cls(found) if len(found) <= most else None
+
+    def codes(self, observations: np.ndarray) -> np.ndarray:
+        """(rows,) number of each observation, which must be one of the log's."""
+        both = np.concatenate([self.seen, np.asarray(observations, self.seen.dtype)])
+        _, inverse = np.unique(both, axis=0, return_inverse=True)
+        inverse = inverse.reshape(-1)
+        place = np.empty(inverse.max() + 1, int)
+        place[inverse[: len(self.seen)]] = np.arange(len(self.seen))
+        return place[inverse[len(self.seen) :]]
+
+    def shares(self, log: Dataset) -> np.ndarray:
+        """(observations, actions) how often each action was taken; of an observation without one, over all of them."""
+        count = np.zeros((len(self.seen), log.spec.action_size))
+        np.add.at(count, (self.codes(np.asarray(log.observations)), np.asarray(log.actions)), 1.0)
+        count[count.sum(1) == 0] = count.sum(0)
+        return count / count.sum(1, keepdims=True)
 
 
 class Features:
@@ -33,9 +72,9 @@ class Features:
         self.view, self.discrete = View.of(spec, standardise=True), spec.discrete
         p, self.actions = spec.observation_size, spec.action_size
         rng = np.random.default_rng([seed, 6])
-        self.table = self._distinct(log) if self.discrete else None
+        self.table = Table.of(log)
         if self.table is not None:
-            self.size = len(self.table) * self.actions
+            self.size = len(self.table.seen) * self.actions
             return
         inputs = p if self.discrete else p + self.actions
         scale = np.repeat(SCALES, [cosines - cosines // 2, cosines // 2]) * np.sqrt(inputs)
@@ -53,24 +92,6 @@ class Features:
             self.crossed = len(self.pairs[0]) <= PRODUCTS
             more = inputs + (len(self.pairs[0]) if self.crossed else 0)
         self.size = 1 + more + cosines
-
-    def _distinct(self, log: Dataset) -> np.ndarray | None:
-        most = TABLE // self.actions
-        some = np.unique(np.asarray(log.observations[:: max(1, len(log) // 2000)]), axis=0)
-        if len(some) > most:
-            return None
-        found = np.unique(np.concatenate([np.unique(np.asarray(log.observations), axis=0), log.final_observations]), axis=0)
-        return found if len(found) <= most else None
-
-    def codes(self, observations: np.ndarray) -> np.ndarray:
-        """(rows,) index of each observation in the table."""
-        assert self.table is not None
-        both = np.concatenate([self.table, np.asarray(observations, self.table.dtype)])
-        _, inverse = np.unique(both, axis=0, return_inverse=True)
-        inverse = inverse.reshape(-1)
-        place = np.empty(inverse.max() + 1, int)
-        place[inverse[: len(self.table)]] = np.arange(len(self.table))
-        return place[inverse[len(self.table) :]]
 
     def _seen(self, observations: Any) -> np.ndarray:
         return np.clip(np.asarray(self.view.observe(np.asarray(observations)), np.float32), -FAR, FAR)
@@ -92,8 +113,8 @@ class Features:
             found = self._continuous(seen, table.reshape(-1, table.shape[-1]))
             return found.reshape(rows, policies, samples, self.size).mean(2)
         if self.table is not None:
-            out = np.zeros((rows, policies, len(self.table), self.actions), np.float32)
-            out[np.arange(rows), :, self.codes(observations)] = table
+            out = np.zeros((rows, policies, len(self.table.seen), self.actions), np.float32)
+            out[np.arange(rows), :, self.table.codes(observations)] = table
             return out.reshape(rows, policies, self.size)
         seen = self._seen(observations)
         angle = seen @ self.frequencies

@@ -92,7 +92,7 @@ class Critics(eqx.Module):
     stops: bool = eqx.field(static=True, default=False)  # early, by the column `check`
 
     def needs(self, spec):
-        """Transitions, with the columns `policy` and `weight` beside them."""
+        """Transitions, with the columns `policy` and `weight` beside them, and where it is not all ones `known` (policies,)."""
         return Needs(batch_size=self.batch_size, standardise=True)
 
     def init(self, spec, key):
@@ -120,6 +120,8 @@ class Critics(eqx.Module):
         assert batch.extra is not None
         q = taken(critics, batch.observation, batch.action)
         square = jnp.square(q - target)
+        if "known" in batch.extra:
+            square = square * batch.extra["known"].T
         error = square * batch.extra["weight"].T[:, None, :]
         checked = jnp.zeros(())
         if self.stops:
@@ -147,9 +149,7 @@ class FQE(Estimator):
         """The critics of a case's policies; made once for a case, whoever asks."""
         return case.once(self, lambda: self._fit(case))
 
-    def problem(
-        self, case: Case, weight: np.ndarray | None = None, check: np.ndarray | None = None
-    ) -> tuple[Critics, Rows]:
+    def problem(self, case: Case, weight: np.ndarray | None = None, check: np.ndarray | None = None) -> tuple[Critics, Rows]:
         """What is trained for a case, and the rows that it learns from.
 
         Args:
@@ -167,6 +167,8 @@ class FQE(Estimator):
             first, weight.shape[1], case.count, self.hidden, self.batch_size, stops=check is not None,
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]}
+        if case.logged and not case.shown.all():  # what the log's own policy did next is missing, not what others would do
+            extra["known"] = np.where(np.arange(case.count) == case.count - 1, case.shown[:, None], True).astype(np.float32)
         if check is not None:
             extra["check"] = check[data.episode_of]
         return learner, Rows(data, learner.needs(data.spec), extra)

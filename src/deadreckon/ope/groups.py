@@ -60,7 +60,7 @@ def by_group(case: Case, which: int, groups: Groups, model: BehaviorModel, alpha
     cluster = case.clusters[case.held]
     own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
     known = own >= UNITS
-    half = inference.errors(influence) * inference.simultaneous(influence[:, known], alpha, case.seed)
+    half = case.inflation[which] * inference.errors(influence) * inference.simultaneous(influence[:, known], alpha, case.seed)
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
          "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None}

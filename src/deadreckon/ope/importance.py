@@ -3,16 +3,17 @@
 Precup, Sutton and Singh 2000. What is summed, and how ended and cut-off episodes count, is in `ope/weights.py`.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import intervals
+from deadreckon.ope import inference, intervals
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
-from deadreckon.ope.pareto import pareto_k
+from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.weights import Episodes
 from deadreckon.training.learner import static
 
@@ -41,7 +42,7 @@ class ImportanceSampling(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
         bounds = self._bounds(episodes, rewards)
-        values, lows, highs, effective, redraws, influence, tails = [], [], [], [], [], [], []
+        values, lows, highs, effective, redraws, influence, tails, average = [], [], [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
             if self.kind == "trajectory":
@@ -59,14 +60,16 @@ class ImportanceSampling(Estimator):
                 lows.append(low)
                 highs.append(high)
             effective.append(sums.effective)
-            tails.append(pareto_k(episodes.typical(log_rho, whole=self.kind == "trajectory")))
+            tails.append(episodes.typical(log_rho, whole=self.kind == "trajectory"))
+            average.append(episodes.average(log_rho))
         effective, values = np.asarray(effective), np.asarray(values)
         warnings = episodes.warnings(case.names, effective, whole=self.kind == "trajectory")
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
         found = Estimates.of_influence(
             self.label, case, values, np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
-            corrected=True, warnings=tuple(warnings), diagnostics={"pareto k": np.array(tails)},
+            corrected=True, warnings=tuple(warnings),
+            diagnostics=diagnosed(tails) | multiplied(case, effective, average),
         )  # fmt: skip
         return replace(found, low=np.asarray(lows), high=np.asarray(highs)) if lows else found
 
@@ -107,6 +110,26 @@ class ImportanceSampling(Estimator):
             )
         bound = intervals.hoeffding if self.interval == "hoeffding" else intervals.empirical_bernstein
         return bound(each, *bounds)
+
+
+def multiplied(case: Case, effective: np.ndarray, average: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Diagnostics of weights that are multiplied along episodes.
+
+    Args:
+        case: log and policies.
+        effective: (policies,) episodes that they amount to.
+        average: for each policy the (episodes,) means of their weights (`Episodes.average`).
+
+    Returns:
+        The share of the episodes that they amount to, their mean, which should be one, and the upper end of its one-sided 99 %
+        interval; nothing for episodes of one step.
+    """
+    if case.data.lengths.max() == 1:
+        return {}
+    found = [case.episodes.means(each)[:2] for each in average]
+    mean, influence = np.array([value for value, _ in found]), np.stack([pulls for _, pulls in found], 1)
+    high = inference.student(mean, influence, 2 * inference.SURE)[1]
+    return {"effective share": effective / case.data.episodes, "mean weight": mean, "mean weight high": high}
 
 
 def log_ratios(

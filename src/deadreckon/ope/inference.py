@@ -6,6 +6,7 @@ from scipy import special
 from deadreckon.ope.intervals import ALPHA
 
 REDRAWS = 2000  # of the units, for the simultaneous interval
+SURE = 0.01  # error rate of a test that weights average one, for each policy
 
 
 def errors(influence: np.ndarray) -> np.ndarray:

@@ -10,13 +10,14 @@ ratios of occupancies, which are linear in the same features, cost little more t
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from deadreckon.ope.critics import OutOfFold
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimate import LOGGED, Case, Estimates, Estimator
 from deadreckon.ope.features import Features
 from deadreckon.ope.intervals import percentiles
 from deadreckon.training.learner import static
@@ -155,9 +156,7 @@ class Fit:
         self.case = case
         self.given = estimator.ridge
         self.samples = estimator.samples
-        self.features = case.once(
-            ("features", estimator.cosines), lambda: Features(case.log, estimator.cosines, case.seed)
-        )
+        self.features = case.once(("features", estimator.cosines), lambda: Features(case.log, estimator.cosines, case.seed))
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
         self.counts_next = case.discount > 0 and self.horizon != 1 and not np.asarray(case.log.terminals).all()
@@ -236,10 +235,17 @@ class Fit:
         while True:
             factor = self._factor(gram, ridge, weight.tobytes(), policy == sums.logged)
             base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
+            solve, onward = partial(cho_solve, factor), backup
+            if self.features.table is not None:
+                # Ratios are those of the rows themselves. A penalty would take from the mass at every step; and of what no row
+                # shows there is no ratio, whatever a mean of the others is.
+                count = np.diag(gram)
+                once = np.divide(1.0, count, out=np.zeros_like(count), where=count > 0)
+                solve, onward = partial(np.multiply, once), self.case.discount * once[:, None] * following
             if self.horizon is not None:
-                found = self._steps(factor, following, base, backup, start, rows, ridge)
+                found = self._steps(solve, following, base, backup, start, rows, ridge)
             else:
-                found = self._endless(factor, base, backup, start, rows, ridge)
+                found = self._endless(solve, base, backup, onward, start, rows, ridge)
             if found.settled or ridge > RIDGES[-1] or self.given is not None:
                 return found
             ridge *= 10.0
@@ -256,14 +262,14 @@ class Fit:
                 theta = cho_solve(factor, reward + self.case.discount * following @ theta)
         return float(start @ theta) * self.std
 
-    def _steps(self, factor, following, base, backup, start, rows, ridge) -> Critic:
+    def _steps(self, solve, following, base, backup, start, rows, ridge) -> Critic:
         assert self.horizon is not None
         theta, weights = np.zeros_like(base), []
         occupancy, ratios, fade = start, [], 1.0
         for _ in range(self.horizon):
             theta = base + backup @ theta
             weights.append(theta)
-            projected = cho_solve(factor, occupancy)
+            projected = solve(occupancy)
             ratios.append(rows * fade * projected)
             occupancy = following.T @ projected
             fade *= self.case.discount
@@ -271,19 +277,20 @@ class Fit:
         bound = 10.0 * self.horizon * max(1.0, float(np.abs(base).max()))
         return Critic(*found, ridge, bool(np.isfinite(found[0]).all() and np.abs(found[0]).max() < GROWN * bound))
 
-    def _endless(self, factor, base, backup, start, rows, ridge) -> Critic:
-        theta, occupancy, power = base, start, backup
+    def _endless(self, solve, base, backup, onward, start, rows, ridge) -> Critic:
+        theta, occupancy, power, other = base, start, backup, onward
         size = np.inf
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(DOUBLINGS):
                 theta = theta + power @ theta
-                occupancy = occupancy + power.T @ occupancy
-                power = power @ power
+                occupancy = occupancy + other.T @ occupancy
+                alike, power = other is power, power @ power
+                other = power if alike else other @ other
                 size = np.abs(power).max()
                 if not size < GROWN or size < 1e-12:
                     break
         settled = bool(size < 1e-3) if self.case.discount < 1.0 else bool(size < GROWN)
-        ratios = rows * cho_solve(factor, occupancy)
+        ratios = rows * solve(occupancy)
         return Critic(theta[None], ratios[None], ridge, settled and bool(np.isfinite(theta).all()))
 
     # ---- out of fold --------------------------------------------------------------------------------------------------
@@ -351,7 +358,10 @@ class Fit:
             if after is None:
                 return (self._errors(part, phi, None, critic, marginal) for critic in critics)
             follows = self.features.expected(data.next_observations_at(part), after[part])
-            return (self._errors(part, phi, follows[:, i], critic, marginal) for i, critic in enumerate(critics))
+            return (
+                self._errors(part, phi, follows[:, i], critic, marginal, case.names[i] == LOGGED)
+                for i, critic in enumerate(critics)
+            )
 
         of_row = fold[data.episode_of]
         for part in blocks(np.flatnonzero(of_row == k)):
@@ -364,9 +374,17 @@ class Fit:
             out.fitted[i] += np.square(found["errors"]).mean() / (int(fold.max()) + 1)
 
     def _errors(
-        self, part: np.ndarray, phi: np.ndarray, follows: np.ndarray | None, critic: Critic, marginal: bool
+        self,
+        part: np.ndarray,
+        phi: np.ndarray,
+        follows: np.ndarray | None,
+        critic: Critic,
+        marginal: bool,
+        logged: bool = False,
     ) -> dict[str, np.ndarray]:
         """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies.
+
+        It is zero where nobody knows what came next, or for the behaviour policy (`logged`) what it did next.
 
         Values are not cut at what a return can be: V has to be the mean of Q over the policy's actions, or the estimate is
         biased.
@@ -376,6 +394,8 @@ class Fit:
         case, discount = self.case, self.case.discount
         rewards = np.asarray(case.data.rewards[part], np.float64)
         known, goes_on = case.followed[part], ~case.ended[part]
+        if logged:
+            known = known & case.shown[part]
         q = phi @ critic.weights.T  # (rows, steps)
         following = np.zeros_like(q) if follows is None else follows @ critic.weights.T
         if self.horizon is None:
@@ -409,9 +429,15 @@ class Fit:
         return self._factors[key]
 
     def penalised(self, gram: np.ndarray, ridge: float) -> np.ndarray:
-        """A Gram matrix with the ridge, in rows."""
-        out = gram + ridge * np.eye(len(gram))
-        if self.features.table is None:
-            out[0, 0] += 1e-6 - ridge  # the mean is not drawn towards zero
-        return out
+        """A Gram matrix with the ridge, in rows.
 
+        A constant is not penalised: what is fitted has the mean of what it is fitted to. Otherwise each backup would lose a
+        share of the value, and a long sum of rewards most of it.
+        """
+        size = len(gram)
+        out = gram + ridge * np.eye(size)
+        if self.features.table is None:
+            out[0, 0] += 1e-6 - ridge
+        else:  # the constant is the sum of all features
+            out += (1e-6 - ridge / size) * np.ones((size, size))
+        return out

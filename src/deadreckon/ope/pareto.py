@@ -5,11 +5,14 @@ beyond 1/2 there is no variance, beyond 0.7 averages of any practical number of 
 there is no mean.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deadreckon.errors import UserError
 
 LEAST = 5  # weights above a threshold that a tail is fitted to
+SURE = 1.645  # standard errors
 
 
 def pareto_k(log_weights: np.ndarray) -> float:
@@ -52,6 +55,19 @@ def pareto_k(log_weights: np.ndarray) -> float:
     return float(array_stats.psislw(-np.concatenate([np.full(padding, cutoff), above]))[1])
 
 
-def k_limit(n: int) -> float:
-    """The k above which an average of n weights is not to be trusted, min(1 - 1 / log10(n), 0.7): the paper's, for its size."""
-    return float(min(1.0 - 1.0 / np.log10(n), 0.7)) if n > 10 else 0.0
+def diagnosed(log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """`pareto k` of the (n,) weights of each policy, and `pareto k low`, above which it lies with 95 % confidence.
+
+    The standard error of k is about (1 + k) / sqrt(m) for a tail of m weights (Smith 1987), which of a few dozen of episodes is
+    as large as what it is compared with.
+    """
+    k = np.array([pareto_k(each) for each in log_weights])
+    tail = np.array([_size(int((np.asarray(each) > -np.inf).sum())) for each in log_weights])
+    with np.errstate(invalid="ignore"):
+        low = k - SURE * (1.0 + k) / np.sqrt(np.maximum(tail, 1))
+    return {"pareto k": k, "pareto k low": np.where(np.isneginf(k), k, low)}
+
+
+def _size(n: int) -> int:
+    """Weights in the tail of n."""
+    return int(3 * np.sqrt(n)) if n > 225 else n // 5

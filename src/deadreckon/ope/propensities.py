@@ -4,26 +4,26 @@ Networks that were fitted long are too sure. Of propensities that is worse than 
 the actions that a model believes to be rare are the ones that weigh most. Everything here is fitted to rows out of fold, whole
 episodes of them, or it would find nothing to correct.
 
-For discrete actions logits are divided by one temperature, or scaled and shifted per action. A density cannot be tempered like
-that: its power does not integrate to one, and the missing factor, which depends on the observation, would go into every
-weight. The power of a Gaussian is a Gaussian again, with a deviation that is sqrt(T) as large, so for Gaussian heads the
-deviations are scaled. A density after a tanh has its Gaussian before it, where the scale is fitted; one that is clipped at
-bounds has probabilities there, and is not of this kind.
+For discrete actions logits are divided by one temperature and shifted per action. A density is left as it is: its power does
+not integrate to one, and the missing factor, which depends on the observation, would go into every weight.
 """
 
 import numpy as np
 
 from deadreckon.errors import UserError
 
+ROUNDS = 20  # of proportional fitting
 MOST = 100.0  # largest temperature, and one over the smallest: beyond, the model knows nothing, or separates all rows
 
 
-def temperature(logits: np.ndarray, taken: np.ndarray) -> float:
+def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> float:
     """The temperature T of softmax(logits / T) that makes the logged actions likeliest; above one where the model is too sure.
 
     Args:
         logits: (n, actions) of the model, or its log-probabilities, of rows that it was not fitted to.
         taken: (n,) numbers of the logged actions.
+        prior: penalty of half the square of log T, in rows: with few of them, which may all be predicted right, T stays near
+            one.
 
     Returns:
         T within 1 / 100 and 100.
@@ -38,7 +38,8 @@ def temperature(logits: np.ndarray, taken: np.ndarray) -> float:
     own = known[np.arange(len(taken)), taken]
 
     def slope(inverse: float) -> float:
-        return float((own - (_softmax(inverse * known, allowed) * known).sum(1)).mean())
+        found = float((own - (_softmax(inverse * known, allowed) * known).sum(1)).mean())
+        return found - prior * np.log(inverse) / (inverse * len(taken))
 
     low, high = 1.0 / MOST, MOST
     if slope(low) <= 0:
@@ -51,85 +52,29 @@ def temperature(logits: np.ndarray, taken: np.ndarray) -> float:
     return float(1.0 / np.sqrt(low * high))
 
 
-def vector_scaling(logits: np.ndarray, taken: np.ndarray, ridge: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """(actions,) scale and (actions,) shift of softmax(scale * logits + shift) that make the logged actions likeliest.
+def shifts(logits: np.ndarray, taken: np.ndarray, rows: float = 0.5) -> np.ndarray:
+    """(actions,) shifts of the logits after which each action is taken as often as its probabilities say, overall.
 
-    It starts from, and is drawn towards, the one temperature and no shift: an action that was hardly taken cannot say more.
+    Maximum likelihood does that by itself, but not a fit that is stopped early: it does not know yet that an action is rare, or
+    never taken. Found by proportional fitting (Deming and Stephan 1940).
 
     Args:
-        logits: (n, actions) of rows that the model was not fitted to.
+        logits: (n, actions) of the model.
         taken: (n,) numbers of the logged actions.
-        ridge: weight of the squared distance from there, in rows.
+        rows: how many of each action are added to what was counted and to what was predicted, so that shares of zero do not end
+            in infinite shifts.
 
     Raises:
-        UserError: as `temperature`, and logits that are not finite.
+        UserError: columns that do not belong together, no rows, or a taken action that the model excludes.
     """
     logits = _checked(logits, taken)
-    if not np.isfinite(logits).all():
-        raise UserError("scaling per action needs finite logits")
-    from scipy.optimize import minimize  # half a second, for this alone
-
-    n, actions = logits.shape
-    begin = np.concatenate([np.full(actions, 1.0 / temperature(logits, taken)), np.zeros(actions)])
-    one = np.eye(actions)[taken]
-    spread = max(float(logits.std()), 1e-12)  # so that scales and shifts are drawn alike, whatever the unit of logits
-
-    def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
-        scores = x[:actions] * logits + x[actions:]
-        top = scores.max(1, keepdims=True)
-        total = top[:, 0] + np.log(np.exp(scores - top).sum(1))
-        away = (x - begin) * np.repeat([spread, 1.0], actions)
-        value = (total - scores[np.arange(n), taken]).sum() + 0.5 * ridge * away @ away
-        error = np.exp(scores - total[:, None]) - one
-        slope = np.concatenate([(error * logits).sum(0), error.sum(0)]) + ridge * away * np.repeat([spread, 1.0], actions)
-        return float(value) / n, slope / n
-
-    found = minimize(loss, begin, jac=True, method="L-BFGS-B", options={"maxiter": 1000, "ftol": 1e-12, "gtol": 1e-7}).x
-    return found[:actions], found[actions:]
-
-
-def calibration_error(log_probs: np.ndarray, taken: np.ndarray, bins: int = 10) -> float:
-    """How far probabilities of actions are from how often these are taken, on average over rows and actions.
-
-    For each action rows are put into bins of equal numbers by its probability; in each bin the mean probability is compared
-    with the share of rows in which it was taken (the classwise error of Kull et al. 2019, with the bins of Nguyen and O'Connor
-    2015). It is the sum over actions, so 2 is the most, and noise of about sqrt(bins * actions / n) remains of a perfect model.
-
-    Args:
-        log_probs: (n, actions) of rows that the model was not fitted to.
-        taken: (n,) numbers of the logged actions.
-        bins: of each action.
-
-    Raises:
-        UserError: columns that do not belong together, or no rows.
-    """
-    probs = np.exp(_checked(log_probs, taken))
-    n, actions = probs.shape
-    total = 0.0
-    for action in range(actions):
-        p = probs[:, action]
-        # Equal probabilities belong together, however many there are: bins part where values do.
-        edges = np.unique(np.quantile(p, np.linspace(0, 1, min(bins, n) + 1)[1:-1]))
-        where = np.searchsorted(edges, p, side="right")
-        total += np.abs(np.bincount(where, p - (taken == action))).sum()
-    return total / n
-
-
-def gaussian_scale(residuals: np.ndarray) -> np.ndarray:
-    """(d,) factors of a Gaussian head's standard deviations that make rows likeliest, which the head was not fitted to.
-
-    The root mean square of the residuals; above one where the model is too sure.
-
-    Args:
-        residuals: (n, d) of (action - mean) / deviation, before the tanh where there is one.
-
-    Raises:
-        UserError: no rows, or residuals that are not finite.
-    """
-    residuals = np.asarray(residuals, float)
-    if residuals.ndim != 2 or not len(residuals) or not np.isfinite(residuals).all():
-        raise UserError(f"a scale needs finite residuals of some rows and dimensions, got an array of shape {residuals.shape}")
-    return np.sqrt(np.square(residuals).mean(0))
+    allowed = np.isfinite(logits)
+    known = np.where(allowed, logits, 0.0)
+    count = np.bincount(taken, minlength=logits.shape[1]) + rows
+    found = np.zeros(logits.shape[1])
+    for _ in range(ROUNDS):
+        found += np.log(count / (_softmax(known + found, allowed).sum(0) + rows))
+    return found
 
 
 def _checked(logits: np.ndarray, taken: np.ndarray) -> np.ndarray:

@@ -20,6 +20,13 @@ from deadreckon.ope.weights import FEW
 BOOTSTRAP = 100  # redraws from which their percentiles are an interval; fewer are members of an ensemble
 UNITS = 20  # episodes or clusters below which no interval is believed
 HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
+# Weights that are multiplied along an episode must amount to this share of the episodes, or to so many. With less, so much of
+# their mass lies in episodes that the log happens not to show that no interval by those it shows covers.
+SHARE, MANY = 0.2, 50.0
+# Times by which intervals are widened by what normalising the weights changes most, where propensities are learned: right ones
+# average one, and normalising them changes nothing. Those that miss what actions depend on bias gains by up to about this.
+MOVED = 2.0
+ALARMING = 0.1  # of an interval, which that change must not exceed without a warning
 
 
 @dataclass(frozen=True)
@@ -56,8 +63,11 @@ class Choice:
         return "\n".join(f"  {line}" if i else line for i, line in enumerate(lines))
 
 
-def gains(found: Estimates, alpha: float = ALPHA) -> np.ndarray:
+def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = None) -> np.ndarray:
     """(policies, 3) gains over the behaviour policy with lower and upper ends that hold for all policies at once.
+
+    Intervals of policies that are not `known` (policies,) are endless, as are those without any weight. Where propensities are
+    learned they are wider by `MOVED` times what normalising the weights changes most.
 
     Both values are estimated by the same method from the same episodes, so what they share cancels. Where there is an influence
     function the interval is a studentised maximum (`inference.simultaneous`). Otherwise it is the bootstrap's, or for the few
@@ -69,8 +79,10 @@ def gains(found: Estimates, alpha: float = ALPHA) -> np.ndarray:
     if LOGGED not in found.names or (found.redraws is None and found.influence is None):
         raise UserError(f"{found.method} was not asked about the behaviour policy; use Case(..., logged=True)")
     logged = found.names.index(LOGGED)
+    known = np.ones(len(found.names), bool) if known is None else np.array(known)
+    if found.effective is not None:
+        known &= found.effective > 0
     if found.influence is not None:
-        known = None if found.effective is None else found.effective > 0
         middle, low, high = inference.gains(found.value, found.influence, logged, alpha, known)
     else:
         assert found.redraws is not None
@@ -83,8 +95,10 @@ def gains(found: Estimates, alpha: float = ALPHA) -> np.ndarray:
             for i, own in enumerate(draws.T)
         ]  # fmt: skip
         low, high = np.array([[float(low), float(high)] for low, high in ends]).T
-    if found.effective is not None:
-        low, high = (np.where(found.effective > 0, end, wide) for end, wide in ((low, -np.inf), (high, np.inf)))
+    if found.inflation is not None:
+        low, high = middle - found.inflation * (middle - low), middle + found.inflation * (high - middle)
+    wider = MOVED * _moved(found, known)[1]
+    low, high = np.where(known, low - wider, -np.inf), np.where(known, high + wider, np.inf)
     out = np.stack([middle, low, high], 1)
     out[logged] = 0.0
     return out
@@ -122,13 +136,17 @@ def select(
         raise UserError(f"support must have a number for each of {len(names)} policies, got {len(support.missing)}")
     if seen is not None and len(seen) != len(names):
         raise UserError(f"seen must have an entry for each of {len(names)} policies, got {len(seen)}")
-    found = [gains(each, alpha) for each in estimates]
-    every = found[0]
+    unknown = [
+        _unreliable(first, i) + ([] if support is None else support.objections(i)) for i in range(len(names))
+    ]
+    known = np.ones(len(first.names), bool)
+    known[[first.names.index(name) for name in names]] = [not own for own in unknown]
+    every = gains(first, alpha, known)
+    found = [every, *(gains(each, alpha) for each in estimates[1:])]
     objections = []
     for i in range(len(names)):
         own = [] if seen is None or seen[i] is None else [str(seen[i])]
-        own += _against(first, i, accept_model_based, support)
-        own += [] if support is None else support.objections(i)
+        own += unknown[i] + _model_based(first, i, accept_model_based, support)
         others = zip(estimates[1:], found[1:])
         own += [f"{each.method} finds it worse" for each, told in others if _speaks(each, i) and told[i, 2] < 0]
         objections.append(tuple(own))
@@ -153,6 +171,12 @@ def select(
         agrees = "agrees that it is best" if chosen == best else f"would choose {names[chosen]}"
         evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}], {agrees}")
     warnings = list(first.warnings)
+    which, moved = _moved(first, known)
+    if moved > ALARMING * max(high - low, 0.0):
+        warnings.append(
+            f"the learned propensities do not fit the log: normalised weights, which should change nothing, move the gain of "
+            f"{first.names[which]} by {moved:.2g}, and all intervals are wider for it"
+        )
     if support is not None and np.isnan(support.missing[best]):
         warnings.append(f"the log is too short to tell how many of {name}'s actions have support")
     for i, own in enumerate(objections):
@@ -170,23 +194,56 @@ def select(
     )  # fmt: skip
 
 
-def _against(found: Estimates, which: int, accept_model_based: bool, support: Support | None) -> list[str]:
-    """What speaks against an estimate of a policy, a phrase each."""
+def _unreliable(found: Estimates, which: int) -> list[str]:
+    """Why no interval of an estimate of a policy can be believed, a phrase each."""
     own = []
     if found.influence is not None and len(found.influence) < UNITS:
-        own.append(f"there are only {len(found.influence)} episodes or clusters to judge by, {UNITS} are needed")
+        own.append(
+            f"there are only {len(found.influence)} episodes or clusters to judge by, {UNITS} are needed, or "
+            "--cross-fit where the log has as many"
+        )
     if not _overlaps(found, which):
         assert found.effective is not None
         own.append(f"its weights rest on {found.effective[which]:.1f} episodes, {FEW:g} are needed")
-    k = found.diagnostics.get("pareto k")
-    if k is not None and k[which] > HEAVY:
-        own.append(f"its weights have too heavy a tail (Pareto k {k[which]:.2f}, at most {HEAVY:g})")
+    share = found.diagnostics.get("effective share")
+    if share is not None and found.effective is not None and share[which] < SHARE and found.effective[which] < MANY:
+        own.append(
+            f"its weights, which are multiplied along an episode, rest on {found.effective[which]:.1f} episodes, {MANY:g} or "
+            f"{100 * SHARE:g} % of them are needed"
+        )
+    high = found.diagnostics.get("mean weight high")
+    if high is not None and high[which] < 1.0:
+        own.append(
+            f"its weights average {found.diagnostics['mean weight'][which]:.2f} instead of 1 (at most {high[which]:.2f} with "
+            "99 % confidence): the log does not show the episodes that weigh most"
+        )
+    # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
+    low = found.diagnostics.get("pareto k low")
+    if low is not None and low[which] > HEAVY and (found.effective is None or found.effective[which] < MANY):
+        own.append(
+            f"its weights have too heavy a tail (Pareto k {found.diagnostics['pareto k'][which]:.2f}, above {low[which]:.2f} "
+            f"with 95 % confidence, at most {HEAVY:g})"
+        )
     if found.diagnostics.get("settled", np.ones(which + 1))[which] < 1:
         own.append("the fit of its estimate has not settled")
-    degenerate = support is not None and bool(support.degenerate[which])
-    if (not found.corrected or degenerate) and not accept_model_based:
-        own.append("its estimate is model-based only: nothing that was logged corrects an error of the model")
     return own
+
+
+def _moved(found: Estimates, known: np.ndarray) -> tuple[int, float]:
+    """Whose gain depends most on whether weights are normalised, and by how much; zero where propensities are logged.
+
+    All policies share the propensities, so it speaks against every estimate.
+    """
+    shift = np.where(known, np.abs(found.diagnostics.get("normalising", np.zeros(len(known)))), 0.0)
+    which = int(np.argmax(shift))
+    return which, float(shift[which])
+
+
+def _model_based(found: Estimates, which: int, accepted: bool, support: Support | None) -> list[str]:
+    degenerate = support is not None and bool(support.degenerate[which])
+    if accepted or (found.corrected and not degenerate):
+        return []
+    return ["its estimate is model-based only: nothing that was logged corrects an error of the model"]
 
 
 def _overlaps(found: Estimates, which: int) -> bool:

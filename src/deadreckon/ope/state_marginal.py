@@ -21,11 +21,11 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior import PROPENSITIES
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimate import APART, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.features import TABLE, Features
 from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.linear import LinearFQE
-from deadreckon.ope.pareto import pareto_k
+from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.sequences import starts_of
 from deadreckon.training.learner import static
 
@@ -68,6 +68,8 @@ class StateMarginal(Estimator):
 
     def solve(self, case: Case) -> Estimates:
         """Carries each policy from step to step; intervals by the influence of episodes."""
+        if case.crossed:
+            raise UserError(f"{self.label} {APART}")
         data, episodes = case.data, case.episodes
         cosines = LinearFQE().cosines  # which it has no use for, but shares with those who have
         features = case.once(("features", cosines), lambda: Features(case.log, cosines, case.seed))
@@ -76,7 +78,7 @@ class StateMarginal(Estimator):
                 f"smis needs discrete actions and few different observations, {TABLE // 2} with two actions, which {data.name} "
                 "does not have; bin its observations, or use dr-linear or drl"
             )
-        states, rewards = features.codes(data.observations), np.asarray(data.rewards, np.float64)
+        states, rewards = features.table.codes(data.observations), np.asarray(data.rewards, np.float64)
         values, influence, effective, tails, lost = [], [], [], [], []
         for row in log_ratios(case, self.behavior, self.model, None, self.folds):
             found = state_marginal(
@@ -85,7 +87,7 @@ class StateMarginal(Estimator):
             values.append(found.value)
             influence.append(episodes.means(found.scores)[1])
             effective.append(episodes.least(found.effective))
-            tails.append(pareto_k(row))  # of single steps: these are what is averaged
+            tails.append(row)  # of single steps: these are what is averaged
             lost.append(found.lost)
         effective = np.asarray(effective)
         warnings = [
@@ -96,7 +98,7 @@ class StateMarginal(Estimator):
         ]  # fmt: skip
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
-            warnings=tuple(warnings), diagnostics={"pareto k": np.array(tails), "lost": np.array(lost)},
+            warnings=tuple(warnings), diagnostics=diagnosed(tails) | {"lost": np.array(lost)},
         )  # fmt: skip
 
 

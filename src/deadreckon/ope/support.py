@@ -17,7 +17,6 @@ from deadreckon.ope.importance import log_ratios
 RARE = 0.1  # of the probability of a uniform choice: actions below that have no support
 MISSING = 0.10  # of a policy's mass without support is too much
 SHORT = 0.95  # what the mean weight of one step must be able to be
-SURE = 0.01  # error rate of that test, for each policy
 
 
 class Support(NamedTuple):
@@ -82,6 +81,6 @@ def _support(case: Case, model: BehaviorModel, folds: int) -> Support:
     mean = ratios.mean(1)
     totals = np.stack([np.bincount(of_row, row, units) for row in ratios], 1)
     influence = units * (totals - mean * rows[:, None]) / len(of_row)
-    high = inference.student(mean, influence, 2 * SURE)[1]
+    high = inference.student(mean, influence, 2 * inference.SURE)[1]
     blank = lambda x: np.where(degenerate, np.nan, x)  # noqa: E731
     return Support(missing, blank(mean), blank(high), degenerate)

@@ -108,6 +108,6 @@ def tails(case: Case, which: int, share: float, model: BehaviorModel, alpha: flo
     weights = episodes.cumulate(log_ratios(case, "auto", model, None)[which])[case.data.ends]
     own, logged = lower_tail(weights, returns, share), lower_tail(np.zeros(len(returns)), returns, share)
     gain, pulls = own.value - logged.value, episodes.means(own.influence - logged.influence)[1]
-    low, high = inference.student(np.array([gain]), pulls[:, None], alpha)
+    low, high = inference.student(np.array([gain]), case.inflation[which] * pulls[:, None], alpha)
     return {"share": share, "value": own.value, "logged": logged.value, "gain": gain, "low": float(low[0]),
             "high": float(high[0]), "effective": own.effective}  # fmt: skip

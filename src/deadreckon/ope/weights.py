@@ -185,6 +185,19 @@ class Episodes:
         np.logaddexp.at(out, self.of, log_rho + fade)
         return out
 
+    def average(self, log_rho: np.ndarray) -> np.ndarray:
+        """(episodes,) discounted mean of each episode's weights over all steps, whose expectation is one.
+
+        An ended episode keeps its last. NaN where episodes are cut off before the last step.
+        """
+        if not self.even:
+            return np.full(self.count, np.nan)
+        fade = self.discount ** np.arange(self.steps)
+        with np.errstate(over="ignore"):
+            total = np.bincount(self.of, np.exp(log_rho) * fade[self.time], self.count)
+            rest = np.append(np.cumsum(fade[::-1])[::-1], 0.0)[self.lengths]
+            return (total + rest * np.exp(log_rho[self.first + self.lengths - 1])) / fade.sum()
+
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool = False) -> np.ndarray:
         """(episodes,) what each adds without normalisation; per decision their mean is the estimate of `sums`, and with one
         weight an episode where cut-offs are `even`."""

@@ -244,6 +244,8 @@ def judge(
         truth = simulated(
             acting, task, episodes=episodes, seed=seed, greedy=greedy, discount=discount, horizon=case.estimand.horizon
         )
+    every = [gains(each, spent.alpha) for each in results]
+    every[0][: len(names)] = choice.gains  # which know what speaks against an interval
     shares = lambda x: [None if np.isnan(share) else float(share) for share in x]  # noqa: E731
     told = {
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": seed, "truth": truth,
@@ -255,11 +257,11 @@ def judge(
         "support": {"missing": shares(checks.missing), "ratio": shares(checks.ratio), "degenerate": checks.degenerate.tolist()},
         "results": [
             {"method": each.method, "title": titled(each.method), "corrected": each.corrected, "value": each.value.tolist(),
-             "low": each.low.tolist(), "high": each.high.tolist(), "gain": gains(each, spent.alpha).tolist(),
+             "low": each.low.tolist(), "high": each.high.tolist(), "gain": told_gains.tolist(),
              "seconds": each.seconds, "warnings": list(each.warnings),
              "effective": None if each.effective is None else each.effective.tolist(),
              "diagnostics": {name: shares(numbers) for name, numbers in each.diagnostics.items()}}
-            for each in results
+            for each, told_gains in zip(results, every)
         ],
         "choice": {"name": choice.name, "deploy": choice.deploy, "gain": [choice.gain, choice.low, choice.high],
                    "level": choice.level, "reason": choice.reason, "evidence": list(choice.evidence),

@@ -1,0 +1,100 @@
+"""Episodes that the recording cuts off while much is to come, and what a ridge must leave alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deadreckon.ope import Case
+from deadreckon.ope.decide import automatic
+from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimand import TAIL
+from deadreckon.ope.features import Table
+from deadreckon.ope.fqe import FQE
+from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.theory.tabular import garnet
+from tests.ope.worlds import as_policy, tables
+
+DISCOUNT, STEPS = 0.95, 5
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """A world whose episodes end with probability 0.05 a step, recorded for five steps at most; its own policy and another."""
+    world = garnet(8, 3, 3, ending=0.05, noise=0.3, seed=4)
+    own, other = tables(world, 2, 0.7)
+    return world, own, other, world.log(own, 6_000, STEPS, np.random.default_rng(0), "cut")
+
+
+def exact(world, table):
+    """The value of all that follows, from the first states."""
+    flow = np.einsum("sat,sa->st", world.transitions, table)
+    return float(world.initial @ np.linalg.solve(np.eye(world.states) - DISCOUNT * flow, (table * world.rewards).sum(1)))
+
+
+@pytest.mark.parametrize("kind", ["dr", "marginal"])
+def test_the_value_beyond_the_recording_is_that_of_the_world(recorded, kind):
+    """Most of it lies beyond. Rows at the end of the recording count for the behaviour policy too, or it would end oftener."""
+    world, own, other, log = recorded
+    case = Case(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True, names=["other"])
+    found = DoublyRobust(kind=kind, fqe=LinearFQE()).on(case)
+    errors = found.influence.std(0, ddof=1) / np.sqrt(len(found.influence))
+    truth = np.array([exact(world, other), exact(world, own)])
+    assert (np.abs(found.value - truth) < 4 * errors + 0.05 * np.abs(truth)).all()
+    gain = found.influence[:, 0] - found.influence[:, 1]
+    error = gain.std(ddof=1) / np.sqrt(len(gain))
+    assert abs((found.value[0] - found.value[1]) - (truth[0] - truth[1])) < 3 * error
+    assert found.corrected == (kind == "marginal")
+
+
+def test_estimators_are_chosen_by_how_much_lies_beyond(recorded):
+    world, own, other, log = recorded
+    asked = {"discount": DISCOUNT, "logged": True, "names": ["own"]}
+    case = Case(log, [as_policy(own)], horizon=None, **asked)
+    assert case.beyond > TAIL
+    assert [each.label for each in automatic(case)] == ["DRL", "DR-linear"]
+    within = Case(log, [as_policy(own)], horizon=STEPS, **asked)
+    assert within.beyond == 0.0
+    assert [each.label for each in automatic(within)] == ["DR-linear", "DRL"]
+
+
+def test_what_the_behaviour_policy_would_do_next(recorded):
+    """In a table by how often it does so; elsewhere nobody knows, and its critic does not learn from such rows."""
+    world, own, other, log = recorded
+    case = Case(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
+    table = Table.of(log)
+    assert table is not None
+    cut = ~np.asarray(log.terminals)[log.ends]
+    states = np.asarray(log.final_observations).argmax(1)[cut]
+    assert np.abs(case.final_actions(1)[cut, -1] - own[states]).max() < 0.1
+    assert np.allclose(case.next_actions(1)[log.ends[cut], -1], case.final_actions(1)[cut, -1])
+    assert case.shown.all()
+
+    # Observations that differ in every row are no table.
+    many = replace(log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape))
+    case = Case(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
+    assert Table.of(many) is None
+    assert (case.shown == (~many._is_end | np.asarray(many.terminals))).all()
+    known = FQE(steps=10).problem(case)[1].extra["known"]
+    assert known[:, 0].all()
+    assert (known[:, 1] == case.shown).all()
+
+
+@pytest.mark.parametrize("horizon", [STEPS, None])
+def test_a_ridge_leaves_the_mean_alone(recorded, horizon):
+    """Where all rewards are one, values are discounted steps, however strong the ridge; ratios average one at every step."""
+    world, own, other, _ = recorded
+    endless = garnet(8, 3, 3, noise=0.0, seed=4)
+    log = endless.log(own, 200, STEPS, np.random.default_rng(1), "ones")
+    log = replace(log, rewards=np.ones_like(log.rewards))
+    case = Case(log, [as_policy(other)], discount=0.9, horizon=horizon, names=["other"])
+    fit = Fit(LinearFQE(ridge=1e4), case)
+    sums = fit.sums(case, np.zeros(log.episodes, int), 1)
+    critic = fit.critic(sums, np.ones(1), 0, 1e4)
+    steps = STEPS if horizon else np.inf
+    value = float(sums.start[0, 0] @ critic.weights[-1]) / log.episodes * fit.std
+    assert value == pytest.approx((1 - 0.9**steps) / 0.1, rel=1e-4)
+    phi = fit.features.taken(log.observations, log.actions)
+    mean = (phi @ critic.ratios.T).mean(0)
+    expected = 0.9 ** np.arange(STEPS) if horizon else np.array([10.0])
+    assert np.allclose(mean, expected, rtol=1e-4)
