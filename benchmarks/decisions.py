@@ -10,12 +10,16 @@ the new rule changes.
 """
 
 import argparse
+import json
+import lzma
 import os
 import sys
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 ONE_THREAD = {
@@ -46,16 +50,46 @@ def place(out: Path, family: str, seed: int) -> Path:
     return out / family / f"{seed}.json"
 
 
+def unpack(record: Path, out: Path) -> None:
+    """Writes the trials of a record that `out` lacks."""
+    from deadreckon.files import write_json
+
+    if record.exists():
+        with lzma.open(record, "rt") as lines:
+            for line in lines:
+                trial = json.loads(line)
+                if not (path := place(out, trial["family"], trial["seed"])).exists():
+                    write_json(path, trial)
+
+
+def pack(record: Path, trials: Sequence[dict[str, Any]]) -> None:
+    """Writes trials as lines of JSON, compressed, with six digits: what a table needs, small enough to be kept for good."""
+    from deadreckon.files import replacing
+
+    short = lambda x: float(f"{x:.6g}") if isinstance(x, float) else x  # noqa: E731
+    lines = [json.dumps(rounded(trial, short)) + "\n" for trial in trials]
+    with replacing(record) as partial, lzma.open(partial, "wt") as file:
+        file.writelines(lines)
+
+
+def rounded(value: Any, by: Callable[[Any], Any]) -> Any:
+    """`by` of all leaves of nested lists and dicts."""
+    if isinstance(value, dict):
+        return {name: rounded(each, by) for name, each in value.items()}
+    return [rounded(each, by) for each in value] if isinstance(value, list) else by(value)
+
+
 def parse() -> argparse.Namespace:
     add = (parser := argparse.ArgumentParser(description=__doc__.splitlines()[0])).add_argument
-    add("--families", nargs="*", default=None, help="all by default")
-    add("--trials", type=int, default=100, help="logs a family")
-    add("--split", choices=["development", "confirmatory"], default="development", help="which seeds, and families")
-    add("--rules", nargs="*", default=None, help="all by default; those that a file has are not done again")
-    add("--redo", nargs="*", default=[], help="rules that are done again, where they have changed")
-    add("--workers", type=int, default=2)
-    add("--out", type=Path, default=Path("runs/decisions"))
-    add("--table", action="store_true", help="print tables of what is there, and do nothing")
+    add("--families", nargs="*", default=None, help="families of logs; all by default")
+    add("--trials", type=int, default=100, help="logs of each family")
+    add("--split", choices=["development", "confirmatory"], default="development", help="which seeds, and which families")
+    add("--rules", nargs="*", default=None, help="rules that decide; all by default; what a log's file has is not done again")
+    add("--redo", nargs="*", default=[], help="rules that are done again because they have changed")
+    add("--workers", type=int, default=2, help="processes")
+    add("--out", type=Path, default=Path("runs/decisions"), help="folder of the results, a file for each log")
+    add("--record", type=Path, help="compressed file of results: read before anything else, and written at the end")
+    add("--table", action="store_true", help="print the tables of what is there, and do nothing else")
     return parser.parse_args()
 
 
@@ -108,11 +142,16 @@ def main() -> int:
             print(f"error: no {options.split} family {name!r}; there are {', '.join(FAMILIES)}", file=sys.stderr)
             return 2
     rules = options.rules or list(RULES)
+    if options.record is not None:
+        unpack(options.record, options.out)
+    wrong = 0 if options.table else work(options, families, rules)
+    every = sorted(options.out.glob("*/*.json"), key=lambda path: (list(FAMILIES).index(path.parent.name), int(path.stem)))
+    trials = [read_json(path) for path in every if (int(path.stem) >= CONFIRM) == confirm]
+    if options.record is not None and trials:
+        pack(options.record, trials)
     if not options.table:
-        return 1 if work(options, families, rules) else 0
-    files = [path for name in families for path in sorted((options.out / name).glob("*.json"), key=lambda p: int(p.stem))]
-    trials = [read_json(path) for path in files if (int(path.stem) >= CONFIRM) == confirm]
-    if not trials:
+        return 1 if wrong else 0
+    if not (trials := [trial for trial in trials if trial["family"] in families]):
         print(f"error: no {options.split} trials in {options.out}", file=sys.stderr)
         return 2
     print(tables(trials, rules, {name: family.better for name, family in FAMILIES.items()}))

@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deadreckon.files import read_json, write_json
+import deadreckon.ope
+from deadreckon.files import digest, read_json, write_json
 from decision_study import FAMILIES
 from decision_study.learn import learned
 from decision_study.problem import WORSE, Family
@@ -15,6 +17,13 @@ from decision_study.rules import RULES, Task, Verdict
 
 NONE_BETTER = 0.25  # share of the logs of which the candidates that are better are taken away
 CONFIRM = 1_000_000  # the first seed that nobody has looked at
+
+
+@cache
+def code() -> str:
+    """A digest of what a decision is made by: the package's estimators and rule, and this study."""
+    files = [path for folder in (Path(deadreckon.ope.__file__).parent, Path(__file__).parent) for path in folder.glob("*.py")]
+    return digest([path.read_text() for path in sorted(files, key=lambda path: path.name)], 12)
 
 
 def seeds(split: str, trials: int) -> range:
@@ -49,7 +58,7 @@ def trial(family: str, seed: int, rules: Sequence[str], path: Path, rows: int | 
     found["seconds"]["truth"] = found["seconds"].get("truth", time.perf_counter() - began - learned_in)
     for rule in wanted:
         start = time.perf_counter()
-        found["rules"][rule] = _plain(RULES[rule](task))
+        found["rules"][rule] = _plain(RULES[rule](task)) | {"code": code()}
         found["seconds"][rule] = time.perf_counter() - start
     write_json(path, found)
     return found

@@ -3,7 +3,7 @@
 A model that has seen a row takes its action for likelier than it is: weights shrink, and importance sampling with them. So each
 fold has a model of its own, which learns from the other folds and from all episodes that are not judged, and stops where its
 loss on a tenth of these, which do not teach it, is least. Its temperature is then set on that tenth too (Guo et al. 2017),
-shifts make each action as frequent as it is, and none is rarer than one row among all that taught it.
+shifts make each action as frequent as it is, and a few rows' worth of the actions' shares is mixed in.
 All folds are lanes of one program.
 """
 
@@ -28,6 +28,7 @@ from deadreckon.training.learner import static
 # What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
 PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
 PRIOR = 10.0  # rows that say that the temperature is one
+SHARES = 20.0  # rows that say that an action is as likely everywhere as it is overall
 LOOKED_AT = 4096  # rows by which propensities are calibrated, at most
 CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
 
@@ -133,7 +134,8 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     of_all = lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
     logits = in_blocks(of_all, own.observations)
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
-    floor = np.empty(len(own))
+    actions = logits.shape[1]
+    mixed, kept = np.empty((len(own), actions)), np.empty(len(own))
     rng = np.random.default_rng([case.seed, 14])
     taken = np.asarray(data.actions)
     for k in range(check.shape[1]):
@@ -142,9 +144,13 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
         logits_of = [in_blocks(of_all, np.asarray(data.observations[some]))[k].T.astype(np.float64) for some in told]
         sure = temperature(logits_of[0], taken[told[0]], PRIOR)
         logits[of_row == k] = logits[of_row == k] / sure + shifts(logits_of[1] / sure, taken[told[1]])
-        # No rows can tell that an action is rarer than one more of them would be: their number bounds the weights.
-        floor[of_row == k] = 1.0 / (1.0 + weight[data.episode_of, k].sum())
-    chances = (1.0 - floor[:, None]) * softmax(logits, axis=1) + floor[:, None] / logits.shape[1]
+        # Rows tell shares before they tell probabilities, and none that an action is rarer than one more of them would be: few
+        # rows make no action impossible that was taken elsewhere, and their number bounds the weights.
+        n = weight[data.episode_of, k].sum()
+        shares = np.bincount(taken[told[1]], minlength=actions) / len(told[1])
+        mixed[of_row == k] = (SHARES * shares + 1.0 / actions) / (n + SHARES + 1.0)
+        kept[of_row == k] = n / (n + SHARES + 1.0)
+    chances = kept[:, None] * softmax(logits, axis=1) + mixed
     return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances)
 
 
