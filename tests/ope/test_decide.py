@@ -408,14 +408,14 @@ def test_few_clusters_decide_nothing():
 
 
 def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
-    """Rewards depend on the context and the action; 60 logs, known propensities (many more, and learned ones, in the study)."""
+    """Rewards depend on the context and the action; 30 logs, known propensities (many more, and learned ones, in the study)."""
     rng, errors, hits = np.random.default_rng(0), [], 0
     weights = np.random.default_rng(1).standard_normal((4, 3))
     probs = lambda seen: softmax(2.0 * seen @ weights)  # noqa: E731
     policy = BlackBoxPolicy(lambda seen, rng: probs(seen).argmax(1), action_probs=probs)
     many = rng.standard_normal((100_000, 4))
     exact = (probs(many) * (many @ weights)).sum(1).mean()
-    for seed in range(60):
+    for seed in range(30):
         seen = rng.standard_normal((500, 4))
         base = softmax(seen @ weights[:, ::-1])
         actions = (rng.random(500)[:, None] >= base.cumsum(1)[:, :-1]).sum(1)
@@ -427,18 +427,18 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
         found = DR.on(Case(log, policy, discount=0.0, logged=True, seed=seed))
         errors.append(found.value[0] - exact)
         hits += found.low[0] <= exact <= found.high[0]
-    assert abs(np.mean(errors)) < 3 * np.std(errors) / np.sqrt(60) + 0.01
-    assert stats.binom.cdf(hits, 60, 0.95) > 0.01, hits
+    assert abs(np.mean(errors)) < 3 * np.std(errors) / np.sqrt(30) + 0.01
+    assert stats.binom.cdf(hits, 30, 0.95) > 0.01, hits
 
 
 def test_pure_noise_is_never_praised():
-    """Policies that memorised the learning part, on 25 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
+    """Policies that memorised the learning part, on 12 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
     deployed = 0
-    for seed in range(25):
+    for seed in range(12):
         log = bandit(np.random.default_rng(seed), rows=500)
         part, _ = log.split(0.8, seed=seed)
         held = np.flatnonzero(~np.isin(log.episode_ids, part.episode_ids))
         case = Case(log, [memory(part), memory(part, 0.6)], discount=0.0, logged=True, held=held, seed=seed, noise=None)
         assert LOGGED in case.names
         deployed += decide(case, [DR], alpha=0.025, model=BehaviorModel(hidden=(4,), steps=50, lr=1e-2)).choice.deploy
-    assert deployed <= 3
+    assert deployed <= 2

@@ -135,7 +135,7 @@ def weighted(gain, spread, diagnostics, effective=100.0, count=200):
     ("diagnostics", "effective", "why"),
     [
         ({}, 100.0, None),
-        ({"effective share": 0.1}, 40.0, "rest on 40.0 episodes, 50 or 20 % of them"),
+        ({"effective share": 0.1}, 40.0, "rest on 40.0 episodes, 50 or 20 % of all"),
         ({"effective share": 0.1}, 60.0, None),
         ({"effective share": 0.3}, 40.0, None),
         ({"mean weight": 0.6, "mean weight high": 0.9}, 100.0, "average 0.60 instead of 1"),

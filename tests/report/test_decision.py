@@ -1,6 +1,7 @@
 """One verdict on a page, and charts that one wide interval does not flatten."""
 
 import dataclasses
+import json
 import re
 
 import numpy as np
@@ -70,6 +71,15 @@ def test_policies_with_objections_are_hollow_in_the_gains(runs):
     assert [(name, "hollow" in kind) for kind, name in rows] == [
         ("good seed 0", False), ("bc seed 0", False), ("wild seed 0", True),
     ]  # fmt: skip
+
+
+def test_an_interval_without_ends_says_so(runs):
+    """Also where JSON, which has no infinity of its own, has been in between."""
+    gains = GAINS | {"wild seed 0": (30.0, -np.inf, np.inf)}
+    for estimates in (told(gains), json.loads(json.dumps(told(gains)))):
+        text = page_of(runs, estimates)
+        assert "[\N{MINUS SIGN}\N{INFINITY}, \N{INFINITY}]" in shown(text)
+        assert "nan" not in shown(text).lower().split()
 
 
 def whiskers(svg):

@@ -196,7 +196,7 @@ def select(
 
 def _unreliable(found: Estimates, which: int) -> list[str]:
     """Why no interval of an estimate of a policy can be believed, a phrase each."""
-    own = []
+    own, share = [], found.diagnostics.get("effective share")
     if found.influence is not None and len(found.influence) < UNITS:
         own.append(
             f"there are only {len(found.influence)} episodes or clusters to judge by, {UNITS} are needed, or "
@@ -205,11 +205,10 @@ def _unreliable(found: Estimates, which: int) -> list[str]:
     if not _overlaps(found, which):
         assert found.effective is not None
         own.append(f"its weights rest on {found.effective[which]:.1f} episodes, {FEW:g} are needed")
-    share = found.diagnostics.get("effective share")
-    if share is not None and found.effective is not None and share[which] < SHARE and found.effective[which] < MANY:
+    elif share is not None and found.effective is not None and share[which] < SHARE and found.effective[which] < MANY:
         own.append(
             f"its weights, which are multiplied along an episode, rest on {found.effective[which]:.1f} episodes, {MANY:g} or "
-            f"{100 * SHARE:g} % of them are needed"
+            f"{100 * SHARE:g} % of all are needed"
         )
     high = found.diagnostics.get("mean weight high")
     if high is not None and high[which] < 1.0:

@@ -81,6 +81,7 @@ def _range(value: float | None, low: float | None, high: float | None, signed: b
     """A number with its ends, of which one or both may be endless."""
     ends = None
     if low is not None and high is not None and not math.isnan(low):
-        shown = (number(end, signed=signed) if math.isfinite(end) else "\N{INFINITY}" for end in (low, high))
+        beyond = lambda end: ("\N{MINUS SIGN}" if end < 0 else "") + "\N{INFINITY}"  # noqa: E731
+        shown = (number(end, signed=signed) if math.isfinite(end) else beyond(end) for end in (low, high))
         ends = tag("small", f"[{', '.join(shown)}]")
     return tag("td", tag("b", number(value, signed=signed)), ends)
