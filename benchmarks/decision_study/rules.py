@@ -1,9 +1,10 @@
 """Rules that choose a policy of a log or none, each an answer about the same policies.
 
-`old_*` do what the package did at 531dcab: the estimate of each gain over the log's own policy with an interval of 95 % for
-all policies at once (Bonferroni), weights that rest on ten episodes, actions half of which the log shows. It had importance
-sampling per decision where the log tells its probabilities, here with Student's interval, and fitted Q evaluation with three
-members where it does not. They are kept here because the package has them no more.
+`old_*` decide as the package did at 531dcab: by an estimate of each gain over the log's own policy with an interval of 95 % for
+all policies at once (Bonferroni), where weights rest on ten episodes and the log shows half of the actions. Its first estimator
+was fitted Q evaluation with three members; here it has that where the log does not tell its probabilities, and importance
+sampling per decision with Student's interval, which is what it had to offer for these, where it does. Weights rest on as many
+episodes as the products over whole episodes amount to. The rule is kept here because the package has it no more.
 """
 
 from collections.abc import Callable, Mapping
@@ -202,7 +203,7 @@ def _old(task: Task, log: Dataset, members: Callable[[], np.ndarray]) -> Verdict
 
 
 def old_train(task: Task) -> Verdict:
-    """The rule of 531dcab as it was: on the rows that the policies were learned from."""
+    """531dcab's rule on the rows that the policies were learned from, as it was used."""
     return _old(task, task.learning, lambda: task.on_learning)
 
 

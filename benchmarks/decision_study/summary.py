@@ -11,17 +11,17 @@ Z = 1.96
 TWINS = ("missing", "missing-unknown", "supported", "supported-unknown")
 LEARNED = ("bc", "iql", "cql", "awac", "td3_bc")
 WHAT = {
-    "new": "the package", "old-train": "531dcab, training rows", "old-held": "531dcab, held-out rows", "oracle": "oracle",
-    "argmax-fqe": "argmax of FQE", "argmax-wis": "argmax of WIS",
+    "new": "the package", "old-train": "531dcab's rule, training rows", "old-held": "531dcab's rule, held-out rows",
+    "oracle": "oracle", "argmax-fqe": "argmax of FQE", "argmax-wis": "argmax of WIS",
 }  # fmt: skip
+INTERVALS = ("all intervals hold", "… at least", "… where one has ends", "endless", "width / oracle's")
 RULE = (
     "rule", "deploys", "… what is not better", "… at most", "not better, of what it deploys", "… at most", "mean gain",
-    "of the oracle's", "all intervals hold", "… at least", "endless", "width / oracle's",
+    "of the oracle's", *INTERVALS,
 )  # fmt: skip
 OVERVIEW = (
-    "family", "logs", "deploys", "… what is not better", "… at most", "not better, of what it deploys", "mean gain",
-    "531dcab's, same rows", "difference ± error", "of the oracle's", "all intervals hold", "… at least", "endless",
-    "width / oracle's",
+    "family", "logs", "cross-fitted", "deploys", "… what is not better", "… at most", "not better, of what it deploys",
+    "mean gain", "531dcab's rule, held-out rows", "difference ± error", "of the oracle's", *INTERVALS,
 )  # fmt: skip
 
 
@@ -32,6 +32,8 @@ class Facts:
     Attributes:
         logs: how many.
         deploys, bad, holds: on how many it deploys, deploys what is not better, and has intervals that all hold.
+        crossed: on how many it judges cross-fitted policies, by all episodes.
+        some, some_hold: on how many one of its intervals has ends, and of these they all hold.
         gains: (logs,) true gain of what it deploys; 0: nothing.
         oracle: sum of the oracle's.
         endless: share of the intervals without an end.
@@ -42,6 +44,9 @@ class Facts:
     deploys: int
     bad: int
     holds: int
+    crossed: int
+    some: int
+    some_hold: int
     gains: np.ndarray
     oracle: float
     endless: float
@@ -60,16 +65,18 @@ class Facts:
         best = [trial["rules"].get("oracle", {"choice": None})["choice"] for trial in trials]
         ends = [_ends(one) for one in said]
         holds = [bool(((low <= own + 1e-9) & (own - 1e-9 <= high)).all()) for (low, high), own in zip(ends, true)]
+        some = [bool((np.isfinite(low) & np.isfinite(high)).any()) for low, high in ends]
         ratios = []
-        for (low, high), trial in zip(ends, trials):
-            if "oracle" in trial["rules"] and len(low) == len(trial["gains"]):
+        for one, (low, high), trial in zip(said, ends, trials):
+            if "oracle" in trial["rules"] and "true" not in one:  # of the same policies and episodes
                 a, b = _ends(trial["rules"]["oracle"])
                 with np.errstate(all="ignore"):
                     ratio = (high - low) / (b - a)
                 ratios.append(ratio[np.isfinite(ratio)])
         widths = np.concatenate(ratios) if ratios else np.zeros(0)
         return cls(
-            len(trials), int(chosen.sum()), int((chosen & (got <= 0.0)).sum()), sum(holds), got,
+            len(trials), int(chosen.sum()), int((chosen & (got <= 0.0)).sum()), sum(holds),
+            sum("true" in one for one in said), sum(some), sum(a and b for a, b in zip(some, holds)), got,
             sum(0.0 if one is None else trial["gains"][one] for one, trial in zip(best, trials)),
             float(np.concatenate([np.isinf(low) | np.isinf(high) for low, high in ends]).mean()),
             float(np.median(widths)) if len(widths) else math.nan,
@@ -78,7 +85,7 @@ class Facts:
     def cells(self, intervals: bool) -> dict[str, str]:
         """In words, by column."""
         found = {
-            "logs": str(self.logs), "deploys": _share(self.deploys, self.logs),
+            "logs": str(self.logs), "cross-fitted": _share(self.crossed, self.logs), "deploys": _share(self.deploys, self.logs),
             "… what is not better": _share(self.bad, self.logs), "… at most": _most(self.bad, self.logs),
             "not better, of what it deploys": _share(self.bad, self.deploys), "mean gain": f"{self.gains.mean():+.3g}",
             "of the oracle's": f"{100 * self.gains.sum() / self.oracle:.0f} %" if self.oracle > 0 else "–",
@@ -86,7 +93,8 @@ class Facts:
         if intervals:
             found |= {
                 "all intervals hold": _share(self.holds, self.logs),
-                "… at least": f"{100 * wilson(self.holds, self.logs)[0]:.1f} %", "endless": f"{100 * self.endless:.0f} %",
+                "… at least": f"{100 * wilson(self.holds, self.logs)[0]:.1f} %",
+                "… where one has ends": _share(self.some_hold, self.some), "endless": f"{100 * self.endless:.0f} %",
                 "width / oracle's": "–" if math.isnan(self.width) else f"{self.width:.2f}",
             }  # fmt: skip
         return found
@@ -107,7 +115,7 @@ def tables(trials: Sequence[dict[str, Any]], rules: Sequence[str], better: dict[
     by_name = {name: [trial for trial in trials if trial["family"] == name] for name in names}
     rows = [_overview(name, own) for name, own in by_name.items()]
     rows.append(_overview("all families", trials))
-    for gain in ("mean gain", "531dcab's, same rows", "difference ± error", "of the oracle's", "width / oracle's"):
+    for gain in ("mean gain", "531dcab's rule, held-out rows", "difference ± error", "of the oracle's", "width / oracle's"):
         rows[-1][OVERVIEW.index(gain)] = "–"
     parts = [_markdown(OVERVIEW, rows)]
     for name, own in by_name.items():
@@ -125,6 +133,10 @@ def tables(trials: Sequence[dict[str, Any]], rules: Sequence[str], better: dict[
                 row[second] = _most(facts.bad, facts.deploys)
                 rows.append(row)
         parts.append(head + "\n\n" + _markdown(RULE, rows) + (_told(own) if name in TWINS else ""))
+    said = [(rule, trial["rules"][rule]) for trial in trials for rule in rules if rule in trial["rules"]]
+    codes = {rule: sorted({one.get("code", "none") for other, one in said if other == rule}) for rule in rules}
+    told = "; ".join(f"{WHAT[rule]} {', '.join(found)}" for rule, found in codes.items() if found)
+    parts.append(f"Digests of the code that decided: {told}.")
     return "\n\n".join(parts)
 
 
@@ -133,7 +145,7 @@ def _overview(name: str, trials: Sequence[dict[str, Any]]) -> list[str]:
     cells = {"family": name} | ({} if facts is None else facts.cells(True))
     if facts is not None and old is not None and facts.logs == old.logs:
         less = facts.gains - old.gains
-        cells["531dcab's, same rows"] = f"{old.gains.mean():+.3g}"
+        cells["531dcab's rule, held-out rows"] = f"{old.gains.mean():+.3g}"
         if len(less) > 1:
             cells["difference ± error"] = f"{less.mean():+.2g} ± {less.std(ddof=1) / math.sqrt(len(less)):.1g}"
     return [cells.get(column, "–") for column in OVERVIEW]

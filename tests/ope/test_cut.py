@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
 from deadreckon.ope import Case
 from deadreckon.ope.decide import automatic
 from deadreckon.ope.doubly_robust import DoublyRobust
@@ -98,3 +100,42 @@ def test_a_ridge_leaves_the_mean_alone(recorded, horizon):
     mean = (phi @ critic.ratios.T).mean(0)
     expected = 0.9 ** np.arange(STEPS) if horizon else np.array([10.0])
     assert np.allclose(mean, expected, rtol=1e-4)
+
+
+def test_time_that_is_not_asked_for_is_not_beyond(recorded):
+    """A twentieth of the episodes is cut one step early: of a hundred steps that is next to nothing."""
+    world, own, _, _ = recorded
+    log = garnet(8, 3, 3, noise=0.3, seed=4).log(own, 40, 100, np.random.default_rng(0), "long")
+    rows = np.delete(np.arange(len(log)), log.ends[:2])
+    ends = np.isin(rows, np.concatenate([log.ends[2:], log.ends[:2] - 1]))
+    final = np.array(log.final_observations)
+    final[:2] = log.observations[log.ends[:2]]
+    cut = Dataset.from_arrays(
+        observations=log.observations[rows], actions=log.actions[rows], rewards=log.rewards[rows], timeouts=ends,
+        final_observations=final, action_space=log.action_space,
+    )  # fmt: skip
+    for discount, share in ((1.0, 0.05 / 100), (0.9, 0.05 * 0.9**99 * 0.1 / (1 - 0.9**100))):
+        case = Case(cut, [as_policy(own)], discount=discount, horizon=100, logged=True)
+        assert case.beyond == pytest.approx(share, rel=1e-6)
+
+
+def test_the_behaviour_policy_has_its_last_step_where_the_horizon_ends_episodes():
+    """Time-outs at the horizon and terminals there are the same log."""
+    rng = np.random.default_rng(0)
+    seen, actions = rng.standard_normal((600, 2)), rng.integers(0, 2, 600)
+    rewards, last = 2.0 + 0.1 * rng.standard_normal(600), np.arange(600) % 2 == 1
+    flat = as_policy(np.full((2, 2), 0.5))
+    found = []
+    for kind in ("timeouts", "terminals"):
+        log = Dataset.from_arrays(
+            observations=seen, actions=actions, rewards=rewards, final_observations=seen[last], action_space=Discrete(2),
+            behavior_log_probs=np.full(600, np.log(0.5)), **{kind: last},
+        )  # fmt: skip
+        case = Case(log, [flat], discount=1.0, horizon=2, logged=True)
+        small = FQE(members=2, hidden=(8,), steps=300, lr=1e-2, target_rate=0.1)
+        assert "known" not in small.problem(case)[1].extra
+        found.append(small.on(case).value)
+        errors = DoublyRobust(kind="dr", fqe=small, folds=1).nuisances(case)[0].errors
+        assert (errors[-1, 1::2] != 0.0).all()
+    assert np.allclose(found[0], found[1], atol=0.3)
+    assert abs(found[0][1] - found[0][0]) < 0.5

@@ -7,7 +7,7 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import LOGGED, Case, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, inference
+from deadreckon.ope import LOGGED, Case, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, estimator, inference
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.decide import automatic, decide
 from deadreckon.ope.estimate import BehaviorModel, CrossFitted
@@ -274,10 +274,13 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
     assert found.high[1] - found.low[1] == pytest.approx(alone.high[0] - alone.low[0])
     plain = inference.intervals(found.value, found.influence, seed=case.seed)
     assert found.high[0] - found.low[0] == pytest.approx(np.sqrt(2) * (plain[1][0] - plain[0][0]))
-    # Ratios of occupancies follow one policy from state to state.
+    # What is fitted to all folds for a policy has the rewards that taught it, and is not corrected.
     assert [each.label for each in automatic(case)] == ["DR-linear", "WPDIS"]
-    with pytest.raises(UserError, match="follows one policy from state to state"):
-        DoublyRobust(kind="marginal", fqe=LinearFQE()).on(case)
+    for name in ("fqe", "fqe-linear", "fqe-d", "drl", "smis", "dual-dice", "vpm", "mb-ff"):
+        with pytest.raises(UserError, match="cross-fitted ones are one for each fold"):
+            estimator(name).on(case)
+    with pytest.raises(UserError, match="has no policy for some judged episodes"):
+        Case(log, [CrossFitted(policies, which - 1)], discount=0.0)
 
 
 # ---- simultaneous -------------------------------------------------------------------------------------------------------
@@ -297,6 +300,15 @@ def test_intervals_of_all_policies_at_once_by_simulation():
         alone += np.mean((one_low <= 0) & (one_high >= 0))
     assert 0.915 <= hits / count <= 0.985, hits / count  # three deviations of 300 draws
     assert 0.93 <= alone / count <= 0.975, alone / count
+
+
+def test_a_look_that_has_little_error_left_still_has_an_interval():
+    """Beyond the redraws the quantile goes on as Student's: it grows with every halving of alpha, by little."""
+    psi = np.random.default_rng(0).standard_normal((400, 5))
+    reach = [inference.simultaneous(psi, 0.05 / 2**k) for k in range(1, 12)]
+    assert (np.diff(reach) > 0).all()
+    assert np.diff(reach).max() < 0.5
+    assert reach[-1] < 6.0
 
 
 def test_the_factor_is_students_for_one_normal_estimate_and_more_for_many():
@@ -369,10 +381,10 @@ def test_no_overlap_knows_nothing():
     """A policy that never does what was logged: minus to plus infinity, not zero to zero."""
     log = lacking(np.random.default_rng(5), 200, 0.0)
     case = Case(log, constant([0.0, 0.0, 1.0]), discount=0.0, logged=True)
-    for estimator in (ImportanceSampling(), ImportanceSampling(normalised=False), ImportanceSampling(kind="trajectory"), DR):
-        found = estimator.on(case)
+    for each in (ImportanceSampling(), ImportanceSampling(normalised=False), ImportanceSampling(kind="trajectory"), DR):
+        found = each.on(case)
         assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
-        gain = decide(case, [estimator], model=QUICK).choice
+        gain = decide(case, [each], model=QUICK).choice
         assert (gain.low, gain.high) == (-np.inf, np.inf)
         assert not gain.deploy
 

@@ -31,17 +31,15 @@ class Confounding:
         case: log and policies.
         model: how the behaviour policy is learned where propensities were not logged.
         alpha: share of logs for which one of the intervals may miss.
+        wider: added at both ends; see `select.Choice`.
 
     Raises:
         UserError: weights that mean nothing, or episodes that are cut off at different steps.
     """
 
-    def __init__(self, case: Case, model: BehaviorModel, alpha: float = ALPHA):
-        if case.degenerate.any():
-            raise UserError(f"bounds for confounding {WEIGHTLESS}")
-        if not case.episodes.even:
-            raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")
-        self.case, self.alpha, data = case, alpha, case.data
+    def __init__(self, case: Case, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0):
+        possible(case)
+        self.case, self.alpha, self.wider, data = case, alpha, wider, case.data
         self.ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
         self.logged = logged_probs(case, "auto", model) if data.spec.discrete else None
         returns = data.returns(case.discount)
@@ -60,7 +58,7 @@ class Confounding:
         """The ends of one policy's gain, if odds are off by up to `gamma`: those of its bounds, with their intervals."""
         ends, influence = self._one(which, gamma)
         error = self.case.inflation[which] * inference.errors(influence.T) * self.factor
-        return float(ends[0] - error[0]), float(ends[1] + error[1])
+        return float(ends[0] - error[0] - self.wider), float(ends[1] + error[1] + self.wider)
 
     def tipping(self, which: int) -> float:
         """The largest Gamma at which the lower end stays above zero; NaN where it never is, infinite beyond 100."""
@@ -82,6 +80,18 @@ class Confounding:
             pull = base - base.mean() + weight * (y - ratio) / weight.mean()
             pulls.append(units * np.bincount(self.case.episodes.group, pull, units) / len(y))
         return ends, np.array(pulls)
+
+
+def possible(case: Case) -> None:
+    """Refuses cases without bounds.
+
+    Raises:
+        UserError: weights that mean nothing, or episodes that are cut off at different steps.
+    """
+    if case.degenerate.any():
+        raise UserError(f"bounds for confounding {WEIGHTLESS}")
+    if not case.episodes.even:
+        raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")
 
 
 def one_step(case: Case) -> bool:

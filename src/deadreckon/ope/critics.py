@@ -190,5 +190,5 @@ class OutOfFold:
         # Where nobody knows what came next, or for the behaviour policy what it did next, nothing is corrected.
         out.errors[:, ends[unknown]] = 0.0
         if case.logged:
-            out.errors[-1, ~case.shown] = 0.0
+            out.errors[-1, ~(case.shown | np.asarray(data.terminals))] = 0.0
         return out

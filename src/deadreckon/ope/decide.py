@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.confounding import Confounding, one_step
+from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
@@ -87,13 +87,16 @@ def decide(
         more["guarantee"] = bound = guaranteed(case, which, return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
     more["confounding"], choice = _confounded(case, choice, model, alpha, confounding)
+    endless = None if np.isfinite(choice.low) else f"the card's own interval is endless: {'; '.join(choice.objections[which])}"
     if groups is not None:
         try:
-            more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha)}
+            if endless is not None:
+                raise UserError(endless)
+            more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha, choice.wider)}
         except UserError as error:
             more["groups"] = {"column": groups.column, "refused": str(error)}
     if tail is not None:
-        more["tail"], line = _tail(case, which, tail, model, alpha)
+        more["tail"], line = _tail(case, which, tail, model, alpha, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
     return Decision(results, checked, choice, more)
 
@@ -115,6 +118,7 @@ def check(
         refuse(case, return_range)
     if confounding is not None:
         weight_box(np.zeros(1), confounding)
+        possible(case)
     if groups is not None and len(groups.names) > GROUPS:
         raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
     if tail is not None and not 0 < tail <= 1:
@@ -138,12 +142,12 @@ def _confounded(
     try:
         if gamma is None and not one_step(case):
             return told, alone
-        found = Confounding(case, model, alpha)
+        found = Confounding(case, model, alpha, choice.wider)
     except UserError:
         if gamma is not None:
             raise
         return told, alone
-    tipping = found.tipping(which)
+    tipping = found.tipping(which) if np.isfinite(choice.low) else np.nan
     told["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
     undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
     if np.isnan(tipping):
@@ -159,10 +163,14 @@ def _confounded(
     return told, _demanded(choice, low, words)
 
 
-def _tail(case: Case, which: int, share: float, model: BehaviorModel, alpha: float) -> tuple[dict[str, Any], str]:
+def _tail(
+    case: Case, which: int, share: float, model: BehaviorModel, alpha: float, endless: str | None
+) -> tuple[dict[str, Any], str]:
     """The lower tail as JSON values and in a line, or why it is not known."""
     worst = f"its worst {100 * share:g} % of episodes"
     try:
+        if endless is not None:
+            raise UserError(endless)
         told = tails(case, which, share, model, alpha)
     except UserError as error:
         return {"share": share, "refused": str(error)}, f"{worst} are not known: {error}"
@@ -175,7 +183,8 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
     """Estimators for a case, the first to decide by; chosen by its design alone and never by a reward.
 
     - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
-      known, and what is left is model-based (`fqe`).
+      known, and what is left is model-based (`fqe`); of cross-fitted policies nothing, as critics of all folds know what taught
+      them.
     - One step, cross-fitted policies, or weights of whole episodes that for every policy amount to a fifth of the episodes or
       to fifty (`select.SHARE`, `select.MANY`): doubly robust with linear critics (`dr-linear`).
     - Else, or where what is asked for lies beyond the ends of the recording, and observations take few values: doubly robust by
@@ -189,13 +198,15 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
         accept_model_based: whether policies may be deployed by model-based estimates; then these come first where weights of
             any policy are degenerate.
     """
+    weighted = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model)
+    if case.crossed:
+        return [weighted, ImportanceSampling(model=model)]
     degenerate = case.degenerate
     if degenerate.all() or (accept_model_based and degenerate.any()):
         return [FQE()]
-    weighted = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model)
     if case.data.successors is not None:
         return [DoublyRobust(kind="marginal", fqe=LinearFQE())]
-    if case.data.lengths.max() == 1 or case.crossed:
+    if case.data.lengths.max() == 1:
         return [weighted, ImportanceSampling(model=model)]
     critics = LinearFQE()
     marginal = DoublyRobust(kind="marginal", fqe=critics)

@@ -24,7 +24,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimate import APART, LOGGED, BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.importance import log_ratios, logged_probs, multiplied
 from deadreckon.ope.intervals import spread
@@ -58,6 +58,11 @@ class DoublyRobust(Estimator):
     alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
     lengths: int = static(10)  # magic: how many lengths of correction are blended
     confidence: float = 0.5  # magic: level of the interval of the full correction that biases are measured from
+
+    @property
+    def takes_crossed(self) -> bool:
+        """Whether cross-fitted policies can be judged."""
+        return self.kind != "marginal"
 
     @property
     def label(self) -> str:
@@ -259,8 +264,6 @@ class DoublyRobust(Estimator):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:
             raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not have seen the rows they weigh")
-        if case.crossed:
-            raise UserError(f"{self.label} {APART}")
         nuisances, _ = self.nuisances(case)
         assert nuisances.weighted is not None
         assert nuisances.weights is not None

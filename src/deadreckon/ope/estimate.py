@@ -21,7 +21,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
 from deadreckon.ope import inference
-from deadreckon.ope.estimand import Estimand
+from deadreckon.ope.estimand import Estimand, discounted_steps
 from deadreckon.ope.features import Table
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
@@ -35,7 +35,7 @@ Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done a
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
 LOGGED = "behaviour policy"  # the name of the policy that made the log
-APART = "follows one policy from state to state, and cross-fitted ones are one for each fold; use dr-linear"
+APART = "judges each policy by all episodes, and cross-fitted ones are one for each fold, taught by the others; use dr-linear"
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
 
@@ -236,7 +236,10 @@ class Case:
         acting, acting_names = [], []
         for i, policy in enumerate(self.policies):
             if isinstance(policy, CrossFitted):
-                self._parts[i] = len(acting) + np.asarray(policy.which)[self.held]
+                which = np.asarray(policy.which)[self.held]
+                if which.min() < 0 or which.max() >= len(policy.policies):
+                    raise UserError(f"{self.names[i]} has no policy for some judged episodes; each needs that of a fold")
+                self._parts[i] = len(acting) + which
                 acting += policy.policies
                 acting_names += [f"{self.names[i]} fold {k}" for k in range(len(policy.policies))]
             else:
@@ -295,9 +298,15 @@ class Case:
 
     @cached_property
     def beyond(self) -> float:
-        """Share of the discounted time that lies beyond the ends of the recording, where nothing is weighted or corrected."""
+        """Share of the discounted time that is asked for and lies beyond the ends of the recording."""
         cut = ~np.asarray(self.data.terminals)[self.data.ends]
-        return float((self.discount**self.data.lengths * cut).mean()) if cut.any() else 0.0
+        if not cut.any():
+            return 0.0
+        lengths, horizon = self.data.lengths, self.estimand.horizon
+        if horizon is None:
+            return float((self.discount**lengths * cut).mean())
+        done = np.array([discounted_steps(self.discount, steps) for steps in range(horizon + 1)])
+        return float((1.0 - done[lengths] / done[-1])[cut].sum() / len(cut))
 
     @cached_property
     def _habits(self) -> np.ndarray | None:
@@ -345,8 +354,14 @@ class Case:
         return self.once("whole", lambda: self._beside(None))
 
     def _beside(self, held: np.ndarray | None) -> "Case":
+        # What is not judged only teaches nuisances; an episode of no fold has the policy of any.
+        policies = [
+            CrossFitted(p.policies, np.where(np.asarray(p.which) < 0, np.arange(len(p.which)) % len(p.policies), p.which))
+            if isinstance(p, CrossFitted) else p
+            for p in self.policies
+        ]  # fmt: skip
         return Case(
-            self._given, self.policies, discount=self.discount, horizon=self.estimand.horizon, seed=self.seed,
+            self._given, policies, discount=self.discount, horizon=self.estimand.horizon, seed=self.seed,
             greedy=self.greedy, names=self.names[: len(self.policies)], logged=self.logged, out=self.out, watch=self.watch,
             held=held, clusters=self.clusters, noise=self.actor.noise,
         )  # fmt: skip
@@ -552,6 +567,9 @@ class Estimator(eqx.Module):
     """Hyperparameters in, estimates out."""
 
     takes_horizon = False  # whether it can count the first steps of an episode only, and take a discount of one
+    # Whether it can judge cross-fitted policies: weights are of single rows. What is fitted to all folds for a policy has the
+    # rewards that taught it, and what follows policies from state to state needs one for all states.
+    takes_crossed = False
 
     def estimate(
         self,
@@ -571,6 +589,8 @@ class Estimator(eqx.Module):
             raise UserError(f"{self.label} does not take a horizon; use FQE, importance sampling or a doubly robust estimator")
         if case.discount == 1.0 and not self.takes_horizon:
             raise UserError(f"{self.label} needs a discount below 1, got 1")
+        if case.crossed and not self.takes_crossed:
+            raise UserError(f"{self.label} {APART}")
         begun = time.perf_counter()
         found = self.solve(case)
         warnings = found.warnings

@@ -167,8 +167,9 @@ class FQE(Estimator):
             first, weight.shape[1], case.count, self.hidden, self.batch_size, stops=check is not None,
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]}
-        if case.logged and not case.shown.all():  # what the log's own policy did next is missing, not what others would do
-            extra["known"] = np.where(np.arange(case.count) == case.count - 1, case.shown[:, None], True).astype(np.float32)
+        shown = case.shown | np.asarray(data.terminals)  # nothing follows where the horizon ends an episode
+        if case.logged and not shown.all():  # what the log's own policy did next is missing, not what others would do
+            extra["known"] = np.where(np.arange(case.count) == case.count - 1, shown[:, None], True).astype(np.float32)
         if check is not None:
             extra["check"] = check[data.episode_of]
         return learner, Rows(data, learner.needs(data.spec), extra)

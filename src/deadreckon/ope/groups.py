@@ -34,7 +34,9 @@ class Groups(NamedTuple):
     codes: np.ndarray
 
 
-def by_group(case: Case, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA) -> list[dict[str, Any]]:
+def by_group(
+    case: Case, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
+) -> list[dict[str, Any]]:
     """The gain of one of a case's policies in each group, as JSON values: an end that nobody knows is None.
 
     Args:
@@ -43,6 +45,7 @@ def by_group(case: Case, which: int, groups: Groups, model: BehaviorModel, alpha
         groups: of the log's episodes.
         model: how the behaviour policy is learned where propensities were not logged.
         alpha: share of logs for which one of the intervals may miss.
+        wider: added at both ends; see `select.Choice`.
 
     Raises:
         UserError: weights that mean nothing.
@@ -61,6 +64,7 @@ def by_group(case: Case, which: int, groups: Groups, model: BehaviorModel, alpha
     own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
     known = own >= UNITS
     half = case.inflation[which] * inference.errors(influence) * inference.simultaneous(influence[:, known], alpha, case.seed)
+    half = half + wider
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
          "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None}

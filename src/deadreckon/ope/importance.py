@@ -24,6 +24,7 @@ class ImportanceSampling(Estimator):
     """Trajectory-wise or per-decision importance sampling, plain (unbiased) or self-normalised."""
 
     takes_horizon = True
+    takes_crossed = True
 
     kind: Literal["trajectory", "per_decision"] = static("per_decision")  # one weight an episode, or one a step
     normalised: bool = static(True)  # divide by the weights' sum instead of their number: biased, far less variance

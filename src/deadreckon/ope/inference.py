@@ -6,6 +6,7 @@ from scipy import special
 from deadreckon.ope.intervals import ALPHA
 
 REDRAWS = 2000  # of the units, for the simultaneous interval
+BEYOND = 10  # redraws that must lie beyond a quantile
 SURE = 0.01  # error rate of a test that weights average one, for each policy
 
 
@@ -46,10 +47,18 @@ def studentised(influence: np.ndarray, seed: int = 0, redraws: int = REDRAWS) ->
 
 def _reach(t: np.ndarray, n: int, alpha: float) -> np.ndarray:
     """The quantile of (redraws, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of
-    freedom, which is exact for one normal estimate; infinite where the redraws do not reach so far."""
-    rank = int(np.ceil((1 - alpha) * (len(t) + 1)))
-    found = np.sort(t, 0)[rank - 1] if rank <= len(t) else np.full(t.shape[1:], np.inf)
-    return np.maximum(found, special.stdtrit(n - 1, 1 - alpha / 2))
+    freedom, which is exact for one normal estimate.
+
+    Far out, where fewer than `BEYOND` redraws lie beyond it, it is the last quantile that has so many, times the ratio of
+    Student's. Infinite where there are no more redraws than these.
+    """
+    student = lambda level: special.stdtrit(n - 1, 1 - level / 2)  # noqa: E731
+    least = BEYOND / (len(t) + 1)
+    if least >= 1:
+        return np.full(t.shape[1:], np.inf)
+    rank = int(np.ceil((1 - max(alpha, least)) * (len(t) + 1)))
+    found = np.sort(t, 0)[rank - 1]
+    return np.maximum(found * student(alpha) / student(max(alpha, least)), student(alpha))
 
 
 def intervals(

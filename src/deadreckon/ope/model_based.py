@@ -55,8 +55,6 @@ class ModelBased(Estimator):
 
     def solve(self, case: Case) -> Estimates:
         """Makes up episodes and averages their returns."""
-        if case.crossed:
-            raise UserError(f"{self.label} makes episodes up with one policy each; cross-fitted ones are judged by others")
         model, (params, unit), rows = self.fitted(case)
         data, members, count = case.data, self.members, self.episodes
         if self.horizon == 0:

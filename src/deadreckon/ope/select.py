@@ -43,6 +43,7 @@ class Choice:
         gains: (policies, 3) the same of all policies, without the behaviour policy.
         objections: for each policy, what speaks against its estimate, a phrase each; none of those that have one is deployed.
         level: of the intervals.
+        wider: by how much they are wider at both ends because learned propensities do not fit.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Choice:
     gains: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
     objections: tuple[tuple[str, ...], ...] = ()
     level: float = 1 - ALPHA
+    wider: float = 0.0
 
     def __str__(self) -> str:
         words = f"DEPLOY {self.name}" if self.deploy else "DO NOT DEPLOY"
@@ -190,7 +192,7 @@ def select(
     keep = [i for i, each in enumerate(first.names) if each != LOGGED]
     return Choice(
         name, deploy, float(difference), float(low), float(high), reason, tuple(evidence), tuple(warnings), every[keep],
-        tuple(objections), 1 - alpha,
+        tuple(objections), 1 - alpha, MOVED * moved,
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior import PROPENSITIES
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimate import APART, BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.features import TABLE, Features
 from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.linear import LinearFQE
@@ -68,8 +68,6 @@ class StateMarginal(Estimator):
 
     def solve(self, case: Case) -> Estimates:
         """Carries each policy from step to step; intervals by the influence of episodes."""
-        if case.crossed:
-            raise UserError(f"{self.label} {APART}")
         data, episodes = case.data, case.episodes
         cosines = LinearFQE().cosines  # which it has no use for, but shares with those who have
         features = case.once(("features", cosines), lambda: Features(case.log, cosines, case.seed))

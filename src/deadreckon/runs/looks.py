@@ -16,7 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, home, read_json, write_json
 from deadreckon.ope.intervals import ALPHA
 
-MOST = 10_000  # looks that are told apart; later ones share the level of the last
+MOST = 10_000  # episodes by whose ids a set is known; of a larger one the least of them, and its size
 
 
 class Look(NamedTuple):

@@ -17,7 +17,7 @@ from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimate import BehaviorModel, Case, CrossFitted, Estimates, Watcher
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.intervals import ALPHA
-from deadreckon.ope.registry import PROPENSITIES, titled
+from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
 from deadreckon.ope.select import Choice, gains
 from deadreckon.policies import library, store
 from deadreckon.policies.dope import load_dope
@@ -124,17 +124,23 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     """
     left = np.ones(data.episodes, bool)
     for each in {id(g.policy[0]): g.policy[0] for g in found if isinstance(g.policy, tuple)}.values():
-        left &= each.fold_of(data) >= 0
+        if (fold := each.fold_of(data)).max() >= 0:  # of another log it has seen nothing
+            left &= fold >= 0
     known = Seen.of([g.taught for g in found if not isinstance(g.policy, tuple)], data)
     unknown = [not isinstance(g.policy, tuple) and g.taught is None for g in found]
     taught = int((~known.unseen).sum())
     against: list[str | None] = [None] * len(found)
     if unseen:
         held = np.flatnonzero(left)
+        if not len(held):
+            raise UserError("no episode is left that all of these cross-fits have held out; judge each by itself")
         more = f", although {taught:,} of them equal episodes that taught a policy" if taught else ""
         told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
         return Fresh(held, against, told)
+    crossed = not left.all()
     left &= known.unseen
+    if not left.any() and crossed:
+        raise UserError("no episode is left that all of these policies can be judged on; judge the cross-fit by itself")
     if not left.any():
         everything = np.arange(data.episodes)
         seen_all = "it has learned from these episodes"
@@ -230,6 +236,8 @@ def judge(
         clusters=None if cluster is None else clusters_of(data, cluster),
     )  # fmt: skip
     check(case, guarantee, return_range, confounding, groups, tail)  # what is refused is no look
+    if estimators != "auto":
+        estimators = [as_estimator(each) for each in ([estimators] if isinstance(estimators, str) else estimators)]
     spent = Look(1, ALPHA, len(found))
     if counted:
         spent = look(data.episode_ids[rows.held], digest([case.manner, case.estimand.as_json()], 16), len(found))
@@ -284,7 +292,9 @@ def _acting(g: Gathered, data: Dataset) -> Any:
     if not isinstance(g.policy, tuple):
         return g.policy
     cross, seed = g.policy
-    return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), cross.fold_of(data))
+    if (fold := cross.fold_of(data)).max() < 0:  # another log: what was delivered is judged, not its parts
+        return cross.policy
+    return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)
 
 
 def checked(told: dict[str, Any]) -> str:
