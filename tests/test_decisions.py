@@ -216,7 +216,32 @@ def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):
     assert again["rules"]["new"]["low"] == [None] * 5
     assert {**again, "rules": first["rules"], "seconds": 0} == {**first, "seconds": 0}
     page = tables([again], ["new", "oracle"], {})
-    assert "| new | 1 | 100.0 % |" in page
+    assert "| missing | 1 | 0.0 % | 100.0 % |" in page
+    assert "| the package | 100.0 % |" in page
+    mixed = {**again, "rules": {"new": again["rules"]["new"] | {"code": "other"}}}
+    assert f"the package {again['rules']['new']['code']}, other" in tables([again, mixed], ["new"], {})
+    # An interval without ends holds, but not among those that have some.
+    row = page.splitlines()[2].split(" | ")
+    columns = page.splitlines()[0].split(" | ")
+    assert row[columns.index("all intervals hold")] == "100.0 %"
+    assert row[columns.index("… where one has ends")] == "–"
+    assert row[columns.index("endless")] == "100 %"
+
+
+def test_results_are_kept_as_one_file(study, tmp_path):
+    from decisions import pack, place, unpack
+
+    trial = {"family": "missing", "seed": 1_000_003, "gains": [0.123456789, -1.0], "rules": {"new": {"low": [None, 0.25]}}}
+    other = {**trial, "seed": 1_000_004}
+    pack(tmp_path / "record.jsonl.xz", [trial, other])
+    path = place(tmp_path / "out", "missing", 1_000_004)
+    path.parent.mkdir(parents=True)
+    path.write_text("{}")  # what is there stays
+    unpack(tmp_path / "record.jsonl.xz", tmp_path / "out")
+    assert path.read_text() == "{}"
+    kept = json.loads(place(tmp_path / "out", "missing", 1_000_003).read_text())
+    assert kept == {**trial, "gains": [0.123457, -1.0]}
+    unpack(tmp_path / "none.jsonl.xz", tmp_path / "out")  # a record that is not there yet has nothing
 
 
 def test_in_some_logs_nothing_is_better(study, monkeypatch):
