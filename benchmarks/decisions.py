@@ -32,14 +32,20 @@ ONE_THREAD = {
 MAPS = 40_000  # pieces of memory that compiled programs may take before they are forgotten; a process may have 65,530
 
 
-def one(family: str, seed: int, rules: list[str], path: str) -> float:
-    """In a worker: a trial, and how long it took."""
+def forget() -> None:
+    """In a worker: gives compiled programs back before there are too many."""
     import jax
-    from decision_study.trial import trial
 
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > MAPS:
         jax.clear_caches()
+
+
+def one(family: str, seed: int, rules: list[str], path: str) -> float:
+    """In a worker: a trial, and how long it took."""
+    from decision_study.trial import trial
+
+    forget()
     began = time.perf_counter()
     trial(family, seed, rules, Path(path))
     return time.perf_counter() - began

@@ -14,14 +14,13 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from decisions import ONE_THREAD
+from decisions import ONE_THREAD, forget
 
 ROWS, KINDS, ALPHA = 1_000, ("classes", "classes-unknown"), 0.05
 
 
 def one(job: tuple[str, int], out: Path) -> None:
     """In a worker: a log, and what is said of its two policies."""
-    import jax
     import numpy as np
     from decision_study import FAMILIES
 
@@ -35,9 +34,7 @@ def one(job: tuple[str, int], out: Path) -> None:
     kind, seed = job
     if (path := out / kind / f"{seed}.json").exists():
         return
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > 40_000:
-        jax.clear_caches()
+    forget()
     problem = FAMILIES[kind].log(seed, ROWS)
     names, policies = list(problem.candidates), list(problem.candidates.values())
     case = Case(problem.log, policies, discount=0.0, horizon=1, names=names, logged=True, seed=seed % 2**32, noise=None)
