@@ -2,7 +2,8 @@
 
 Logs of many kinds whose truth is known (`decision_study`), policies learned from four fifths of each, and rules that choose
 one of them or none. A trial is a family and a seed, and one small file, so what is there is not done again. Seeds of the
-development split are 0, 1, ..., those of the confirmatory one 1,000,000, ...; nothing is tuned on the latter.
+development split are 0, 1, ..., those of the confirmatory one 1,000,000, ..., and those of a second one, for what has changed
+after that, 2,000,000, ...; nothing is tuned on the last two.
 
 The runner of `deadreckon bench` is not used: its jobs are cells of a suite (an agent, a log, a number of updates), and its
 results count for one version of the package alone, while a log here, its policies and the old rules stay what they are when
@@ -89,7 +90,8 @@ def parse() -> argparse.Namespace:
     add = (parser := argparse.ArgumentParser(description=__doc__.splitlines()[0])).add_argument
     add("--families", nargs="*", default=None, help="families of logs; all by default")
     add("--trials", type=int, default=100, help="logs of each family")
-    add("--split", choices=["development", "confirmatory"], default="development", help="which seeds, and which families")
+    splits = ["development", "confirmatory", "second"]
+    add("--split", choices=splits, default="development", help="which seeds, and which families")
     add("--rules", nargs="*", default=None, help="rules that decide; all by default; what a log's file has is not done again")
     add("--redo", nargs="*", default=[], help="rules that are done again because they have changed")
     add("--workers", type=int, default=2, help="processes")
@@ -137,11 +139,11 @@ def main() -> int:
     from decision_study import FAMILIES
     from decision_study.rules import RULES
     from decision_study.summary import tables
-    from decision_study.trial import CONFIRM
+    from decision_study.trial import FIRST
 
     from deadreckon.files import read_json
 
-    confirm = options.split == "confirmatory"
+    confirm, first = options.split != "development", FIRST[options.split]
     families = options.families or [name for name, family in FAMILIES.items() if confirm or family.split == "development"]
     for name in families:
         if name not in FAMILIES or (FAMILIES[name].split == "confirmatory" and not confirm):
@@ -152,7 +154,7 @@ def main() -> int:
         unpack(options.record, options.out)
     wrong = 0 if options.table else work(options, families, rules)
     every = sorted(options.out.glob("*/*.json"), key=lambda path: (list(FAMILIES).index(path.parent.name), int(path.stem)))
-    trials = [read_json(path) for path in every if (int(path.stem) >= CONFIRM) == confirm]
+    trials = [read_json(path) for path in every if first <= int(path.stem) < first + FIRST["confirmatory"]]
     if options.record is not None and trials:
         pack(options.record, trials)
     if not options.table:

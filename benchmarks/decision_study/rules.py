@@ -3,8 +3,9 @@
 `old_*` decide as the package did at 531dcab: by an estimate of each gain over the log's own policy with an interval of 95 % for
 all policies at once (Bonferroni), where weights rest on ten episodes and the log shows half of the actions. Its first estimator
 was fitted Q evaluation with three members; here it has that where the log does not tell its probabilities, and importance
-sampling per decision with Student's interval, which is what it had to offer for these, where it does. Weights rest on as many
-episodes as the products over whole episodes amount to. The rule is kept here because the package has it no more.
+sampling per decision with Student's interval, which is what it had to offer for these, where it does; `old_fqe` has the first
+everywhere. Weights rest on as many episodes as the products over whole episodes amount to. The rule is kept here because the
+package has it no more. `old_level` and `old_fqe` were added after the confirmatory logs had been decided by the others.
 """
 
 from collections.abc import Callable, Mapping
@@ -180,19 +181,22 @@ def shown(task: Task, log: Dataset) -> np.ndarray:
     return np.array([(clone.log_prob(log.observations, each) >= bound).mean() for each in drawn])
 
 
-def _old(task: Task, log: Dataset, members: Callable[[], np.ndarray]) -> Verdict:
+def _old(
+    task: Task, log: Dataset, members: Callable[[], np.ndarray], alpha: float = ALPHA, weights: bool | None = None
+) -> Verdict:
+    """By `weights`, where propensities are logged (None), or by the `members` of an ensemble."""
     count = len(task.policies)
-    if task.problem.known:
+    if task.problem.known if weights is None else weights:
         each, effective = per_decision(task, log)
         gain = each.mean(1)
-        alone = np.array([student(one, ALPHA) for one in each])
-        together = np.array([student(one, ALPHA / count) for one in each])
+        alone = np.array([student(one, alpha) for one in each])
+        together = np.array([student(one, alpha / count) for one in each])
         sure = alone[:, 0]
     else:
         found = members()
         draws, effective = found[:, :-1] - found[:, -1:], np.full(count, np.inf)
         gain, spread = draws.mean(0), draws.std(0, ddof=1) * np.sqrt(1.0 + 1.0 / len(draws))
-        half = special.stdtrit(len(draws) - 1, 1 - ALPHA / count / 2) * spread
+        half = special.stdtrit(len(draws) - 1, 1 - alpha / count / 2) * spread
         together = np.stack([gain - half, gain + half], 1)
         sure = gain
     rests, covered = effective >= FEW, shown(task, log) >= MOSTLY
@@ -210,6 +214,16 @@ def old_train(task: Task) -> Verdict:
 def old_held(task: Task) -> Verdict:
     """The same on rows that they were not learned from."""
     return _old(task, task.held, lambda: task.on_held)
+
+
+def old_level(task: Task) -> Verdict:
+    """The same at the level of the package's first look."""
+    return _old(task, task.held, lambda: task.on_held, FIRST_LOOK)
+
+
+def old_fqe(task: Task) -> Verdict:
+    """531dcab's rule as its command line had it, fitted Q evaluation first, on rows that policies were not learned from."""
+    return _old(task, task.held, lambda: task.on_held, weights=False)
 
 
 def units(task: Task, scores: np.ndarray) -> np.ndarray:
@@ -290,6 +304,6 @@ def _card(task: Task, policies: Mapping[str, Any], held: np.ndarray) -> Verdict:
 
 
 RULES: dict[str, Callable[[Task], Verdict]] = {
-    "new": new, "old-train": old_train, "old-held": old_held, "oracle": oracle, "argmax-fqe": argmax_fqe,
-    "argmax-wis": argmax_wis,
+    "new": new, "old-train": old_train, "old-held": old_held, "old-level": old_level, "old-fqe": old_fqe, "oracle": oracle,
+    "argmax-fqe": argmax_fqe, "argmax-wis": argmax_wis,
 }  # fmt: skip

@@ -12,7 +12,8 @@ TWINS = ("missing", "missing-unknown", "supported", "supported-unknown")
 LEARNED = ("bc", "iql", "cql", "awac", "td3_bc")
 WHAT = {
     "new": "the package", "old-train": "531dcab's rule, training rows", "old-held": "531dcab's rule, held-out rows",
-    "oracle": "oracle", "argmax-fqe": "argmax of FQE", "argmax-wis": "argmax of WIS",
+    "old-level": "… at the package's level", "old-fqe": "… by FQE alone", "oracle": "oracle", "argmax-fqe": "argmax of FQE",
+    "argmax-wis": "argmax of WIS",
 }  # fmt: skip
 INTERVALS = ("all intervals hold", "… at least", "… where one has ends", "endless", "width / oracle's")
 RULE = (

@@ -17,6 +17,7 @@ from decision_study.rules import RULES, Task, Verdict
 
 NONE_BETTER = 0.25  # share of the logs of which the candidates that are better are taken away
 CONFIRM = 1_000_000  # the first seed that nobody has looked at
+FIRST = {"development": 0, "confirmatory": CONFIRM, "second": 2 * CONFIRM}  # the last for what has changed since
 
 
 @cache
@@ -28,8 +29,7 @@ def code() -> str:
 
 def seeds(split: str, trials: int) -> range:
     """Of a part of the study."""
-    first = 0 if split == "development" else CONFIRM
-    return range(first, first + trials)
+    return range(FIRST[split], FIRST[split] + trials)
 
 
 def prepared(family: Family, seed: int, rows: int | None = None) -> Task:
