@@ -19,7 +19,7 @@ from protocol import BenchError, Worker
 
 import deadreckon as dr
 from deadreckon.files import read_json, write_json
-from deadreckon.runs.evaluate import mean_interval
+from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks.registry import of_log
 
 HERE = Path(__file__).resolve().parent

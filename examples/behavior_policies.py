@@ -14,7 +14,7 @@ import deadreckon as dr
 from deadreckon.agents.sac import SAC
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 from deadreckon.policies.library import ROOT
 from deadreckon.report import picture
 from deadreckon.runs.publish import Publish, publish

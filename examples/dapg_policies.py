@@ -21,7 +21,7 @@ from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.collect import generate
 from deadreckon.collect.maze2d import demonstrations
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies.library import ROOT, SNAPSHOTS, library, library_tasks
 from deadreckon.runs.publish import Publish, publish

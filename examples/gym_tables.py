@@ -22,7 +22,7 @@ from deadreckon.cli.progress import Bar
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
 from deadreckon.report import picture, table, write
-from deadreckon.runs.evaluate import mean_interval
+from deadreckon.stats.crossed import mean_interval
 
 AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "bc": ("bc", {}),

@@ -18,7 +18,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.agents.modelled import PRESETS
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 from deadreckon.report import picture
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.cli.main import cache_compiled_programs
-from deadreckon.collect.modelled import own
+from deadreckon.online.model_learning import own
 from deadreckon.collect.rollouts import played
 from deadreckon.data.dataset import Dataset
 from deadreckon.dynamics import Ensemble, transition

@@ -16,7 +16,7 @@ from deadreckon.agents.sac import SAC
 from deadreckon.bench.published import scores
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 from deadreckon.data.catalogue import entry
 
 LOGS = (

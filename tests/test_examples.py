@@ -60,7 +60,7 @@ def test_behavior_policies_are_trained_published_and_drawn(tmp_path, monkeypatch
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     import behavior_policies as example
 
-    from deadreckon.collect.online import Online
+    from deadreckon.online import Online
 
     monkeypatch.setattr(example, "RUNS", {"hopper": example.Made(-1.0, 320, 96, 320)})
     monkeypatch.setattr(example, "SETTINGS", Online(explore=64, updates_per_step=0.5))
@@ -199,8 +199,8 @@ def test_model_returns_measures_and_draws(tmp_path, monkeypatch, capsys, home):
     import model_returns as example
 
     import deadreckon as dr
-    from deadreckon.collect.online import Online
     from deadreckon.errors import UserError
+    from deadreckon.online import Online
 
     small = {"hidden": (8,), "batch_size": 16}
     model = {"model_hidden": (16,), "model_decay": (), "members": 2, "elites": 2, "model_epochs": 3, "model_every": 50}

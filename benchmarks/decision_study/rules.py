@@ -21,8 +21,8 @@ from deadreckon.data.spec import Discrete
 from deadreckon.ope import Case
 from deadreckon.ope.decide import decide
 from deadreckon.ope.estimate import CrossFitted
-from deadreckon.ope.intervals import student
 from deadreckon.ope.select import UNITS
+from deadreckon.stats.means import student
 from decision_study.fqe import fqe
 from decision_study.learn import learned
 from decision_study.problem import Problem

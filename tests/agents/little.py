@@ -10,7 +10,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.policy import TanhGaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import static
 
 
 class Little(Agent):

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import deadreckon as dr
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 
 
 def whole_and_resumed(agent: Any, settings: Online, folder: Path, part: int, whole: int, chunk: int) -> tuple[Any, Any]:

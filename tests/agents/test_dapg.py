@@ -10,15 +10,15 @@ import deadreckon as dr
 from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Cloning
 from deadreckon.agents.natural import Actor, fisher_product, log_prob, natural_step
 from deadreckon.cli.main import main
-from deadreckon.collect.demonstrated import Demonstrated
 from deadreckon.collect.maze2d import demonstrations
-from deadreckon.collect.online import Online
 from deadreckon.data.batch import Batch
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
+from deadreckon.online import Online
+from deadreckon.online.demonstrated import Demonstrated
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 

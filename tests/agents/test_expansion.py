@@ -7,11 +7,11 @@ import pytest
 
 from deadreckon.agents import MVE, SAC, STEVE
 from deadreckon.agents.agent import bellman_loss
-from deadreckon.collect.online import Online
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import Ensemble, Model
 from deadreckon.nets.mlp import MLP
+from deadreckon.online import Online
 from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((2,), Box(-np.ones(1, np.float32), np.ones(1, np.float32)), "nowhere")

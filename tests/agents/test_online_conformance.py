@@ -5,9 +5,9 @@ import pytest
 
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.agents.modelled import Modelled
-from deadreckon.collect.experience import experience_of
-from deadreckon.collect.online import Online
 from deadreckon.data.spec import Spec
+from deadreckon.online import Online
+from deadreckon.online.experience import experience_of
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 

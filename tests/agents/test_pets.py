@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import PETS
-from deadreckon.collect.modelled import Modelling
-from deadreckon.collect.online import Online
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
+from deadreckon.online import Online
+from deadreckon.online.model_learning import ModelLearning
 from deadreckon.policies import Deployed, store
 from deadreckon.policies.policy import Step
 from deadreckon.policies.portable import load as load_portable
@@ -90,7 +90,7 @@ def test_plans_begin_with_episodes_and_in_a_model_that_was_fitted():
     pendulum = task("inverted-pendulum")
     updates = SETTINGS.updates(90)
     agent = PETS.small(**SMALL | FIELDS).resolve(Spec.empty((4,), pendulum.action_space, pendulum.name), updates)
-    experience = Modelling(pendulum, agent, [0], updates, SETTINGS, threads=1)
+    experience = ModelLearning(pendulum, agent, [0], updates, SETTINGS, threads=1)
     job = Fit([agent], experience, [0], updates, 1)
     states, _ = experience.extend(job.learner, job.states, job.roots, 0)
     assert experience.environment_steps == 50

@@ -7,10 +7,10 @@ import pytest
 
 from deadreckon.agents import PPO
 from deadreckon.agents.on_policy import Moments, folded
-from deadreckon.collect.on_policy import OnPolicy
-from deadreckon.collect.online import Online
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Spec
+from deadreckon.online import Online
+from deadreckon.online.on_policy import OnPolicy
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 from tests.agents.resumed import whole_and_resumed

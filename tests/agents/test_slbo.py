@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import SLBO
-from deadreckon.collect.online import Online
-from deadreckon.collect.virtual import Virtual, _lived
 from deadreckon.data.spec import Spec
+from deadreckon.online import Online
+from deadreckon.online.model_rollouts import ModelRollouts, _lived
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 from tests.agents.resumed import whole_and_resumed
@@ -26,7 +26,7 @@ def made():
     """The experience in the middle of a run, the states that acted, and what they are given to learn from."""
     updates = SETTINGS.updates(160)
     agent = SMALL.resolve(Spec.empty((4,), PENDULUM.action_space, PENDULUM.name), updates)
-    experience = Virtual(PENDULUM, agent, [0], updates, SETTINGS, threads=1)
+    experience = ModelRollouts(PENDULUM, agent, [0], updates, SETTINGS, threads=1)
     job = Fit([agent], experience, [0], updates, 10)
     next(job.chunks())
     states, data = experience.extend(job.learner, job.states, job.roots, 10)

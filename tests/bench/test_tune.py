@@ -21,7 +21,7 @@ from deadreckon.errors import UserError
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.offline import judge
 from deadreckon.runs.train import load
-from deadreckon.training.learner import check_fields
+from deadreckon.training.hyperparameters import check_fields
 
 UMAZE = "maze2d-umaze-v1"
 

@@ -12,7 +12,7 @@ from deadreckon.files import write_json
 from deadreckon.report import charts, headline, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import Interval
 
 GAINS = {"good seed 0": (12.0, 6.0, 18.0), "wild seed 0": (30.0, 9.0, 51.0), "bc seed 0": (1.0, -4.0, 6.0)}
 

@@ -8,7 +8,7 @@ from run_folders import write_run
 
 from deadreckon.cli.parse import parse
 from deadreckon.cli.train import TrainOnline
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 from deadreckon.report import headline, picture, table
 from deadreckon.report.entries import read
 from deadreckon.report.page import render

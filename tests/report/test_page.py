@@ -31,7 +31,7 @@ def test_page_is_whole_and_loads_nothing(runs, tmp_path):
     for label in ("BC", "TD3+BC", "TD3", "behaviour policy"):
         assert f">{label}<" in text
     for r in rows(read(runs)):
-        assert score(r.score.mean) in text
+        assert score(r.score.value) in text
     assert "not the same data or simulator" in text
     assert "88.2" in text
     assert "1 of 2" in text

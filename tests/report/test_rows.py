@@ -9,7 +9,8 @@ from deadreckon.report.entries import read
 from deadreckon.report.rows import against, paired, rows, versus
 from deadreckon.report.simulated import MISS, compare
 from deadreckon.report.terminal import headline, table
-from deadreckon.runs.evaluate import Interval, mean_interval
+from deadreckon.stats.crossed import mean_interval
+from deadreckon.stats.interval import Interval
 from deadreckon.tasks import registry
 
 
@@ -18,8 +19,8 @@ def test_rows_equal_an_independent_computation(runs):
     assert list(found) == ["behaviour policy", "TD3+BC", "BC", "TD3"]
     last = pq.read_table(runs[1] / "evaluations" / "0000000200.parquet").to_pandas()
     row = found["TD3+BC"]
-    assert row.returns.mean == pytest.approx(last["return"].mean())
-    assert row.score.mean == pytest.approx(last["score"].mean())
+    assert row.returns.value == pytest.approx(last["return"].mean())
+    assert row.score.value == pytest.approx(last["score"].mean())
     assert row.per_seed == pytest.approx(list(last.groupby("seed")["score"].mean()))
     assert row.value == pytest.approx(45.0)
     assert row.truth == pytest.approx(last["discounted_return"].mean())
@@ -32,13 +33,13 @@ def test_rows_equal_an_independent_computation(runs):
     assert found["BC"].value is None
     log = found["behaviour policy"]
     reference = registry.task(TASK).reference
-    assert log.score.mean == pytest.approx(100 * (25 - reference.random) / (reference.expert - reference.random))
+    assert log.score.value == pytest.approx(100 * (25 - reference.random) / (reference.expert - reference.random))
 
 
 def test_a_constant_gain_has_no_spread_when_paired():
     b = np.array([[0.0, 10.0, 50.0], [0.0, 10.0, 50.0]])
     gap = paired(b + 3, b)
-    assert (gap.mean, gap.low, gap.high) == pytest.approx((3, 3, 3))
+    assert (gap.value, gap.low, gap.high) == pytest.approx((3, 3, 3))
     alone = mean_interval(b)
     assert alone.high - alone.low > 10  # what pairing takes away
 
@@ -47,17 +48,17 @@ def test_paired_difference_by_hand():
     # One seed each, differences 0 and 4: a deviation of 2 of their mean, one degree of freedom.
     t = 12.7062
     gap = paired(np.array([[1.0, 5.0]]), np.array([[1.0, 1.0]]))
-    assert (gap.mean, gap.low, gap.high) == pytest.approx((2, 2 - 2 * t, 2 + 2 * t), rel=1e-4)
+    assert (gap.value, gap.low, gap.high) == pytest.approx((2, 2 - 2 * t, 2 + 2 * t), rel=1e-4)
     # Seeds count too: seed means 0 and 2 against 0, a deviation of 1.
     gap = paired(np.array([[0.0, 0.0], [2.0, 2.0]]), np.zeros((1, 2)))
-    assert (gap.mean, gap.low, gap.high) == pytest.approx((1, 1 - t, 1 + t), rel=1e-4)
+    assert (gap.value, gap.low, gap.high) == pytest.approx((1, 1 - t, 1 + t), rel=1e-4)
     # More episodes on one side: only the common starts count.
-    assert paired(np.array([[1.0, 1.0, 99.0]]), np.array([[0.0, 0.0]])).mean == pytest.approx(1)
+    assert paired(np.array([[1.0, 1.0, 99.0]]), np.array([[0.0, 0.0]])).value == pytest.approx(1)
 
 
 def test_difference_to_an_estimate_carries_its_uncertainty():
     gap = against(np.full((1, 4), 10.0), Interval(4.0, 3.0, 5.0))
-    assert gap.mean == pytest.approx(6)
+    assert gap.value == pytest.approx(6)
     assert (gap.low, gap.high) == pytest.approx((5, 7), abs=0.1)
 
 
@@ -83,7 +84,7 @@ def test_the_simulator_compares_and_decides_nothing(tmp_path, runs):
     assert "eploy" not in found.headline
     assert found.compared == 3 + 2  # each with the behaviour policy, and all but cloning with cloning
     assert found.versus_log.worth.low > 0
-    assert found.versus_cloning.worth.mean == pytest.approx(found.best.score.mean - found.cloning.score.mean)
+    assert found.versus_cloning.worth.value == pytest.approx(found.best.score.value - found.cloning.score.value)
     text = " ".join(found.beaten)
     assert "Clearly better than behaviour cloning (BC): TD3+BC by" in text
     assert "Not clearly better: TD3" in text
@@ -121,7 +122,7 @@ def test_a_private_task_is_shown_in_returns(tmp_path):
     page = read([write_run(tmp_path / "a", "bc", 60.0, task="mine"), write_run(tmp_path / "b", "sac", 200.0, task="mine")])
     log, best, _ = rows(page)
     assert log.score is None
-    assert versus(best, log).worth.mean == pytest.approx(best.returns.mean - 25)
+    assert versus(best, log).worth.value == pytest.approx(best.returns.value - 25)
 
 
 def test_terminal_table_shows_the_same_numbers(runs):
@@ -129,6 +130,6 @@ def test_terminal_table_shows_the_same_numbers(runs):
     assert text.isascii()
     for r in rows(read(runs)):
         line = next(line for line in text.splitlines() if line.startswith(r.label + " "))
-        assert f"{r.score.mean:.1f} [{r.score.low:.1f}, {r.score.high:.1f}]" in line
+        assert f"{r.score.value:.1f} [{r.score.low:.1f}, {r.score.high:.1f}]" in line
     assert headline(runs).startswith("Best in the simulator: TD3+BC, score ")
     assert headline(runs).isascii()

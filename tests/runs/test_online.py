@@ -16,9 +16,9 @@ import pytest
 import deadreckon as dr
 from deadreckon import tasks
 from deadreckon.cli.train import summary
-from deadreckon.collect.online import Online, row_width
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
+from deadreckon.online.exploration import Online, row_width
 from deadreckon.policies import store
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate

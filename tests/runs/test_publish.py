@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from deadreckon.agents.sac import SAC
-from deadreckon.collect.online import Online
 from deadreckon.errors import UserError
+from deadreckon.online import Online
 from deadreckon.policies import library, store
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.online import train_online

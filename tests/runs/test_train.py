@@ -8,7 +8,8 @@ from deadreckon.collect import generate
 from deadreckon.files import read_json, write_json
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
-from deadreckon.runs.evaluate import evaluate, mean_interval
+from deadreckon.runs.evaluate import evaluate
+from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks import task
 
 
@@ -233,7 +234,7 @@ def test_evaluation_of_a_policy_does_not_depend_on_its_neighbours(run):
 def test_uniform_actions_score_about_zero_and_black_boxes_are_judged():
     uniform = BlackBoxPolicy(lambda obs, rng: rng.uniform(-1, 1, (len(obs), 2)))
     result = evaluate(uniform, "maze2d-umaze", episodes=60, record=2)
-    assert abs(result.score().mean) < 15
+    assert abs(result.score().value) < 15
     assert result.returns.shape == (1, 60)
     assert result.trajectories.shape == (1, 2, 300, 4)
     assert "policy 0" in str(result)
@@ -253,11 +254,11 @@ def test_discounted_returns_and_lengths():
 def test_interval_of_a_mean_by_hand():
     """Two policies far apart say little of a third; one policy in one episode says nothing of its spread."""
     apart = mean_interval(np.array([[0.0] * 50, [10.0] * 50]))
-    assert (apart.mean, apart.high) == pytest.approx((5.0, 5.0 + 5.0 * 12.7062), rel=1e-4)
+    assert (apart.value, apart.high) == pytest.approx((5.0, 5.0 + 5.0 * 12.7062), rel=1e-4)
     alone = mean_interval(np.array([1.0, 2.0, 3.0]))
-    assert (alone.mean, alone.high) == pytest.approx((2.0, 2.0 + 4.302653 / 3**0.5), rel=1e-4)
+    assert (alone.value, alone.high) == pytest.approx((2.0, 2.0 + 4.302653 / 3**0.5), rel=1e-4)
     one = mean_interval(np.array([[7.0]]))
-    assert one.mean == 7.0
+    assert one.value == 7.0
     assert np.isnan(one.low)
 
 

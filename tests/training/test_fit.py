@@ -12,7 +12,8 @@ from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.training.checkpoint import load_arrays, load_tree, save_tree
 from deadreckon.training.fit import Fit, fit
-from deadreckon.training.learner import check_fields, described, lift, static
+from deadreckon.training.hyperparameters import CountOrZero, check_fields, described, static
+from deadreckon.training.learner import lift
 from tests.agents.worlds import corridor
 
 LOG = corridor(400)
@@ -23,7 +24,7 @@ class Collector(eqx.Module):
 
     scale: float = 1.0
     asks: Needs = static(Needs())
-    refresh: int = static(0)
+    refresh: CountOrZero = static(0)
 
     def needs(self, spec):
         return self.asks

@@ -14,7 +14,8 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
 from deadreckon.policies.policy import Categorical, Inner
-from deadreckon.training.learner import Metrics, check_fields
+from deadreckon.training.hyperparameters import check_fields
+from deadreckon.training.learner import Metrics
 
 
 class Agent(eqx.Module):
@@ -56,7 +57,7 @@ class Agent(eqx.Module):
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
-        """How acting and learning take turns in a task, where the agent does not want it as `collect.online.Online` has it."""
+        """How acting and learning take turns in a task, where the agent does not want it as `online.Online` has it."""
         return {}
 
     def resolve(self, spec: Spec, steps: int) -> Self:

@@ -11,7 +11,7 @@ critics minimise and the actor maximises
 over the log's rows and its first observations s_0, with a_0 from the actor. The gradient goes through both ends of delta.
 """
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from deadreckon.agents.sac import SAC
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.training.hyperparameters import NonNegative, Range
 
 FRESH = 0.05  # share of the present critics in what follows
 
@@ -31,11 +32,11 @@ class AlgaeDICE(SAC):
 
     online: ClassVar[bool] = False
 
-    actor_lr: float = 1e-3  # learning rate of the actor
-    critic_lr: float = 1e-3  # learning rate of the critics
-    temperature_lr: float = 1e-3  # learning rate of the log-temperature
-    regularisation: float = 0.01  # alpha: weight of the divergence from the log's distribution
-    exponent: float = 1.5  # p of f, above 1
+    actor_lr: NonNegative = 1e-3  # learning rate of the actor
+    critic_lr: NonNegative = 1e-3  # learning rate of the critics
+    temperature_lr: NonNegative = 1e-3  # learning rate of the log-temperature
+    regularisation: NonNegative = 0.01  # alpha: weight of the divergence from the log's distribution
+    exponent: Annotated[float, Range(gt=1)] = 1.5  # p of f, above 1
 
     def needs(self, spec):
         """Transitions, and the first observations of episodes."""

@@ -13,7 +13,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import TanhGaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -29,15 +29,15 @@ class State(NamedTuple):
 class AWAC(Agent):
     """Twin critics, and imitation weighted by exp(advantage / temperature)."""
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    critic_lr: float = 3e-4  # learning rate of the critics
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the target critics
-    temperature: float = 1.0  # lambda: what an advantage is divided by
-    max_weight: float = 100.0  # of a row in the actor's loss
-    draws: int = static(1)  # actions of the policy that its value is the mean of
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    critic_lr: NonNegative = 3e-4  # learning rate of the critics
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the target critics
+    temperature: Positive = 1.0  # lambda: what an advantage is divided by
+    max_weight: Positive = 100.0  # of a row in the actor's loss
+    draws: Count = static(1)  # actions of the policy that its value is the mean of
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
 
     def needs(self, spec):
         """Transitions."""

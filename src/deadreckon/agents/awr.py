@@ -18,7 +18,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.policies.policy import TanhGaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -33,15 +33,15 @@ class State(NamedTuple):
 class AWR(Agent):
     """Advantage-weighted regression."""
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    critic_lr: float = 3e-4  # learning rate of the values
-    discount: float = 0.99  # per step
-    trace: float = 0.95  # lambda of the returns: 0 trusts the values after one step, 1 what was recorded
-    temperature: float = 1.0  # beta: what a standardised advantage is divided by
-    max_weight: float = 20.0  # of a row in the actor's loss
-    window: int = static(16)  # consecutive rows, at whose end the value stands for what follows
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch, of batch_size / window windows
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    critic_lr: NonNegative = 3e-4  # learning rate of the values
+    discount: Share = 0.99  # per step
+    trace: Share = 0.95  # lambda of the returns: 0 trusts the values after one step, 1 what was recorded
+    temperature: Positive = 1.0  # beta: what a standardised advantage is divided by
+    max_weight: Positive = 20.0  # of a row in the actor's loss
+    window: Count = static(16)  # consecutive rows, at whose end the value stands for what follows
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch, of batch_size / window windows
 
     def needs(self, spec):
         """Windows of transitions."""

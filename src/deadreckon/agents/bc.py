@@ -14,7 +14,7 @@ from deadreckon.nets.optim import begin, descend
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
 from deadreckon.policies.policy import Categorical, create_actor
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
 class State(NamedTuple):
@@ -30,10 +30,10 @@ class BC(Agent):
 
     choices: ClassVar[bool] = True
 
-    lr: float = 3e-4  # learning rate
+    lr: NonNegative = 3e-4  # learning rate
     model: Literal["gaussian", "vae", "clipped"] = static("gaussian")  # a tanh-Gaussian, a VAE (thesis A.4), a Gaussian
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
 
     def resolve(self, spec, steps):
         """Of discrete actions there is one model."""

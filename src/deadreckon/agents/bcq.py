@@ -19,7 +19,7 @@ from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Categorical, GreedyQ, Moved, Supported, moved, supported
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -40,19 +40,19 @@ class BCQ(Agent):
 
     choices: ClassVar[bool] = True
 
-    actor_lr: float = 1e-3  # learning rate of what moves actions
-    critic_lr: float = 1e-3  # learning rate of the critics
-    behavior_lr: float = 1e-3  # learning rate of the VAE
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the targets
-    min_weight: float = 0.75  # lambda: of the smaller critic in targets; the rest is of the larger
-    reach: float = 0.05  # Phi: how far an action is moved at most
-    share: float = 0.3  # tau: of the likeliest discrete action's probability, which others need
-    draws: int = static(10)  # actions of the VAE that targets take the best of
-    test_draws: int = static(100)  # actions that the policy takes the best of
-    hidden: tuple[int, ...] = static((400, 300))  # width of each hidden layer
-    behavior_hidden: tuple[int, ...] = static((750, 750))  # of the VAE's layers
-    batch_size: int = static(100)  # rows a batch
+    actor_lr: NonNegative = 1e-3  # learning rate of what moves actions
+    critic_lr: NonNegative = 1e-3  # learning rate of the critics
+    behavior_lr: NonNegative = 1e-3  # learning rate of the VAE
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the targets
+    min_weight: Share = 0.75  # lambda: of the smaller critic in targets; the rest is of the larger
+    reach: NonNegative = 0.05  # Phi: how far an action is moved at most
+    share: Fraction = 0.3  # tau: of the likeliest discrete action's probability, which others need
+    draws: Count = static(10)  # actions of the VAE that targets take the best of
+    test_draws: Count = static(100)  # actions that the policy takes the best of
+    hidden: Sizes = static((400, 300))  # width of each hidden layer
+    behavior_hidden: Sizes = static((750, 750))  # of the VAE's layers
+    batch_size: Count = static(100)  # rows a batch
 
     def needs(self, spec):
         """Transitions."""

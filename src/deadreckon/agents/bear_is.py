@@ -13,7 +13,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, static
 
 
 class State(NamedTuple):
@@ -38,10 +38,10 @@ class ISBEAR(bear.BEAR):
     on the set policy, and `actor_samples` has no part.
     """
 
-    delta: float = 0.5  # confidence of the bound on the critics' disagreement; the thesis leaves it undeclared
-    ratio_min: float = 0.5  # beta_1, lower clip of the importance ratio; undeclared in the thesis
-    ratio_max: float = 2.0  # beta_2, its upper clip; undeclared in the thesis
-    policy_samples: int = static(10)  # m, actions of the set policy (n << m, line 7)
+    delta: Fraction = 0.5  # confidence of the bound on the critics' disagreement; the thesis leaves it undeclared
+    ratio_min: NonNegative = 0.5  # beta_1, lower clip of the importance ratio; undeclared in the thesis
+    ratio_max: NonNegative = 2.0  # beta_2, its upper clip; undeclared in the thesis
+    policy_samples: Count = static(10)  # m, actions of the set policy (n << m, line 7)
 
     def resolve(self, spec, steps):
         """As BEAR's; the algorithm has no entropy."""

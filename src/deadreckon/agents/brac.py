@@ -22,7 +22,7 @@ from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.mmd import mmd
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import TanhGaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -39,19 +39,19 @@ class State(NamedTuple):
 class BRAC(Agent):
     """Behaviour-regularised actor-critic; the value form is BRAC-v, the other BRAC-p."""
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    critic_lr: float = 3e-4  # learning rate of the critics
-    behavior_lr: float = 3e-4  # learning rate of the behaviour model
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the target critics
-    penalty: float = 1.0  # alpha: weight of the divergence; which one is best depends on the task
-    bandwidth: float = 20.0  # of the kernel, with divergence="mmd"
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    critic_lr: NonNegative = 3e-4  # learning rate of the critics
+    behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the target critics
+    penalty: NonNegative = 1.0  # alpha: weight of the divergence; which one is best depends on the task
+    bandwidth: Positive = 20.0  # of the kernel, with divergence="mmd"
     value_form: bool = static(True)  # whether targets pay too (BRAC-v), or the actor alone (BRAC-p)
     divergence: Literal["kl", "mmd"] = static("kl")  # from the behaviour model
-    draws: int = static(10)  # actions of each, for the MMD
-    behavior_steps: int = static(100_000)  # updates of the behaviour model, before all others
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    draws: Count = static(10)  # actions of each, for the MMD
+    behavior_steps: Count = static(100_000)  # updates of the behaviour model, before all others
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
 
     def needs(self, spec):
         """Transitions."""

@@ -14,17 +14,17 @@ from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 
 class COMBO(Dreaming):
     """SAC on rollouts, with conservative critics."""
 
-    hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
-    logged_rows: int = static(128)  # of a batch are logged, half of 256; the others are made up
+    hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
+    logged_rows: CountOrZero = static(128)  # of a batch are logged, half of 256; the others are made up
     entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
-    conservatism: float = 5.0  # weight of the penalty (published: 0.5 or 5, by log)
-    draws: int = static(10)  # actions of each kind
+    conservatism: NonNegative = 5.0  # weight of the penalty (published: 0.5 or 5, by log)
+    draws: Count = static(10)  # actions of each kind
 
     def resolve(self, spec, steps):
         """Refuses a batch without logged rows, from which critics could be held down without end."""

@@ -23,7 +23,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import begin, descend
 from deadreckon.policies.policy import Categorical
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 
 class Held(NamedTuple):
@@ -40,16 +40,16 @@ class CQL(SAC):
     online: ClassVar[bool] = False
     choices: ClassVar[bool] = True
 
-    actor_lr: float = 1e-4  # learning rate of the actor
+    actor_lr: NonNegative = 1e-4  # learning rate of the actor
     entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
-    hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
+    hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
     form: Literal["H", "rho"] = static("H")  # of the penalty: log-sum-exp over all actions, or weighted actions of the policy
-    conservatism: float = 5.0  # weight of the penalty, or where the multiplier begins
-    draws: int = static(10)  # actions of each kind
+    conservatism: NonNegative = 5.0  # weight of the penalty, or where the multiplier begins
+    draws: Count = static(10)  # actions of each kind
     lagrange: bool = static(False)  # whether the weight is a multiplier
-    threshold: float = 10.0  # what the difference is held to then
-    weight_lr: float = 3e-4  # learning rate of the multiplier
-    warm_start: int = static(0)  # updates in which the actor imitates the log (public code: 40,000)
+    threshold: NonNegative = 10.0  # what the difference is held to then
+    weight_lr: NonNegative = 3e-4  # learning rate of the multiplier
+    warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log (public code: 40,000)
 
     def init(self, spec, key) -> Any:
         """SAC's state and the multiplier."""

@@ -8,14 +8,14 @@ from typing import Literal
 import jax.numpy as jnp
 
 from deadreckon.agents.awac import AWAC
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Positive, static
 
 
 class CRR(AWAC):
     """AWAC with several draws, and weights of 0 and 1, or exponential ones."""
 
-    draws: int = static(4)  # actions of the policy that its value is the mean of
-    max_weight: float = 20.0  # of a row in the actor's loss, where it is exponential
+    draws: Count = static(4)  # actions of the policy that its value is the mean of
+    max_weight: Positive = 20.0  # of a row in the actor's loss, where it is exponential
     filter: Literal["binary", "exp"] = static("binary")  # whether an action counts where it is better, or by exp(advantage)
 
     def weights(self, advantage):

@@ -7,7 +7,7 @@ The policy first clones the demonstrations. Then each block of its own steps giv
     theta <- theta + sqrt(delta / g^T F^-1 g) F^-1 g,      F the Fisher matrix on the block's observations,
 
 with advantages as PPO has them and `k` the steps before. Without demonstrations both sums are one, and it is the natural policy
-gradient. `collect.demonstrated` makes the blocks.
+gradient. `online.demonstrated` makes the blocks.
 """
 
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -26,7 +26,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.policies.policy import Gaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
 
 LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall
 PASSES, MINIBATCH = 2, 64  # of the critic over a block, and rows
@@ -53,20 +53,20 @@ class DAPG(Agent):
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "return_to_go")
 
-    delta: float = 0.05  # twice the divergence that a step is to make (the normalised step size)
-    damping: float = 1e-4  # added to the diagonal of the Fisher matrix
-    iterations: int = static(10)  # of conjugate gradients
-    demonstration_weight: float = 0.1  # lambda0: of demonstrated actions, in units of the block's largest advantage
-    demonstration_decay: float = 0.95  # lambda1: of that weight, from step to step
-    discount: float = 0.995  # per step
-    trace: float = 0.97  # lambda of the advantages: 0 trusts the critic, 1 the returns
-    lr: float = 1e-3  # learning rate of the critic
-    clone_steps: int = static(20_000)  # updates that clone the demonstrations before
-    clone_lr: float = 1e-3  # learning rate of these
+    delta: Fraction = 0.05  # twice the divergence that a step is to make (the normalised step size)
+    damping: NonNegative = 1e-4  # added to the diagonal of the Fisher matrix
+    iterations: Count = static(10)  # of conjugate gradients
+    demonstration_weight: NonNegative = 0.1  # lambda0: of demonstrated actions, in units of the block's largest advantage
+    demonstration_decay: Share = 0.95  # lambda1: of that weight, from step to step
+    discount: Share = 0.995  # per step
+    trace: Share = 0.97  # lambda of the advantages: 0 trusts the critic, 1 the returns
+    lr: NonNegative = 1e-3  # learning rate of the critic
+    clone_steps: Count = static(20_000)  # updates that clone the demonstrations before
+    clone_lr: NonNegative = 1e-3  # learning rate of these
     deviation: Literal["residual", "demonstrated"] = static("residual")  # of the clone: of its errors, or of what it was shown
-    hidden: tuple[int, ...] = static((32, 32))  # width of each hidden layer of the policy, tanh
-    critic_hidden: tuple[int, ...] = static((128, 128))  # of the critic, ReLU
-    batch_size: int = static(MINIBATCH)  # rows a batch of the critic
+    hidden: Sizes = static((32, 32))  # width of each hidden layer of the policy, tanh
+    critic_hidden: Sizes = static((128, 128))  # of the critic, ReLU
+    batch_size: Count = static(MINIBATCH)  # rows a batch of the critic
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
@@ -180,7 +180,7 @@ class Cloning(eqx.Module):
     lr: float
     center: Array
     spread: Array
-    hidden: tuple[int, ...] = static((32, 32))
+    hidden: Sizes = static((32, 32))
 
     def needs(self, spec):
         """Standardised observations, and actions."""

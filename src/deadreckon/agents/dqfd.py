@@ -14,15 +14,15 @@ from jaxtyping import Array, Float
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import Batch
 from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
 class DQfD(TD3):
     """TD3 with a large-margin loss."""
 
-    margin: float = 0.8  # by which the logged action is to be better
-    margin_weight: float = 1.0  # of the loss beside the squared errors
-    draws: int = static(10)  # uniform actions that it is compared with
+    margin: NonNegative = 0.8  # by which the logged action is to be better
+    margin_weight: NonNegative = 1.0  # of the loss beside the squared errors
+    draws: Count = static(10)  # uniform actions that it is compared with
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and how far the margin is missed."""

@@ -17,7 +17,7 @@ from deadreckon.agents.sac import SAC, State
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.dynamics import Branch, Ensemble, branches, packed
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, static
 
 
 class Dream(NamedTuple):
@@ -31,14 +31,14 @@ class Dream(NamedTuple):
 class Dreaming(Modelled, SAC):
     """SAC on logged and made-up rows."""
 
-    actor_lr: float = 1e-4  # learning rate of the actor
-    temperature_lr: float = 1e-4  # learning rate of the log-temperature
-    refresh: int = static(1000)  # updates between rollouts
-    length: int = static(5)  # steps of a rollout
-    rollouts: int = static(50_000)  # begun each time
-    keep: int = static(5)  # times whose rollouts are learned from
-    logged_rows: int = static(13)  # of a batch are logged, 5 % of 256; the others are made up
-    model_rows: int | None = static(None)  # rows of the log that the model is fitted to, drawn at random; None: all
+    actor_lr: NonNegative = 1e-4  # learning rate of the actor
+    temperature_lr: NonNegative = 1e-4  # learning rate of the log-temperature
+    refresh: CountOrZero = static(1000)  # updates between rollouts
+    length: Count = static(5)  # steps of a rollout
+    rollouts: Count = static(50_000)  # begun each time
+    keep: Count = static(5)  # times whose rollouts are learned from
+    logged_rows: CountOrZero = static(13)  # of a batch are logged, 5 % of 256; the others are made up
+    model_rows: Count | None = static(None)  # rows of the log that the model is fitted to, drawn at random; None: all
 
     def resolve(self, spec, steps):
         """Checks what belongs together."""

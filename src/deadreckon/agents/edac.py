@@ -12,12 +12,13 @@ from jaxtyping import Array, Float
 from deadreckon.agents.sac_n import SACN
 from deadreckon.data.batch import Batch
 from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.training.hyperparameters import NonNegative
 
 
 class EDAC(SACN):
     """SAC-N with diversified critics."""
 
-    diversity: float = 1.0  # eta: weight of the slopes' likeness (published: 0 to 5 in Gym-MuJoCo, by log)
+    diversity: NonNegative = 1.0  # eta: weight of the slopes' likeness (published: 0 to 5 in Gym-MuJoCo, by log)
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the likeness of slopes."""

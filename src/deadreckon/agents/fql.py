@@ -20,7 +20,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import OneStep
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -38,16 +38,16 @@ class State(NamedTuple):
 class FQL(Agent):
     """Flow Q-learning."""
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    behavior_lr: float = 3e-4  # learning rate of the flow
-    critic_lr: float = 3e-4  # learning rate of the critics
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the target critics
-    imitation: float = 10.0  # alpha: weight of the distance to the flow's actions; by log, published 3 to 1000
-    flow_steps: int = static(10)  # of Euler, from noise to actions
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    behavior_lr: NonNegative = 3e-4  # learning rate of the flow
+    critic_lr: NonNegative = 3e-4  # learning rate of the critics
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the target critics
+    imitation: NonNegative = 10.0  # alpha: weight of the distance to the flow's actions; by log, published 3 to 1000
+    flow_steps: Count = static(10)  # of Euler, from noise to actions
     scale_q: bool = static(False)  # whether the actor divides Q by its mean size
-    hidden: tuple[int, ...] = static((512, 512, 512, 512))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    hidden: Sizes = static((512, 512, 512, 512))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
 
     def needs(self, spec):
         """Transitions."""

@@ -16,7 +16,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import Categorical, create_actor, stochastic
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -36,15 +36,15 @@ class IQL(Agent):
 
     choices: ClassVar[bool] = True
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    critic_lr: float = 3e-4  # learning rate of critics and values
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the target critics
-    expectile: float = 0.7  # tau: 0.5 is the mean of the log's actions, 1 the best of them (AntMaze: 0.9)
-    sharpness: float = 3.0  # beta: 0 is imitation, more follows the advantage (AntMaze: 10)
-    max_weight: float = 100.0  # of a row in the actor's loss
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    critic_lr: NonNegative = 3e-4  # learning rate of critics and values
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the target critics
+    expectile: Fraction = 0.7  # tau: 0.5 is the mean of the log's actions, 1 the best of them (AntMaze: 0.9)
+    sharpness: NonNegative = 3.0  # beta: 0 is imitation, more follows the advantage (AntMaze: 10)
+    max_weight: Positive = 100.0  # of a row in the actor's loss
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
 
     def needs(self, spec):
         """Transitions."""

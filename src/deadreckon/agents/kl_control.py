@@ -15,7 +15,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import copy
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
 class KLControl(SAC):
@@ -23,9 +23,9 @@ class KLControl(SAC):
 
     online: ClassVar[bool] = False
 
-    target_kl: float = 1.0  # nats that the policy is away from the model on average
-    behavior_lr: float = 3e-4  # learning rate of the behaviour model
-    behavior_steps: int = static(100_000)  # updates of the behaviour model, before all others
+    target_kl: NonNegative = 1.0  # nats that the policy is away from the model on average
+    behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
+    behavior_steps: Count = static(100_000)  # updates of the behaviour model, before all others
 
     def resolve(self, spec, steps):
         """There is no entropy to hold."""

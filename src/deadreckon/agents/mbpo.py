@@ -1,22 +1,22 @@
 """Model-based policy optimisation (thesis chapter 5, Algorithm 3): SAC on short rollouts in a learned model.
 
-The updates are SAC's. What they learn from is made by `collect.imagined`: an ensemble is fitted to all real steps so far, and
-rollouts of a few steps branch off from real states.
+The updates are SAC's. What they learn from is made by `online.branched_rollouts`: an ensemble is fitted to all real steps so
+far, and rollouts of a few steps branch off from real states.
 """
 
 from deadreckon.agents.modelled import ModelledSAC
 from deadreckon.errors import UserError
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Share, Sizes, static
 
 
 class MBPO(ModelledSAC):
     """SAC on branched rollouts of an ensemble."""
 
-    length: tuple[int, ...] | None = static(None)  # steps of a rollout: first, last, from epoch, to epoch; None: the task's
-    rollouts: int = static(400)  # begun for each real step, whenever the model was fitted
-    keep: int | None = static(None)  # real steps for which what was made up is learned from; None: the task's, or 1,000
-    most: int = static(2_000_000)  # made-up rows that are learned from; of longer rollouts each fit's are drawn to its share
-    real: float = static(0.05)  # share of real steps among those learned from; 0 as Algorithm 3 is printed
+    length: Sizes | None = static(None)  # steps of a rollout: first, last, from epoch, to epoch; None: the task's
+    rollouts: Count = static(400)  # begun for each real step, whenever the model was fitted
+    keep: Count | None = static(None)  # real steps for which what was made up is learned from; None: the task's, or 1,000
+    most: Count = static(2_000_000)  # made-up rows that are learned from; of longer rollouts each fit's are drawn to its share
+    real: Share = static(0.05)  # share of real steps among those learned from; 0 as Algorithm 3 is printed
 
     def resolve(self, spec, steps):
         """Checks the lengths."""

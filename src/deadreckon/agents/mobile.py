@@ -18,16 +18,16 @@ from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Number, static
 
 
 class MOBILE(Dreaming):
     """SAC on rollouts whose values are penalised by the model's Bellman inconsistency."""
 
     entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
-    floor: float | None = 0.0  # least target, where rewards are positive; None: none
-    penalty: float = 1.5  # of a unit of inconsistency (published: 0.1 to 2, by log)
-    draws: int = static(10)  # next observations drawn from each network
+    floor: Number | None = 0.0  # least target, where rewards are positive; None: none
+    penalty: NonNegative = 1.5  # of a unit of inconsistency (published: 0.1 to 2, by log)
+    draws: Count = static(10)  # next observations drawn from each network
 
     def resolve(self, spec, steps):
         """Refuses a single network, which has nobody to disagree with."""

@@ -11,12 +11,13 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.dynamics import Branch, Ensemble, Gaussian
+from deadreckon.training.hyperparameters import NonNegative
 
 
 class MOPO(Dreaming):
     """SAC on rollouts whose rewards are penalised by the model's deviation."""
 
-    penalty: float = 1.0  # of a unit of deviation (published: 0.5 to 5, by log)
+    penalty: NonNegative = 1.0  # of a unit of deviation (published: 0.5 to 5, by log)
 
     def doubted(self, ensemble, found, rows):
         """Lowers the rewards."""

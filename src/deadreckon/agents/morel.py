@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.dynamics import Ensemble, Gaussian
+from deadreckon.training.hyperparameters import NonNegative, Share
 
 _ROWS = 10_000  # of the log, from which the threshold is taken
 
@@ -21,8 +22,8 @@ _ROWS = 10_000  # of the log, from which the threshold is taken
 class MOReL(Dreaming):
     """SAC in a world that ends where the model does not know it."""
 
-    familiar: float = 0.99  # share of the log's rows whose disagreement is still trusted; it sets the threshold
-    penalty: float = 30.0  # by which the reward of leaving what is known lies below the log's least
+    familiar: Share = 0.99  # share of the log's rows whose disagreement is still trusted; it sets the threshold
+    penalty: NonNegative = 30.0  # by which the reward of leaving what is known lies below the log's least
 
     def doubted(self, ensemble, found, rows):
         """Ends rollouts where the model is not to be trusted."""

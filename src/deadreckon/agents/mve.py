@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import bellman_loss
 from deadreckon.agents.modelled import ModelledSAC
 from deadreckon.dynamics import transition
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import CountOrZero, static
 
 
 class Expansion(NamedTuple):
@@ -32,7 +32,7 @@ class Expansion(NamedTuple):
 class MVE(ModelledSAC):
     """SAC whose critics learn from H-step targets in an ensemble."""
 
-    horizon: int = static(1)  # H, steps in the model; 0 is SAC
+    horizon: CountOrZero = static(1)  # H, steps in the model; 0 is SAC
 
     def target(self, state, batch, key):
         """The batch's `Expansion`."""

@@ -3,7 +3,7 @@
     max E[ min( r A, clip(r, 1 - clip, 1 + clip) A ) ],    r = pi(a|s) / pi_old(a|s)
 
 with advantages by generalised estimation (Schulman et al. 2016). Each block of steps is learned from for a few passes and then
-forgotten; `collect.on_policy` makes it.
+forgotten; `online.on_policy` makes it.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -20,7 +20,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, clipped, descend
 from deadreckon.policies.policy import TanhGaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 PASSES, MINIBATCH = 10, 64  # of a block, and rows
 
@@ -43,15 +43,15 @@ class PPO(Agent):
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "action", "behavior_log_prob", "return_to_go", "advantage")
 
-    lr: float = 3e-4  # learning rate
-    discount: float = 0.99  # per step
-    trace: float = 0.95  # lambda of the advantages: 0 trusts the critic, 1 the returns
-    clip: float = 0.2  # by which the ratio of probabilities may leave 1
-    value_weight: float = 0.5  # of the critic's loss
-    entropy_weight: float = 0.0  # of the policy's entropy
-    gradient_norm: float = 0.5  # what a longer gradient is cut to
-    hidden: tuple[int, ...] = static((64, 64))  # width of each hidden layer, tanh
-    batch_size: int = static(MINIBATCH)  # rows a batch
+    lr: NonNegative = 3e-4  # learning rate
+    discount: Share = 0.99  # per step
+    trace: Share = 0.95  # lambda of the advantages: 0 trusts the critic, 1 the returns
+    clip: NonNegative = 0.2  # by which the ratio of probabilities may leave 1
+    value_weight: NonNegative = 0.5  # of the critic's loss
+    entropy_weight: NonNegative = 0.0  # of the policy's entropy
+    gradient_norm: Positive = 0.5  # what a longer gradient is cut to
+    hidden: Sizes = static((64, 64))  # width of each hidden layer, tanh
+    batch_size: Count = static(MINIBATCH)  # rows a batch
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:

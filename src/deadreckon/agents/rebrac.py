@@ -7,19 +7,19 @@ from deadreckon.agents.agent import backup
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import least, q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
 class ReBRAC(TD3):
     """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
 
-    actor_lr: float = 1e-3  # learning rate of the actor
-    critic_lr: float = 1e-3  # learning rate of the critics
-    actor_penalty: float = 0.01  # weight of imitation in the actor's loss (published: 0.001 to 0.1, by log)
-    critic_penalty: float = 0.01  # weight of imitation in the targets (published: 0 to 0.5, by log)
+    actor_lr: NonNegative = 1e-3  # learning rate of the actor
+    critic_lr: NonNegative = 1e-3  # learning rate of the critics
+    actor_penalty: NonNegative = 0.01  # weight of imitation in the actor's loss (published: 0.001 to 0.1, by log)
+    critic_penalty: NonNegative = 0.01  # weight of imitation in the targets (published: 0 to 0.5, by log)
     normalise: bool = static(True)  # whether the critics' layers are normalised
-    hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
-    batch_size: int = static(1024)  # rows a batch
+    hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
+    batch_size: Count = static(1024)  # rows a batch
 
     def needs(self, spec):
         """Transitions, and what the log did next."""

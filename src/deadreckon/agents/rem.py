@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.sac import SAC
 from deadreckon.nets.mlp import q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, static
 
 
 class REM(SAC):
@@ -24,7 +24,7 @@ class REM(SAC):
     online: ClassVar[bool] = False
     choices: ClassVar[bool] = True
 
-    critics: int = static(10)  # Q-networks (published, as heads of one network: 200)
+    critics: Count = static(10)  # Q-networks (published, as heads of one network: 200)
 
     def believed(self, values):
         """The mean."""

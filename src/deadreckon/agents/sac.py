@@ -14,7 +14,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import Categorical, create_actor, stochastic
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -35,17 +35,17 @@ class SAC(Agent):
 
     online: ClassVar[bool] = True
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    critic_lr: float = 3e-4  # learning rate of the critics
-    temperature_lr: float = 3e-4  # learning rate of the log-temperature
-    temperature: float = 1.0  # its first value
-    target_entropy: float | None = None  # nats; None: minus the action's dimensions, or a tenth of the most that choices have
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the target critics
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    critic_lr: NonNegative = 3e-4  # learning rate of the critics
+    temperature_lr: NonNegative = 3e-4  # learning rate of the log-temperature
+    temperature: Positive = 1.0  # its first value
+    target_entropy: Number | None = None  # nats; None: minus the action's dimensions, or a tenth of the most that choices have
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the target critics
     entropy_backup: bool = static(True)  # whether targets hold the entropy bonus too
-    critics: int = static(2)  # Q-networks, of which the least is believed
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    critics: Count = static(2)  # Q-networks, of which the least is believed
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
 
     def resolve(self, spec, steps):
         """Fills in the target entropy."""

@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from deadreckon.agents.sac import SAC
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Sizes, static
 
 
 class SACN(SAC):
@@ -11,5 +11,5 @@ class SACN(SAC):
 
     online: ClassVar[bool] = False
 
-    critics: int = static(10)  # Q-networks, of which the least is believed (published: halfcheetah 10, walker2d 20, hopper 500)
-    hidden: tuple[int, ...] = static((256, 256, 256))  # width of each hidden layer
+    critics: Count = static(10)  # Q-networks, the least is believed (published: halfcheetah 10, walker2d 20, hopper 500)
+    hidden: Sizes = static((256, 256, 256))  # width of each hidden layer

@@ -2,7 +2,7 @@
 
 By turns a model is fitted to all real steps and the policy learns from what it does in the model, in long rollouts that begin
 where real episodes do: Algorithm 2 there, with PPO in the place of TRPO and the model's squared errors of one step in the place
-of a norm over two. `collect.virtual` makes the episodes.
+of a norm over two. `online.model_rollouts` makes the episodes.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.agents.ppo import PPO
 from deadreckon.dynamics import Gaussian
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
 
 
 class SLBO(ModelledOnline, PPO):
@@ -20,14 +20,14 @@ class SLBO(ModelledOnline, PPO):
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
 
-    members: int = static(1)  # networks of the model
-    elites: int = static(1)  # of them are believed
-    model_hidden: tuple[int, ...] | None = static((500, 500))  # width of each hidden layer of the model
-    model_decay: tuple[float, ...] = static((1e-5, 1e-5, 1e-5))  # of half the squared weights, layer by layer
-    hidden: tuple[int, ...] = static((32, 32))  # width of each hidden layer, tanh
-    entropy_weight: float = 0.005  # of the policy's entropy
-    rollouts: int = static(4)  # made up side by side for each block of updates
-    length: int = static(1000)  # steps of each; where an episode ends another begins
+    members: Count = static(1)  # networks of the model
+    elites: Count = static(1)  # of them are believed
+    model_hidden: Sizes | None = static((500, 500))  # width of each hidden layer of the model
+    model_decay: Weights = static((1e-5, 1e-5, 1e-5))  # of half the squared weights, layer by layer
+    hidden: Sizes = static((32, 32))  # width of each hidden layer, tanh
+    entropy_weight: NonNegative = 0.005  # of the policy's entropy
+    rollouts: Count = static(4)  # made up side by side for each block of updates
+    length: Count = static(1000)  # steps of each; where an episode ends another begins
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.modelled import ModelledSAC
 from deadreckon.dynamics import ended
 from deadreckon.nets.mlp import q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, CountOrZero, static
 
 _LEAST = 1e-8  # variance, where all agree
 
@@ -32,8 +32,8 @@ class Target(NamedTuple):
 class STEVE(ModelledSAC):
     """SAC whose targets weigh all horizons of an ensemble's rollouts."""
 
-    horizon: int = static(3)  # H, steps in the model at most
-    critics: int = static(4)  # their disagreement is half of what is known of a horizon
+    horizon: CountOrZero = static(3)  # H, steps in the model at most
+    critics: Count = static(4)  # their disagreement is half of what is known of a horizon
 
     def target(self, state, batch, key):
         """y above."""

@@ -11,7 +11,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.policies.policy import Deterministic
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -28,15 +28,15 @@ class State(NamedTuple):
 class TD3(Agent):
     """Twin critics, smoothed targets, delayed deterministic actor; nothing holds it to the log."""
 
-    actor_lr: float = 3e-4  # learning rate of the actor
-    critic_lr: float = 3e-4  # learning rate of the critics
-    discount: float = 0.99  # per step
-    target_rate: float = 0.005  # Polyak rate of the target networks
-    noise: float = 0.2  # standard deviation of the target policy's smoothing
-    noise_clip: float = 0.5  # its largest value
-    actor_every: int = static(2)  # critic updates for one of the actor
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    batch_size: int = static(256)  # rows a batch
+    actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    critic_lr: NonNegative = 3e-4  # learning rate of the critics
+    discount: Share = 0.99  # per step
+    target_rate: Share = 0.005  # Polyak rate of the target networks
+    noise: NonNegative = 0.2  # standard deviation of the target policy's smoothing
+    noise_clip: NonNegative = 0.5  # its largest value
+    actor_every: Count = static(2)  # critic updates for one of the actor
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    batch_size: Count = static(256)  # rows a batch
     normalise: bool = static(False)  # whether the critics' layers are normalised
     standardise: bool = static(False)  # observations with mean 0 and standard deviation 1
 

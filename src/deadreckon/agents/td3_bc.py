@@ -5,13 +5,13 @@ import jax.numpy as jnp
 
 from deadreckon.agents.td3 import TD3
 from deadreckon.nets.mlp import q_values
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import NonNegative, static
 
 
 class TD3BC(TD3):
     """TD3 with one more term in the actor's loss, and standardised observations."""
 
-    alpha: float = 2.5  # weight of the value against imitation (eq. 5)
+    alpha: NonNegative = 2.5  # weight of the value against imitation (eq. 5)
     standardise: bool = static(True)  # observations with mean 0 and standard deviation 1 (eq. 6)
 
     def actor_loss(self, actor, state, batch):

@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.iql import IQL
+from deadreckon.training.hyperparameters import NonNegative, Positive
 
 
 class XQL(IQL):
     """IQL with the Gumbel loss instead of expectiles (the field `expectile` has no part in it)."""
 
-    temperature: float = 2.0  # beta: large is the mean of the log's actions, small the best of them (published: 0.55 to 10)
-    most_gap: float = 7.0  # of (Q - V) / temperature in the loss, beyond which its slope is 0
+    temperature: Positive = 2.0  # beta: large is the mean of the log's actions, small the best of them (published: 0.55 to 10)
+    most_gap: NonNegative = 7.0  # of (Q - V) / temperature in the loss, beyond which its slope is 0
 
     def value_loss(self, value, batch, q):
         """E[ e^z - z - 1 ], z = (Q - V) / temperature, cut above; its minimum is temperature log E[ e^(Q / temperature) ].

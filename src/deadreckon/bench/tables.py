@@ -13,15 +13,16 @@ import numpy as np
 
 from deadreckon.bench import published
 from deadreckon.bench.plan import Job, code
-from deadreckon.bench.statistics import Estimate, bold, interval, iqm
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
 from deadreckon.errors import unknown
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
-from deadreckon.ope.intervals import student
 from deadreckon.ope.registry import estimator
+from deadreckon.stats.interval import PERCENT, Interval
+from deadreckon.stats.means import mean_interval
+from deadreckon.stats.scores import bold, interval, iqm
 
 # Where the thesis's numbers stand, and what they are of.
 SOURCES = {
@@ -81,10 +82,9 @@ class Cell:
         return not (self.missing or self.failed) and len(self.scores) > 0 and bool(np.isfinite(self.scores).all())
 
     @property
-    def estimate(self) -> Estimate:
-        """Their mean with Student's 95 % interval; a single seed has none."""
-        low, high = student(self.scores) if len(self.scores) > 1 else (np.nan, np.nan)
-        return Estimate(float(self.scores.mean()), float(low), float(high))
+    def estimate(self) -> Interval:
+        """Their mean with Student's interval; a single seed has none."""
+        return mean_interval(self.scores)
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Table:
     metric: Metric
     cells: dict[str, dict[str, Cell]]
     printed: dict[str, dict[str, float]]
-    whole: dict[str, Estimate]
+    whole: dict[str, Interval]
     notes: tuple[str, ...]
 
 
@@ -146,7 +146,7 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
     printed = {on: _printed(suite, on, metric) for on in suite.on}
     missing = [(job, s) for job in jobs for s in job.seeds if job.cell(s, with_code=not any_code) not in by_cell]
-    notes = [f"{suite.seeds} seeds; means with Student's 95 % intervals over seeds, wide where these are few"]
+    notes = [f"{suite.seeds} seeds; means with Student's {PERCENT} intervals over seeds, wide where these are few"]
     if any(printed.values()):
         notes.append(f"thesis: {SOURCES[suite.kind]}")
     return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
@@ -240,11 +240,6 @@ def rendered(tables: Sequence[Table], form: str = "text") -> str:
     return "\n".join(["\n\n".join(parts), "", *(note.format(line) for line in notes)])
 
 
-def _shown(estimate: Estimate, digits: int) -> str:
-    text = f"{estimate.value:.{digits}f}"
-    return text if np.isnan(estimate.low) else f"{text} [{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
-
-
 def _grid(table: Table, mark: str) -> list[list[str]]:
     """Heads, a row a log, task or problem with the thesis's scores below, and the interquartile means."""
     methods, digits = list(table.cells), table.metric.digits
@@ -253,7 +248,7 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
         row = [on]
         for method in methods:
             cell = table.cells[method][on]
-            text = _shown(cell.estimate, digits) if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
+            text = f"{cell.estimate:.{digits}f}" if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
             text = mark.format(text) if cell.bold else text
             counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
             row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
@@ -262,7 +257,7 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
             theirs = table.printed[on]
             rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
     if len(table.suite.on) > 1 and table.metric.joint:
-        rows.append(["IQM of all", *(_shown(table.whole[m], digits) if m in table.whole else "-" for m in methods)])
+        rows.append(["IQM of all", *(f"{table.whole[m]:.{digits}f}" if m in table.whole else "-" for m in methods)])
     return rows
 
 

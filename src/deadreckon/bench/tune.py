@@ -24,13 +24,13 @@ from deadreckon.errors import BusyError, UserError, unknown
 from deadreckon.files import write_json
 from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.estimate import BehaviorModel, Watcher
-from deadreckon.ope.intervals import student
 from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
 from deadreckon.runs.train import check_plan
+from deadreckon.stats.means import student
 from deadreckon.tasks.registry import of_log
-from deadreckon.training.learner import check_fields
+from deadreckon.training.hyperparameters import check_fields
 
 By = Literal["ope", "simulator"]
 

@@ -94,7 +94,7 @@ def train(args: Sequence[str]) -> None:
 
 
 def _train_online(name, parsed):
-    from deadreckon.collect.online import Online
+    from deadreckon.online import Online
     from deadreckon.runs.online import train_online
 
     options: TrainOnline = parsed.run
@@ -189,11 +189,11 @@ def summary(run) -> str:
             distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
             lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
         if "score" in evaluations:
-            from deadreckon.runs.evaluate import mean_interval
+            from deadreckon.stats.crossed import mean_interval
 
             scores = np.asarray(evaluations["score"])[last].reshape(count, -1)
             returns = np.asarray(evaluations["return"])[last].reshape(count, -1)
-            lines.append(f"{run.config['task']}: return {mean_interval(returns)}, score {mean_interval(scores)}")
+            lines.append(f"{run.config['task']}: return {mean_interval(returns):.1f}, score {mean_interval(scores):.1f}")
     for seed, failure in zip(run.seeds, run.failures):
         if failure is not None:
             lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.agents.sac import SAC
-from deadreckon.collect.online import Exploration, Online, replay_log
 from deadreckon.collect.rollouts import Act, acted_in, asked_for, perform, same_collection
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
+from deadreckon.online import Exploration, Online, replay_log
 from deadreckon.policies import library
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.fit import Fit

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
 from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, static
 
 
 class AutoRegressive(Model):
     """An ensemble of auto-regressive networks."""
 
-    asked: int = static(4)  # numbers of a row that are learned in an update, drawn at random
+    asked: Count = static(4)  # numbers of a row that are learned in an update, drawn at random
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance), others for the end, and bounds of the log-variances."""

@@ -6,7 +6,7 @@ for more than `patience` epochs in a row no member has got better by a hundredth
 one before. An epoch is one compiled program, whatever the number of rows.
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import begin
 from deadreckon.training.fit import choose
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, Range, Share, static
 
 FEWEST = 10  # rows, of which some must be held out
 
@@ -74,12 +74,12 @@ class Report(NamedTuple):
 class Trainer(eqx.Module):
     """How an ensemble is fitted."""
 
-    elites: int = static(5)  # members that are believed
-    holdout: float = static(0.2)  # share of the rows that are held out
-    most_holdout: int = static(5000)  # of them
-    patience: int = static(5)  # epochs without a better member before a fit ends
-    better: float = static(0.01)  # share by which an error must fall to count
-    most_epochs: int = static(1000)  # of a fit
+    elites: Count = static(5)  # members that are believed
+    holdout: Annotated[float, Range(gt=0, lt=1)] = static(0.2)  # share of the rows that are held out
+    most_holdout: Count = static(5000)  # of them
+    patience: Count = static(5)  # epochs without a better member before a fit ends
+    better: Share = static(0.01)  # share by which an error must fall to count
+    most_epochs: Count = static(1000)  # of a fit
 
     def fit(
         self, model: Model, spec: Spec, columns: dict[str, np.ndarray], seed: int, start: Ensemble | None = None

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import static
 
 BOUND_WEIGHT = 0.01  # of the learned bounds in the loss, which keeps them close
 

@@ -15,7 +15,8 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets.mlp import joined, split, stacks
 from deadreckon.nets.optim import begin, descend
-from deadreckon.training.learner import Metrics, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
+from deadreckon.training.learner import Metrics
 
 LOG_VARIANCE = -10.0, 0.5  # first soft bounds of a learned log-variance (Chua et al. 2018)
 
@@ -62,12 +63,12 @@ class Model(eqx.Module):
     Each member learns from the rows by its own weights: the column `weight` (members,) of a batch's `extra`, or all alike.
     """
 
-    members: int = static(5)  # networks
-    hidden: tuple[int, ...] = static((200, 200, 200, 200))  # width of each hidden layer
-    lr: float = 1e-3  # learning rate
-    weight_decay: float = 1e-5  # decoupled from the gradient (AdamW)
-    batch_size: int = static(256)  # rows a batch
-    layer_decay: tuple[float, ...] = static(())  # of half the squared weights of each layer, in the loss; none if empty
+    members: Count = static(5)  # networks
+    hidden: Sizes = static((200, 200, 200, 200))  # width of each hidden layer
+    lr: NonNegative = 1e-3  # learning rate
+    weight_decay: NonNegative = 1e-5  # decoupled from the gradient (AdamW)
+    batch_size: Count = static(256)  # rows a batch
+    layer_decay: Weights = static(())  # of half the squared weights of each layer, in the loss; none if empty
 
     def needs(self, spec: Spec) -> Needs:
         """Transitions, standardised."""

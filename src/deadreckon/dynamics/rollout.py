@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from deadreckon.data.step import Step
 from deadreckon.dynamics.ensemble import Ensemble
 from deadreckon.dynamics.model import Model
-from deadreckon.policies.policy import Step
 
 # Whether episodes end (n,) where these are observed (n, o): a task's `ends`.
 Ends = Callable[[Array], Array]

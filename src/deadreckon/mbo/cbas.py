@@ -11,7 +11,7 @@ on the data. Autofocusing fits the ensemble again in every round, with each desi
 z))^a: it gets better where q draws.
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +25,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, static
 
 LOG_RATIO = 10.0  # log-ratios of densities beyond this decide alone, and are cut
 STD = 0.1  # least deviation of a decoded coordinate
@@ -156,17 +156,17 @@ class Rounds(NamedTuple):
 class CbAS(Designer):
     """Conditioning by adaptive sampling; with `refit` above 0 autofocused."""
 
-    refit: float = 0.0  # a: how sharply the ensemble is refitted where q draws; 0: never
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer of generator and ensemble
-    latent: int = static(32)  # size of the generator's latents
-    members: int = static(5)  # networks of the ensemble, each on redrawn designs
-    steps: int = static(5000)  # updates of the ensemble, and of the generator, before the rounds
-    rounds: int = static(20)  # of drawing, counting and fitting
-    updates: int = static(100)  # of q a round, and of the ensemble where it is refitted
-    draws: int = static(1000)  # designs a round
-    percentile: float = 80.0  # of what is believed of them: c
-    batch_size: int = static(128)  # designs an update
-    lr: float = 3e-4  # of all networks
+    refit: NonNegative = 0.0  # a: how sharply the ensemble is refitted where q draws; 0: never
+    hidden: Sizes = static((256, 256))  # width of each hidden layer of generator and ensemble
+    latent: Count = static(32)  # size of the generator's latents
+    members: Count = static(5)  # networks of the ensemble, each on redrawn designs
+    steps: Count = static(5000)  # updates of the ensemble, and of the generator, before the rounds
+    rounds: Count = static(20)  # of drawing, counting and fitting
+    updates: Count = static(100)  # of q a round, and of the ensemble where it is refitted
+    draws: Count = static(1000)  # designs a round
+    percentile: Annotated[float, Range(ge=0, le=100)] = 80.0  # of what is believed of them: c
+    batch_size: Count = static(128)  # designs an update
+    lr: NonNegative = 3e-4  # of all networks
 
     @property
     def label(self) -> str:

@@ -17,7 +17,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 # Margin in deviations of the score, and learning rate of the designs, of the public code (2.0 there for standardised logits,
 # whose scale ours has a quarter of).
@@ -88,14 +88,14 @@ def promised(net: MLP, x: Float[Array, "b z"]) -> Float[Array, "b"]:
 class COMs(Designer):
     """A model that does not promise more where the data ends, and gradient ascent on it."""
 
-    hidden: tuple[int, ...] = static((2048, 2048))  # width of each hidden layer
-    steps: int = static(5000)  # updates of the model
-    batch_size: int = static(128)  # designs an update
-    lr: float = 3e-4  # of the model
-    alpha_lr: float = 0.01  # of the penalty's weight, on its logarithm
-    margin: float | None = None  # difference allowed, in deviations of the score; None: 0.5, or 2.0 for discrete designs
-    ascent: int = static(50)  # steps of the designs, in training and after it
-    design_lr: float | None = None  # of the designs, times sqrt(coordinates); None: 0.05, or 0.5 for discrete designs
+    hidden: Sizes = static((2048, 2048))  # width of each hidden layer
+    steps: Count = static(5000)  # updates of the model
+    batch_size: Count = static(128)  # designs an update
+    lr: NonNegative = 3e-4  # of the model
+    alpha_lr: NonNegative = 0.01  # of the penalty's weight, on its logarithm
+    margin: NonNegative | None = None  # difference allowed, in deviations of the score; None: 0.5, or 2.0 for discrete designs
+    ascent: Count = static(50)  # steps of the designs, in training and after it
+    design_lr: NonNegative | None = None  # of the designs, times sqrt(coordinates); None: 0.05, or 0.5 for discrete designs
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """From the best designs of the data, up the gradient."""

@@ -7,6 +7,7 @@ highest score that was seen, with classifier-free guidance:
 """
 
 from functools import partial
+from typing import Annotated
 
 import equinox as eqx
 import jax
@@ -18,7 +19,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.surrogate import Surrogate, counts
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import begin
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, static
 
 WAVES = 8  # pairs of a sine and a cosine that tell the time
 BETA = 0.1, 20.0  # of the variance-preserving diffusion (Song et al. 2021)
@@ -82,15 +83,15 @@ def sample(
 class DDOM(Designer):
     """A guided diffusion model of designs given their score."""
 
-    hidden: tuple[int, ...] = static((1024, 1024))  # width of each hidden layer
-    steps: int = static(10_000)  # updates of the model
-    batch_size: int = static(128)  # designs an update
-    lr: float = 1e-3  # of the model
-    bins: int = static(64)  # of the scores, for their weights
-    smoothing: float = 0.01  # K, as a share of the rows
-    temperature: float = 0.1  # T, in ranges of the scores
-    guidance: float = 2.0  # g
-    sampling: int = static(200)  # steps from noise to a design
+    hidden: Sizes = static((1024, 1024))  # width of each hidden layer
+    steps: Count = static(10_000)  # updates of the model
+    batch_size: Count = static(128)  # designs an update
+    lr: NonNegative = 1e-3  # of the model
+    bins: Annotated[int, Range(ge=2)] = static(64)  # of the scores, for their weights
+    smoothing: Share = 0.01  # K, as a share of the rows
+    temperature: Positive = 0.1  # T, in ranges of the scores
+    guidance: NonNegative = 2.0  # g
+    sampling: Count = static(200)  # steps from noise to a design
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """Designs drawn for the highest score of the data, which is what the method believes of them."""

@@ -21,7 +21,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets.optim import begin, descend
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
-from deadreckon.training.learner import check_fields, described
+from deadreckon.training.hyperparameters import check_fields, described
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 # Standardised means and deviations of coordinates (n, size); either may be None.

@@ -14,7 +14,7 @@ from deadreckon.data.batch import redrawn
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP, least
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 LOG_STD = -5.0, 2.0  # bounds of the predicted log-deviation, in deviations of the score
 
@@ -55,14 +55,14 @@ def mixture(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
 class Forward(Designer):
     """A model of the score and gradient ascent on its mean; with several members an ensemble on redrawn designs."""
 
-    members: int = static(1)  # networks, each on redrawn designs
+    members: Count = static(1)  # networks, each on redrawn designs
     objective: Literal["mean", "min"] = static("mean")  # over members, what is ascended
-    hidden: tuple[int, ...] = static((2048, 2048))  # width of each hidden layer
-    steps: int = static(5000)  # updates of the networks
-    batch_size: int = static(128)  # designs an update
-    lr: float = 3e-4  # of the networks
-    ascent: int = static(200)  # steps of the designs
-    design_lr: float = 0.01  # of the designs, times sqrt(coordinates)
+    hidden: Sizes = static((2048, 2048))  # width of each hidden layer
+    steps: Count = static(5000)  # updates of the networks
+    batch_size: Count = static(128)  # designs an update
+    lr: NonNegative = 3e-4  # of the networks
+    ascent: Count = static(200)  # steps of the designs
+    design_lr: NonNegative = 0.01  # of the designs, times sqrt(coordinates)
 
     @property
     def label(self) -> str:

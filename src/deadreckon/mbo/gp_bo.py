@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from deadreckon.errors import UserError
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import climb
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 NOISE = 1e-3  # least variance of the noise, in variances of the score: with less, 32 bits do not hold the inverse
 FAR = 5.0  # deviations below the best from where on log EI is that of its asymptote
@@ -79,9 +79,9 @@ class GPBO(Designer):
     """Expected improvement under a Gaussian process."""
 
     kernel: Literal["auto", "rbf", "inner"] = static("auto")  # auto: inner product where most variables are categories
-    rows: int = static(1000)  # designs of the data at most: the better half the best ones, the rest drawn
-    ascent: int = static(200)  # steps of the designs
-    design_lr: float = 0.01  # of the designs, times sqrt(coordinates)
+    rows: Count = static(1000)  # designs of the data at most: the better half the best ones, the rest drawn
+    ascent: Count = static(200)  # steps of the designs
+    design_lr: NonNegative = 0.01  # of the designs, times sqrt(coordinates)
 
     @property
     def label(self) -> str:

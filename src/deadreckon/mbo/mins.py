@@ -8,7 +8,7 @@ agrees: by ascent on
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, static
 
 PENALTY = 10.0  # of the gradient's norm
 
@@ -95,21 +95,21 @@ class Inversion(eqx.Module):
 class MINs(Designer):
     """Model inversion networks."""
 
-    hidden: tuple[int, ...] = static((1024, 1024))  # width of each hidden layer of generator and critic
-    latent: int = static(32)  # size of the noise
-    steps: int = static(20_000)  # updates of the critic
-    turns: int = static(5)  # of them for one of the generator
-    batch_size: int = static(128)  # designs an update
-    lr: float = 2e-4  # of generator and critic
-    bins: int = static(64)  # of the scores, for their weights
-    smoothing: float = 0.01  # see `counts`
-    temperature: float = 0.1  # likewise
-    forward_hidden: tuple[int, ...] = static((256, 256))  # of the forward model f
-    forward_steps: int = static(5000)  # its updates
-    forward_lr: float = 3e-4  # its learning rate
-    agreement: float = 1.0  # l: how much f has to agree
-    ascent: int = static(100)  # steps on noise and score
-    ascent_lr: float = 0.02  # of them, with Adam
+    hidden: Sizes = static((1024, 1024))  # width of each hidden layer of generator and critic
+    latent: Count = static(32)  # size of the noise
+    steps: Count = static(20_000)  # updates of the critic
+    turns: Count = static(5)  # of them for one of the generator
+    batch_size: Count = static(128)  # designs an update
+    lr: NonNegative = 2e-4  # of generator and critic
+    bins: Annotated[int, Range(ge=2)] = static(64)  # of the scores, for their weights
+    smoothing: Share = 0.01  # see `counts`
+    temperature: Positive = 0.1  # likewise
+    forward_hidden: Sizes = static((256, 256))  # of the forward model f
+    forward_steps: Count = static(5000)  # its updates
+    forward_lr: NonNegative = 3e-4  # its learning rate
+    agreement: NonNegative = 1.0  # l: how much f has to agree
+    ascent: Count = static(100)  # steps on noise and score
+    ascent_lr: NonNegative = 0.02  # of them, with Adam
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """Designs for scores that the inverse and the forward model agree on."""

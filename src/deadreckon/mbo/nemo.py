@@ -17,7 +17,7 @@ deviations on the method's page.
 import hashlib
 import warnings
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,7 +31,7 @@ from deadreckon.data.designs import Designs
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Share, Sizes, static
 
 
 class Net(eqx.Module):
@@ -235,22 +235,22 @@ class Fixed:
 class NEMO(Designer):
     """Normalised maximum likelihood for offline model-based optimisation."""
 
-    bins: int = static(40)  # K: bins of the score, and models
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
+    bins: Annotated[int, Range(ge=2)] = static(40)  # K: bins of the score, and models
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
     architecture: Literal["logistic", "categorical"] = static("logistic")  # discretised logistic (6.3), or K logits
     loss: Literal["bce", "likelihood"] = static("bce")  # of the logistic: as printed, or the likelihood of the bins
     objective: Literal["internal", "mean", "confidence"] = static("internal")  # mu (Alg. 6), or E[g] under p_NML (Alg. 4)
     g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of the table's scores, for "mean"; None: the score
-    confidence: float = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
-    steps: int = static(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
-    pretrain: int = static(2000)  # updates of the models before
-    ratio: int = static(1)  # updates of the models for each of the designs
-    batch_size: int = static(128)  # designs of the data an update (missing in Algorithm 6)
-    lr: float = 0.005  # of the models, alpha_theta; with the 0.05 of some presets wide networks learn little
-    search_lr: float | None = None  # of the models while designs rise; None: the same; 0: they stay, and nothing is NML
-    design_lr: float | None = None  # of the designs, alpha_x, standardised; None: 0.01, or 0.1 for discrete designs
-    target_rate: float = 0.05  # tau
-    weight: float | None = 1.0  # of the claim beside the data's mean; None: 1 / rows, as printed, which models hardly follow
+    confidence: Share = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
+    steps: Count = static(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
+    pretrain: CountOrZero = static(2000)  # updates of the models before
+    ratio: Count = static(1)  # updates of the models for each of the designs
+    batch_size: Count = static(128)  # designs of the data an update (missing in Algorithm 6)
+    lr: NonNegative = 0.005  # of the models, alpha_theta; with the 0.05 of some presets wide networks learn little
+    search_lr: NonNegative | None = None  # of the models while designs rise; None: the same; 0: they stay, and nothing is NML
+    design_lr: NonNegative | None = None  # of the designs, alpha_x, standardised; None: 0.01, or 0.1 for discrete designs
+    target_rate: Share = 0.05  # tau
+    weight: NonNegative | None = 1.0  # of the claim beside the data's mean; None: 1 / rows, as printed, hardly followed
     start: Literal["best", "worst"] = static("best")  # designs of the data to begin with
 
     @property

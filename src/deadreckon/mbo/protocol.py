@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.mbo.designer import Designer, Watcher
 from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.mbo.reach import reach
-from deadreckon.ope.intervals import student
+from deadreckon.stats.interval import Interval
+from deadreckon.stats.means import mean_interval
 
 PERCENTILES = {100: "Best of the designs", 50: "Median design"}
 
@@ -61,43 +62,24 @@ class Result:
         """Of the i-th seed."""
         return Scores(self.problem, self.method, self.true[i], self.predicted[i], self.low, self.high)
 
-    def percentile(self, q: float, normalised: bool = False) -> "Cell":
-        """A percentile of the true scores: mean over seeds, with Student's 95 % interval."""
-        return _cell(np.array([self.scores(i).percentile(q, normalised) for i in range(len(self.seeds))]))
+    def percentile(self, q: float, normalised: bool = False) -> Interval:
+        """A percentile of the true scores: mean over seeds, with Student's interval."""
+        return mean_interval(np.array([self.scores(i).percentile(q, normalised) for i in range(len(self.seeds))]))
 
     @property
-    def exploitation(self) -> "Cell":
+    def exploitation(self) -> Interval:
         """How much more was promised than kept, in ranges of all data (`Scores.exploitation`)."""
-        return _cell(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
+        return mean_interval(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
 
     @property
-    def distance(self) -> "Cell":
+    def distance(self) -> Interval:
         """Median distance of the designs to those that were shown: 1 is usual among these."""
-        return _cell(np.median(self.reach, 1))
+        return mean_interval(np.median(self.reach, 1))
 
     @property
-    def unsure(self) -> "Cell":
+    def unsure(self) -> Interval:
         """Median deviation of what was believed, in ranges of all data."""
-        return _cell(np.median(self.doubt, 1) / (self.high - self.low))
-
-
-class Cell(NamedTuple):
-    """A mean over seeds with its 95 % interval, without bounds where there is one seed."""
-
-    mean: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        if math.isnan(self.mean):
-            return ""
-        if not math.isfinite(self.low):
-            return f"{self.mean:,.4g}"
-        return f"{self.mean:,.4g} [{self.low:,.4g}, {self.high:,.4g}]"
-
-
-def _cell(values: np.ndarray) -> Cell:
-    return Cell(float(values.mean()), *student(values))
+        return mean_interval(np.median(self.doubt, 1) / (self.high - self.low))
 
 
 def judge(
@@ -187,7 +169,7 @@ def markdown(results: Sequence[Result], q: int = 100, normalised: bool = False) 
         own = _by_method([r for r in results if r.problem == name])
         first = next(iter(own.values()))
         best = (first.data_best - first.low) / (first.high - first.low) if normalised else first.data_best
-        cells = [str(own[m].percentile(q, normalised)) if m in own else "" for m in methods]
+        cells = [_shown(own[m].percentile(q, normalised)) if m in own else "" for m in methods]
         lines.append(f"| {name} | {best:,.4g} | " + " | ".join(cells) + " |")
         printed = published()[str(q)].get(name, {})
         if printed and not normalised:
@@ -216,7 +198,7 @@ def trust(results: Sequence[Result], what: str) -> str:
     lines = ["| problem | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
     for name in dict.fromkeys(r.problem for r in results):
         own = _by_method([r for r in results if r.problem == name])
-        lines.append(f"| {name} | " + " | ".join(str(getattr(own[m], what)) if m in own else "" for m in methods) + " |")
+        lines.append(f"| {name} | " + " | ".join(_shown(getattr(own[m], what)) if m in own else "" for m in methods) + " |")
     return "\n".join(lines)
 
 
@@ -231,6 +213,11 @@ def tables(results: Sequence[Result]) -> str:
         parts += [words, trust(results, what)]
     settings = dict.fromkeys(f"- {r.method}: `{r.settings}`" for r in results)
     return "\n\n".join([*parts, "Settings", "\n".join(settings)])
+
+
+def _shown(interval: Interval) -> str:
+    """In a table; nothing where it is not known."""
+    return "" if math.isnan(interval.value) else f"{interval:,.4g}"
 
 
 def _by_method(results: Sequence[Result]) -> dict[str, Result]:

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
 class Ranking(Surrogate):
@@ -35,12 +35,12 @@ def ranked(nets: tuple[MLP, Any, Any], x: Array) -> Array:
 class RaM(Designer):
     """A model that ranks, and gradient ascent on it."""
 
-    hidden: tuple[int, ...] = static((1024, 1024))  # width of each hidden layer
-    steps: int = static(5000)  # updates of the model
-    list_size: int = static(256)  # designs a list, one list an update
-    lr: float = 3e-4  # of the model
-    ascent: int = static(200)  # steps of the designs
-    design_lr: float = 0.01  # of the designs, times sqrt(coordinates)
+    hidden: Sizes = static((1024, 1024))  # width of each hidden layer
+    steps: Count = static(5000)  # updates of the model
+    list_size: Count = static(256)  # designs a list, one list an update
+    lr: NonNegative = 3e-4  # of the model
+    ascent: Count = static(200)  # steps of the designs
+    design_lr: NonNegative = 0.01  # of the designs, times sqrt(coordinates)
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """From the best designs of the data, up the gradient; it predicts an order, not scores."""

@@ -23,7 +23,7 @@ from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Categorical, create_actor
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import static
 
 # What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
 PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)

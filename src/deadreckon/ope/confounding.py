@@ -14,14 +14,14 @@ order it adds no variance, and the influence of an episode on a bound is that of
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import inference
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
 from deadreckon.ope.importance import log_ratios, logged_probs
-from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.sensitivity import bounds, tipping, weight_box
 from deadreckon.ope.sequences import totals
+from deadreckon.stats import inference
+from deadreckon.stats.interval import ALPHA
 
 
 class Confounding:

@@ -15,13 +15,13 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
-from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import PROPENSITIES, as_estimator
 from deadreckon.ope.select import MANY, SHARE, Choice, select
 from deadreckon.ope.sensitivity import weight_box
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
+from deadreckon.stats.interval import ALPHA
 
 UNSEEN = "no check can see confounding: something that was not recorded and made both the logged actions and the rewards"
 GROUPS = 50  # whose gains are told apart at most

@@ -26,9 +26,9 @@ from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.fqe import Scale
-from deadreckon.ope.intervals import spread
 from deadreckon.ope.weights import few
-from deadreckon.training.learner import static
+from deadreckon.stats.bootstrap import ensemble_interval
+from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
 PRESETS: dict[str, dict[str, Any]] = {
     "best": {"primal": 0.0, "dual": 1.0, "reward": 1.0, "norm": True, "positive": True},
@@ -118,19 +118,19 @@ class Saddle(eqx.Module):
 class DICE(Estimator):
     """Marginalised importance sampling by a saddle point: BestDICE, or DualDICE and GenDICE by `DICE.preset`."""
 
-    primal: float = 0.0  # regularisation of Q
-    dual: float = 1.0  # regularisation of zeta
-    reward: float = 1.0  # share of the reward in the Lagrangian: 0 or 1
+    primal: NonNegative = 0.0  # regularisation of Q
+    dual: NonNegative = 1.0  # regularisation of zeta
+    reward: Share = 1.0  # share of the reward in the Lagrangian: 0 or 1
     norm: bool = static(True)  # constrain zeta to an occupancy's mass by lambda
     positive: bool = static(True)  # zeta through a softplus
-    members: int = static(3)  # pairs of networks a policy, each on redrawn episodes
-    hidden: tuple[int, ...] = static((64, 64))  # width of each hidden layer
-    steps: int = static(100_000)  # updates
-    batch_size: int = static(2048)  # rows a batch
-    lr: float = 1e-4  # learning rate
-    average: float = 1e-3  # rate of the running mean of zeta's parameters, which the estimate uses; 1 for the last ones
-    samples: int = static(1)  # actions drawn at each next observation, once
-    initial_samples: int = static(10)  # actions drawn at each initial observation
+    members: Count = static(3)  # pairs of networks a policy, each on redrawn episodes
+    hidden: Sizes = static((64, 64))  # width of each hidden layer
+    steps: Count = static(100_000)  # updates
+    batch_size: Count = static(2048)  # rows a batch
+    lr: NonNegative = 1e-4  # learning rate
+    average: Share = 1e-3  # rate of the running mean of zeta's parameters, which the estimate uses; 1 for the last ones
+    samples: Count = static(1)  # actions drawn at each next observation, once
+    initial_samples: Count = static(10)  # actions drawn at each initial observation
 
     @classmethod
     def preset(cls, name: Literal["best", "dual", "gen"], **changes: Any) -> "DICE":
@@ -170,7 +170,7 @@ def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray, war
 
     An episode's weight is the sum of its rows' ratios, averaged over members.
     """
-    low, high = spread(found)
+    low, high = ensemble_interval(found)
     rows = ratios.mean(0) * case.data.usable
     weight = np.stack([np.bincount(case.data.episode_of, own, case.data.episodes) for own in rows])
     effective = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)

@@ -27,7 +27,6 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.importance import log_ratios, logged_probs, multiplied
-from deadreckon.ope.intervals import spread
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.mrdr import out_of_fold
 from deadreckon.ope.pareto import diagnosed
@@ -35,9 +34,10 @@ from deadreckon.ope.shrinkage import shrinkage_scores
 from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
 from deadreckon.ope.weights import Episodes, Sums, few
-from deadreckon.training.learner import static
+from deadreckon.stats.bootstrap import ensemble_interval
+from deadreckon.stats.interval import NORMAL
+from deadreckon.training.hyperparameters import Count, Share, static
 
-NORMAL = 1.96  # half of a normal's 95 % interval, in standard deviations
 ALONE = {"marginal": "DRL", "switch": "SWITCH", "dros": "DRos", "mrdr": "MRDR"}  # labels whatever the critics are
 TRUSTED = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 13), [np.inf]])  # weights among which switch and dros choose
 OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warned
@@ -50,14 +50,14 @@ class DoublyRobust(Estimator):
 
     kind: Literal["dr", "wdr", "magic", "marginal", "switch", "dros", "mrdr"] = static("wdr")  # weights and critics: see above
     fqe: FQE | LinearFQE = static(FQE())  # the value function
-    folds: int = static(5)  # each fold's critics and propensities learn from the others; 1: from the judged rows themselves
-    samples: int = static(10)  # actions sampled at each row for V
+    folds: Count = static(5)  # each fold's critics and propensities learn from the others; 1: from the judged rows themselves
+    samples: Count = static(10)  # actions sampled at each row for V
     behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
     model: BehaviorModel = static(BehaviorModel())  # how the behaviour policy is learned
     log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
     alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
-    lengths: int = static(10)  # magic: how many lengths of correction are blended
-    confidence: float = 0.5  # magic: level of the interval of the full correction that biases are measured from
+    lengths: Count = static(10)  # magic: how many lengths of correction are blended
+    confidence: Share = 0.5  # magic: level of the interval of the full correction that biases are measured from
 
     @property
     def takes_crossed(self) -> bool:
@@ -93,7 +93,7 @@ class DoublyRobust(Estimator):
                 if uncorrected > 0 and begins is not None:
                     # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of
                     # one critic that is not known, and there is no interval.
-                    low, high = spread(begins[:, i].mean(-1))
+                    low, high = ensemble_interval(begins[:, i].mean(-1))
                     noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
                     redrawn = redrawn + uncorrected * (high - low) / (2 * NORMAL) * noise
                     doubts.append(i)

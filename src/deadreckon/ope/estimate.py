@@ -20,16 +20,17 @@ from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.nets.optim import begin, descend
-from deadreckon.ope import inference
 from deadreckon.ope.estimand import Estimand, discounted_steps
 from deadreckon.ope.features import Table
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy, create_actor
+from deadreckon.stats import inference
+from deadreckon.stats.interval import PERCENT
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Fit, Progress, complete
-from deadreckon.training.learner import check_fields, described, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, check_fields, described, static
 
 Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
@@ -47,7 +48,7 @@ class Estimates:
         method: the estimator.
         names: of the policies.
         value: (policies,) expected discounted return of an episode.
-        low, high: (policies,) 95 % interval; NaN where the method gives none.
+        low, high: (policies,) ends of intervals at `stats.interval.LEVEL`; NaN where the method gives none.
         estimand: what is estimated.
         redraws: (n, policies) estimates of redrawn logs or of members of an ensemble, the same redraws for all policies, so
             that differences between policies can be judged; None where there are none.
@@ -108,7 +109,7 @@ class Estimates:
     def __str__(self) -> str:
         width = max(map(len, self.names))
         model = "" if self.corrected else ", model-based"
-        lines = [f"{self.method}{model}: {self.estimand}; 95 % intervals"]
+        lines = [f"{self.method}{model}: {self.estimand}; {PERCENT} intervals"]
         for i, name in enumerate(self.names):
             weight = "" if self.effective is None else f"   effective sample size {self.effective[i]:,.1f} episodes"
             lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
@@ -137,10 +138,10 @@ class BehaviorModel(eqx.Module):
     density may divide.
     """
 
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    lr: float = 3e-4  # learning rate
-    steps: int = static(10_000)  # updates; out of fold the best by validation loss are kept
-    batch_size: int = static(256)  # rows a batch
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    lr: NonNegative = 3e-4  # learning rate
+    steps: Count = static(10_000)  # updates; out of fold the best by validation loss are kept
+    batch_size: Count = static(256)  # rows a batch
     clipped: bool = static(False)  # a clipped Gaussian; cases set it
 
     def needs(self, spec):

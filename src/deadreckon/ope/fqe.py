@@ -23,8 +23,8 @@ from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.behavior import masks
 from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
 from deadreckon.ope.estimate import Case, Estimates, Estimator
-from deadreckon.ope.intervals import spread
-from deadreckon.training.learner import static
+from deadreckon.stats.bootstrap import ensemble_interval
+from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
 
 class State(NamedTuple):
@@ -135,15 +135,15 @@ class FQE(Estimator):
 
     takes_horizon = True
 
-    members: int = static(3)  # critics a policy, each on redrawn episodes
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    steps: int = static(100_000)  # updates (public code: 1,000,000)
-    batch_size: int = static(256)  # rows a batch
-    lr: float = 3e-4  # learning rate
-    weight_decay: float = 1e-5  # AdamW
-    target_rate: float = 0.005  # Polyak rate of the target critics
-    samples: int = static(1)  # actions drawn at each next observation, once; their mean value is the target
-    initial_samples: int = static(10)  # actions drawn at each initial observation
+    members: Count = static(3)  # critics a policy, each on redrawn episodes
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    steps: Count = static(100_000)  # updates (public code: 1,000,000)
+    batch_size: Count = static(256)  # rows a batch
+    lr: NonNegative = 3e-4  # learning rate
+    weight_decay: NonNegative = 1e-5  # AdamW
+    target_rate: Share = 0.005  # Polyak rate of the target critics
+    samples: Count = static(1)  # actions drawn at each next observation, once; their mean value is the target
+    initial_samples: Count = static(10)  # actions drawn at each initial observation
 
     def fitted(self, case: Case) -> Fitted:
         """The critics of a case's policies; made once for a case, whoever asks."""
@@ -222,7 +222,7 @@ class FQE(Estimator):
         values = self.fitted(case).values(case.timed.observations[case.data.starts], case.initial_actions(self.initial_samples))
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
-        low, high = spread(found)
+        low, high = ensemble_interval(found)
         return Estimates(
             self.label, case.names, found.mean(0), low, high, case.estimand, redraws=found,
             warnings=tuple(self.unsettled(case)),

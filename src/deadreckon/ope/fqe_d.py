@@ -4,7 +4,7 @@ Each critic gives probabilities of `atoms` returns, evenly spaced over what is p
 is the distribution of r + discount Z(s', a'), put back on the atoms, from a copy of the critics that is renewed every so often.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,8 +19,8 @@ from deadreckon.nets.optim import begin, copy, descend
 from deadreckon.ope.critics import in_blocks
 from deadreckon.ope.estimate import Case, Estimates, Estimator
 from deadreckon.ope.fqe import Scale
-from deadreckon.ope.intervals import spread
-from deadreckon.training.learner import static
+from deadreckon.stats.bootstrap import ensemble_interval
+from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, static
 
 
 class NormMLP(eqx.Module):
@@ -161,16 +161,16 @@ def _values(learner: Distributions, critics: NormMLP, observation: Array, table:
 class FQED(Estimator):
     """Fitted Q evaluation of return distributions."""
 
-    members: int = static(3)  # critics a policy, each on redrawn episodes
-    hidden: tuple[int, ...] = static((512, 512, 256))  # width of each hidden layer
-    atoms: int = static(51)  # returns that have a probability
-    steps: int = static(100_000)  # updates
-    batch_size: int = static(1024)  # rows a batch
-    lr: float = 1e-4  # learning rate
-    renew: int = static(100)  # updates between copies of the critics for targets
-    gradient_clip: float = 40.0  # norm of each critic's gradient
-    samples: int = static(1)  # actions drawn at each next observation, once
-    initial_samples: int = static(10)  # actions drawn at each initial observation
+    members: Count = static(3)  # critics a policy, each on redrawn episodes
+    hidden: Sizes = static((512, 512, 256))  # width of each hidden layer
+    atoms: Annotated[int, Range(ge=2)] = static(51)  # returns that have a probability
+    steps: Count = static(100_000)  # updates
+    batch_size: Count = static(1024)  # rows a batch
+    lr: NonNegative = 1e-4  # learning rate
+    renew: Count = static(100)  # updates between copies of the critics for targets
+    gradient_clip: NonNegative = 40.0  # norm of each critic's gradient
+    samples: Count = static(1)  # actions drawn at each next observation, once
+    initial_samples: Count = static(10)  # actions drawn at each initial observation
 
     @property
     def label(self) -> str:
@@ -192,7 +192,7 @@ class FQED(Estimator):
         of = lambda seen, table: _values(learner, state.critics, seen, table)  # noqa: E731
         values = scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
-        low, high = spread(found)
+        low, high = ensemble_interval(found)
         return Estimates(
             self.label, case.names, found.mean(0), low, high, case.estimand, redraws=found,
             warnings=tuple(case.unsettled("fqe-d", "q")),

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import inference
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
-from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.linear import LinearFQE
+from deadreckon.stats import inference
+from deadreckon.stats.interval import ALPHA
 
 UNITS = 20  # episodes or clusters of a group below which it has no interval
 

@@ -6,7 +6,7 @@ With w the weight of a whole episode, G its return, which lies in [low, high], a
 
 is never negative, because w is not and G - low is at most high - low; and its mean is at most gain + (high - low): weights have
 mean one, or less where the log does not show what the policy does. So a lower bound of the mean of x by betting
-(`ope/confidence.py`), less high - low, bounds the gain, without a largest weight. Both returns come from the same episode, so
+(`stats/betting.py`), less high - low, bounds the gain, without a largest weight. Both returns come from the same episode, so
 what they share cancels. It holds for all policies at once (Bonferroni).
 
 It asks that propensities are those by which actions were drawn, that episodes are independent of each other and of the
@@ -16,9 +16,9 @@ policies, and that the range is known without looking at the log.
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.confidence import lower
 from deadreckon.ope.estimate import Case
-from deadreckon.ope.intervals import ALPHA
+from deadreckon.stats.betting import lower
+from deadreckon.stats.interval import ALPHA
 
 LARGEST = 300.0  # log of a weight; larger ones are cut, which can only lower the bound
 

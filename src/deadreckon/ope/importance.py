@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import inference, intervals
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
 from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.weights import Episodes
-from deadreckon.training.learner import static
+from deadreckon.stats import inference, means
+from deadreckon.training.hyperparameters import Count, Positive, static
 
 PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation that the thesis used
 
@@ -33,9 +33,9 @@ class ImportanceSampling(Estimator):
     log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
     alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
     interval: Literal["bootstrap", "t", "hoeffding", "bernstein"] = static("bootstrap")  # the last two hold for every n
-    folds: int = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
+    folds: Count = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
     return_range: tuple[float, float] | None = static(None)  # least and greatest return of an episode; for the last two
-    max_weight: float | None = static(None)  # greatest weight of an episode, per decision of any of its steps; for the last two
+    max_weight: Positive | None = static(None)  # greatest weight of an episode, or of any of its steps; for the last two
 
     def solve(self, case: Case) -> Estimates:
         """Weighted sums of the logged rewards."""
@@ -101,7 +101,7 @@ class ImportanceSampling(Estimator):
 
     def _interval(self, each: np.ndarray, bounds: tuple[float, float] | None) -> tuple[float, float]:
         if bounds is None:
-            return intervals.student(each)
+            return means.student(each)
         low, high = bounds
         if each.min() < low or each.max() > high:
             beyond = float(each.min() if each.min() < low else each.max())
@@ -109,7 +109,7 @@ class ImportanceSampling(Estimator):
                 f"an episode adds {beyond:.4g}, outside the {low:.4g} .. {high:.4g} that return_range and max_weight allow; "
                 "they must hold for every episode"
             )
-        bound = intervals.hoeffding if self.interval == "hoeffding" else intervals.empirical_bernstein
+        bound = means.hoeffding if self.interval == "hoeffding" else means.empirical_bernstein
         return bound(each, *bounds)
 
 

@@ -19,8 +19,8 @@ from scipy.linalg import cho_factor, cho_solve
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimate import LOGGED, Case, Estimates, Estimator
 from deadreckon.ope.features import Features
-from deadreckon.ope.intervals import percentiles
-from deadreckon.training.learner import static
+from deadreckon.stats.bootstrap import percentile_interval
+from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 BLOCK = 1024  # rows at a time
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
@@ -99,10 +99,10 @@ class Sums:
 class LinearFQE(Estimator):
     """Fitted Q evaluation that is linear in features of observation and action."""
 
-    cosines: int = static(256)  # random Fourier features, where the log has more than a few different observations
-    samples: int = static(10)  # actions sampled at each observation of continuous actions
-    redraws: int = static(REDRAWS)  # resamples of the log for the interval
-    ridge: float | None = static(None)  # strength of the ridge penalty, in rows; None: by cross-validation
+    cosines: Count = static(256)  # random Fourier features, where the log has more than a few different observations
+    samples: Count = static(10)  # actions sampled at each observation of continuous actions
+    redraws: Count = static(REDRAWS)  # resamples of the log for the interval
+    ridge: NonNegative | None = static(None)  # strength of the ridge penalty, in rows; None: by cross-validation
 
     takes_horizon = True
 
@@ -132,7 +132,7 @@ class LinearFQE(Estimator):
             values[i] = sums.start[:, i].sum(0) @ critic.weights[-1] / sums.episodes.sum() * fit.std
             for b, weight in enumerate(counts):
                 redraws[b, i] = fit.value(sums, weight, i, critic.ridge)
-        low, high = np.array([percentiles(each, groups) for each in redraws.T]).T
+        low, high = np.array([percentile_interval(each, groups) for each in redraws.T]).T
         return Estimates(
             self.label, case.names, values, low, high, case.estimand, redraws=redraws,
             warnings=(*warnings, "its interval knows the variance of the log and not the bias of the features"),

@@ -71,13 +71,9 @@ def rank_correlation(estimates: np.ndarray, truth: np.ndarray) -> float:
     """Spearman's rank correlation; NaN where all estimates, or all true values, are the same."""
     if np.ptp(estimates) == 0 or np.ptp(truth) == 0:
         return float("nan")
-    return float(np.corrcoef(_ranks(estimates), _ranks(truth))[0, 1])
+    from scipy.stats import rankdata  # slow to import, and few need it
 
-
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """From 1 on; equal values have the mean of theirs."""
-    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(counts) - (counts - 1) / 2)[which]
+    return float(np.corrcoef(rankdata(estimates), rankdata(truth))[0, 1])
 
 
 def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:

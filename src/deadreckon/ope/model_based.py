@@ -16,8 +16,8 @@ from deadreckon.dynamics import AutoRegressive, Gaussian, Model
 from deadreckon.dynamics.model import Limits
 from deadreckon.errors import UserError
 from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
-from deadreckon.ope.intervals import spread
-from deadreckon.training.learner import static
+from deadreckon.stats.bootstrap import ensemble_interval
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 KINDS: dict[str, type[Model]] = {"feedforward": Gaussian, "autoregressive": AutoRegressive}
 TAIL = 0.01  # made-up episodes are cut where so much of the discounted time is left, if not before
@@ -27,14 +27,14 @@ class ModelBased(Estimator):
     """Returns of made-up episodes."""
 
     kind: Literal["feedforward", "autoregressive"] = static("feedforward")  # of the model: MB-FF or MB-AR
-    members: int = static(3)  # networks, each on redrawn episodes
-    hidden: tuple[int, ...] = static((256, 256))  # width of each hidden layer
-    steps: int = static(50_000)  # updates of the models
-    batch_size: int = static(256)  # rows a batch
-    lr: float = 3e-4  # learning rate
-    weight_decay: float = 1e-5  # AdamW
-    episodes: int = static(100)  # made up for each member and policy, from initial observations of the log
-    horizon: int | None = static(None)  # steps of an episode; None: until 1 % is left, or as the longest where all end
+    members: Count = static(3)  # networks, each on redrawn episodes
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    steps: Count = static(50_000)  # updates of the models
+    batch_size: Count = static(256)  # rows a batch
+    lr: NonNegative = 3e-4  # learning rate
+    weight_decay: NonNegative = 1e-5  # AdamW
+    episodes: Count = static(100)  # made up for each member and policy, from initial observations of the log
+    horizon: CountOrZero | None = static(None)  # steps of an episode; None: until 1 % is left, or as the longest where all end
     model: BehaviorModel = static(BehaviorModel())  # how the log's own policy is learned, where it is judged too
 
     def fitted(self, case: Case) -> tuple[Model, Any, Rows]:
@@ -86,7 +86,7 @@ class ModelBased(Estimator):
                     model, params, limits, observation, action, alive, total, factor, endings, key
                 )
             returns[:, i] = unit * np.asarray(total.mean(1))
-        low, high = spread(returns)
+        low, high = ensemble_interval(returns)
         return Estimates(self.label, case.names, returns.mean(0), low, high, case.estimand, redraws=returns)
 
 

@@ -20,7 +20,7 @@ from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.model_based import ModelBased
 from deadreckon.ope.state_marginal import StateMarginal
 from deadreckon.ope.vpm import VPM
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import static
 
 ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
     "fqe": (FQE, "FQE-L2: fitted Q evaluation, squared loss (Le et al. 2019)"),

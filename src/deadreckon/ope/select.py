@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import inference
 from deadreckon.ope.estimate import LOGGED, Estimates
-from deadreckon.ope.intervals import ALPHA, percentiles, spread
 from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
+from deadreckon.stats import inference
+from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
+from deadreckon.stats.interval import ALPHA
 
 BOOTSTRAP = 100  # redraws from which their percentiles are an interval; fewer are members of an ensemble
 UNITS = 20  # episodes or clusters below which no interval is believed
@@ -92,8 +93,8 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
         draws = found.redraws - found.redraws[:, [logged]]
         each = alpha / max(len(found.names) - 1, 1)
         ends = [
-            percentiles(own, np.inf if found.effective is None else found.effective[i], each)
-            if len(draws) >= BOOTSTRAP else spread(own, each)
+            percentile_interval(own, np.inf if found.effective is None else found.effective[i], each)
+            if len(draws) >= BOOTSTRAP else ensemble_interval(own, each)
             for i, own in enumerate(draws.T)
         ]  # fmt: skip
         low, high = np.array([[float(low), float(high)] for low, high in ends]).T

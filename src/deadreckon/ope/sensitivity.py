@@ -21,8 +21,8 @@ from collections.abc import Callable
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.sequences import cumulate, starts_of
+from deadreckon.stats.interval import ALPHA
 
 CELLS = 4_000_000  # of redraws by episodes that are held at a time
 

@@ -27,7 +27,7 @@ from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.sequences import starts_of
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, static
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class StateMarginal(Estimator):
     normalised: bool = static(True)  # divide by sums of ratios in a state instead of numbers of episodes
     behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
     model: BehaviorModel = static(PROPENSITIES)  # how the behaviour policy is learned
-    folds: int = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
+    folds: Count = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
 
     @property
     def label(self) -> str:

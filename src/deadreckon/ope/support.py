@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadreckon.ope import inference
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.coverage import LEVEL, coverage
 from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.ope.importance import log_ratios
+from deadreckon.stats import inference
 
 RARE = 0.1  # of the probability of a uniform choice: actions below that have no support
 MISSING = 0.10  # of a policy's mass without support is too much

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope import inference
 from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
 from deadreckon.ope.importance import log_ratios
-from deadreckon.ope.intervals import ALPHA
+from deadreckon.stats import inference
+from deadreckon.stats.interval import ALPHA
 
 FEW = 10.0  # episodes that the tail's weights must amount to
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from deadreckon.errors import UserError
-from deadreckon.ope.intervals import ALPHA
+from deadreckon.stats.interval import ALPHA
 
 
 def slope(values: np.ndarray, widths: np.ndarray, factor: float = 2.0) -> int:

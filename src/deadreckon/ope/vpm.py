@@ -26,7 +26,7 @@ from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.dice import estimates, mass, occupancy_rows, weighted
 from deadreckon.ope.estimate import Case, Estimates, Estimator
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 EXCESS_RATE = 0.01  # of the running mean of the mass beyond one
 
@@ -95,15 +95,15 @@ def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:
 class VPM(Estimator):
     """The variational power method."""
 
-    members: int = static(3)  # networks a policy, each on redrawn episodes
-    hidden: tuple[int, ...] = static((64, 64))  # width of each hidden layer
-    steps: int = static(100_000)  # updates
-    inner: int = static(10)  # updates an iteration of the power method
-    batch_size: int = static(2048)  # rows a batch
-    lr: float = 1e-4  # learning rate
-    penalty: float = 1.0  # of a mass other than one
-    samples: int = static(1)  # actions drawn at each next observation, once
-    initial_samples: int = static(10)  # actions drawn at each initial observation
+    members: Count = static(3)  # networks a policy, each on redrawn episodes
+    hidden: Sizes = static((64, 64))  # width of each hidden layer
+    steps: Count = static(100_000)  # updates
+    inner: Count = static(10)  # updates an iteration of the power method
+    batch_size: Count = static(2048)  # rows a batch
+    lr: NonNegative = 1e-4  # learning rate
+    penalty: NonNegative = 1.0  # of a mass other than one
+    samples: Count = static(1)  # actions drawn at each next observation, once
+    initial_samples: Count = static(10)  # actions drawn at each initial observation
 
     def ratios(self, case: Case) -> np.ndarray:
         """(members, policies, rows) occupancy of the policy over that of the log."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.ope.intervals import RESAMPLES, percentiles
 from deadreckon.ope.sequences import cumulate
+from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
 FEW = 10.0  # effective episodes below which one is warned
@@ -224,7 +224,7 @@ class Episodes:
         """The bootstrap's interval, with no more episodes than groups of them were redrawn; endless where nothing is known."""
         if self.groups < 2 or not effective > 0:
             return -np.inf, np.inf
-        return percentiles(draws, min(effective, self.groups))
+        return percentile_interval(draws, min(effective, self.groups))
 
     def warnings(
         self, names: tuple[str, ...], effective: np.ndarray, *, whole: bool = False, beyond: bool = False

@@ -1,7 +1,7 @@
 """What acts: the protocol, the kinds of policy that agents produce, and any Python function as a policy."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -10,19 +10,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from deadreckon.data.spec import Spec
+from deadreckon.data.step import Step
 from deadreckon.data.view import EDGE, View
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.vae import VAE
 
-
-class Step(NamedTuple):
-    """What a policy sees of `n` environments: observations (n, *shape), last rewards (n,), whether an episode begins (n,)."""
-
-    observation: Any
-    reward: Any
-    first: Any
+KINDS: dict[str, type[eqx.Module]] = {}  # of policies that a file can hold, by name; each registers itself
 
 
 @runtime_checkable
@@ -48,6 +43,10 @@ class Inner(eqx.Module):
     """
 
     has_log_prob = False
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        KINDS[cls.__name__] = cls
 
     def start(self, n: int) -> Any:
         """The carry before the first step of `n` environments."""

@@ -1,7 +1,6 @@
 """Policies to files and back; the format is that of `policies.portable`."""
 
 import dataclasses
-import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -14,37 +13,15 @@ from deadreckon.files import replacing
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
-from deadreckon.policies import portable
-from deadreckon.policies.policy import (
-    Categorical,
-    ClippedGaussian,
-    Deployed,
-    Deterministic,
-    Gaussian,
-    GreedyQ,
-    Mixture,
-    Moved,
-    OneStep,
-    Supported,
-    TanhGaussian,
-    VAEDecoder,
-)
+from deadreckon.policies import planner, portable  # noqa: F401 - a planner registers itself
+from deadreckon.policies.policy import KINDS, Deployed
+from deadreckon.policies.sequence import Sequence
 
 _TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `Deployed`
-# The only classes that a file can name: reading one runs no code of the file's choosing.
-_ELSEWHERE = {  # imported where a file has one: they need what needs policies
-    "Planner": "deadreckon.agents.pets",
-    "Asking": "deadreckon.agents.decision_transformer",
-    "Sequence": "deadreckon.agents.decision_transformer",
-}
-_KINDS: dict[str, Any] = {
-    kind.__name__: kind
-    for kind in (
-        Deployed, Deterministic, Gaussian, ClippedGaussian, TanhGaussian, VAEDecoder, Moved, OneStep, GreedyQ, Categorical,
-        Supported, Mixture, MLP, VAE, Transformer, Block,
-    )
-}
+# Beside the policies that register themselves (`policy.KINDS`) the only classes that a file can name: reading one runs no code
+# of the file's choosing.
+_PARTS: dict[str, Any] = {part.__name__: part for part in (Deployed, MLP, VAE, Transformer, Block, Sequence)}
 
 
 def save(
@@ -109,12 +86,9 @@ def load(path: Path | str) -> Deployed:
 
     def decode(value: Any) -> Any:
         if isinstance(value, dict):
-            kind = value.get("kind")
-            if kind in _ELSEWHERE:
-                make = getattr(importlib.import_module(_ELSEWHERE[kind]), kind)
-            elif kind in _KINDS:
-                make = _KINDS[kind]
-            else:
+            kind = str(value.get("kind"))
+            make = _PARTS.get(kind) or KINDS.get(kind)
+            if make is None:
                 raise UserError(f"{path} names an unknown kind of policy {kind!r}")
             return make(**{k: decode(v) for k, v in value.items() if k != "kind"})
         if isinstance(value, list):

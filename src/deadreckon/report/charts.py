@@ -10,7 +10,7 @@ import numpy as np
 
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import number
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import Interval
 
 POINTS = 240  # most points of a line
 LABEL = 110, 16  # width and height that a name beside a line may take
@@ -267,7 +267,7 @@ def forest(marks: Sequence[Mark], unit: str, references: Sequence[tuple[str, flo
     """Means with their intervals, one under another, and named upright lines. What is much wider ends in arrows."""
     width, row, top, left, right = 480, 30, 24, 140, 462
     height = top + row * len(marks) + 26
-    points = [v for m in marks for v in (m.spread.mean, *m.dots)] + [v for _, v in references]
+    points = [v for m in marks for v in (m.spread.value, *m.dots)] + [v for _, v in references]
     x = _Axis(*_robust(points, [m.spread for m in marks]), left, right)
     parts = [tag("title", unit)]
     parts += _columns(x, top, height)
@@ -279,12 +279,12 @@ def forest(marks: Sequence[Mark], unit: str, references: Sequence[tuple[str, flo
     for k, mark in enumerate(marks):
         y, spread = top + row * (k + 0.5), mark.spread
         ends = f" [{number(spread.low)}, {number(spread.high)}]" if not math.isnan(spread.low) else ""
-        inner = [tag("title", f"{mark.name}: {number(spread.mean)}{ends}")]
+        inner = [tag("title", f"{mark.name}: {number(spread.value)}{ends}")]
         inner.append(tag("text", _inner_cut(mark.name), x=left - 12, y=y + 4.5, class_="label end"))
         inner += _whisker(x, spread.low, spread.high, y)
         if len(mark.dots) > 1:
             inner += [tag("circle", cx=f"{x(v):.1f}", cy=y + 8, r=2.2, class_="seed") for v in mark.dots if math.isfinite(v)]
-        inner.append(marker(mark.slot or 0, float(x(spread.mean)), y))
+        inner.append(marker(mark.slot or 0, float(x(spread.value)), y))
         colour = "log" if mark.slot is None else f"s{mark.slot}"
         parts.append(tag("g", inner, class_=f"{colour} hollow" if mark.hollow else colour))
     return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=unit, class_=f"chart v{width}")
@@ -349,10 +349,10 @@ def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> 
     parts += _columns(x, top, height)
     for k, (name, slot, spread, other) in enumerate(rows):
         y = top + row * (k + 0.5)
-        inner = [tag("title", f"{name}: {number(spread.mean)}")]
+        inner = [tag("title", f"{name}: {number(spread.value)}")]
         inner.append(tag("text", _cut(name), x=left - 14, y=y + 4.5, class_="label end"))
-        if math.isfinite(spread.mean):
-            a, b = sorted((float(x(0.0)), float(x(spread.mean))))
+        if math.isfinite(spread.value):
+            a, b = sorted((float(x(0.0)), float(x(spread.value))))
             inner.append(tag("rect", x=f"{a:.1f}", y=y - 8, width=f"{b - a:.1f}", height=16, rx=2, class_="bar"))
             inner.append(tag("line", x1=f"{x(spread.low):.1f}", x2=f"{x(spread.high):.1f}", y1=y, y2=y, class_="whisker"))
         if other is not None:
@@ -362,7 +362,7 @@ def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> 
 
 
 def _ends(rows: Sequence[tuple[str, int, Interval, float | None]]) -> tuple[float, float]:
-    values = [v for _, _, i, other in rows for v in (i.low, i.high, i.mean, other) if v is not None and math.isfinite(v)]
+    values = [v for _, _, i, other in rows for v in (i.low, i.high, i.value, other) if v is not None and math.isfinite(v)]
     return min([0.0, *values]), max([0.0, *values])
 
 

@@ -7,7 +7,7 @@ from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import figure, legend, note, unit_of
 from deadreckon.report.rows import behavior, to_score
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import Interval
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.mazes import Maze
 
@@ -32,7 +32,7 @@ def learning(page: Page) -> Markup | None:
         return None
     logs = {e.config["data"]["fingerprint"]: e for e in page.entries}.values()
     worths = [worth for e in logs if (returns := behavior(e)) and (worth := _worth(page, returns))]
-    references = [("behaviour policy", worth.mean) for worth in worths]
+    references = [("behaviour policy", worth.value) for worth in worths]
     references += [("expert", 100.0)] if unit == "score" else []
     options = {"title": f"{unit} against {page.across}", "unit": unit, "references": references, "across": page.across}
     both = [

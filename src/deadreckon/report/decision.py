@@ -9,8 +9,8 @@ from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import colours, figure, note, tile
 from deadreckon.report.text import number, percent
-from deadreckon.runs.evaluate import Interval
 from deadreckon.runs.offline import checked
+from deadreckon.stats.interval import Interval
 
 
 def headline(told: dict[str, Any]) -> str:
@@ -136,11 +136,11 @@ def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
     marks = []
     for each, gain, own in zip(told["policies"], first["gain"], told["choice"]["objections"]):
         spread = Interval(*map(_number, gain))
-        if math.isfinite(spread.mean):
+        if math.isfinite(spread.value):
             marks.append(charts.Mark(each["name"], slots[each["run"]], spread, hollow=bool(own)))
     if not marks:
         return None
-    marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.mean))
+    marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.value))
     level = f"{100 * told['choice']['level']:.3g} %"
     hollow = "; hollow: something speaks against it" if any(mark.hollow for mark in marks) else ""
     drawn = charts.forest(marks, f"estimated gain over the behaviour policy, {level} for all at once", [(LOGGED, 0.0)])

@@ -13,6 +13,7 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number
+from deadreckon.stats.interval import NORMAL, PERCENT
 
 SHOWN = 25  # proposals in the table
 COLUMNS = 10  # variables in the table
@@ -60,7 +61,7 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     if not made.promises:
         return note(f"{made.method} promises nothing.")
     across = far if scores is None else data.shown(scores.true)
-    doubt = np.where(np.isfinite(made.doubt), 1.96 * made.doubt, np.nan)
+    doubt = np.where(np.isfinite(made.doubt), NORMAL * made.doubt, np.nan)
     value = data.shown(made.predicted)
     points = [
         (f"design {i}", 0, float(across[i]), 0.0, float(value[i]), float(value[i] - doubt[i]), float(value[i] + doubt[i]))
@@ -68,8 +69,8 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     ]
     unit = "usual distances to the data" if scores is None else f"{data.target}, judged"
     text = (
-        "Whiskers: 95 % of what the method believes, where it has a doubt. A usual distance is the median distance of a scored "
-        "design to its nearest neighbour, in standardised coordinates."
+        f"Whiskers: {PERCENT} of what the method believes, where it has a doubt. A usual distance is the median distance of a "
+        "scored design to its nearest neighbour, in standardised coordinates."
     )
     if scores is not None:
         text += " Above the dashed line more was promised than is true."

@@ -13,7 +13,7 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number, words
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import NORMAL, Interval
 
 SLOTS = 8  # colours there are
 REDRAWN = (
@@ -65,7 +65,7 @@ def _lead(tables: dict[str, dict[str, dict[str, Cell]]]) -> str:
     parts = []
     for metric, found in tables.items():
         methods = list(dict.fromkeys(method for row in found.values() for method in row))
-        known = {method: _means(found, method).mean for method in methods}
+        known = {method: _means(found, method).value for method in methods}
         known = {method: value for method, value in known.items() if math.isfinite(value)}
         if known:
             best = (max if metric == "rank_correlation" else min)(known, key=lambda method: known[method])
@@ -113,7 +113,7 @@ def _table(heading: str, found: dict[str, dict[str, Cell]], methods: list[str]) 
 def _scatters(results: Sequence[Result], slots: dict[str, int]) -> Markup:
     drawn = []
     for r in results:
-        columns = r.names, [slots[r.method]] * len(r.names), r.truth, 1.96 * r.errors, r.estimates, r.low, r.high
+        columns = r.names, [slots[r.method]] * len(r.names), r.truth, NORMAL * r.errors, r.estimates, r.low, r.high
         points = list(zip(*columns))
         drawn.append(figure(charts.scatter(points, "true value", "estimate"), r.method))
     return tag("div", drawn, class_="charts two")

@@ -11,9 +11,9 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.agents import AGENTS
-from deadreckon.collect.online import Online
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
+from deadreckon.online import Online
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.train import Run
 from deadreckon.tasks import registry

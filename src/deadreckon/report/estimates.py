@@ -9,6 +9,7 @@ from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import colours, figure, heads_of, note, scroll
 from deadreckon.report.text import number, percent
+from deadreckon.stats.interval import NORMAL, PERCENT
 
 
 def section(page: Page) -> Markup | None:
@@ -18,8 +19,9 @@ def section(page: Page) -> Markup | None:
         return None
     truth, level = told["truth"], f"{100 * told['choice']['level']:.3g} %"
     how = note(
-        f"Values: {told['estimand']['words']}; 95 % intervals, each for itself. Gains: over the behaviour policy, estimated by "
-        f"the same method on the same episodes, with intervals of {level} for all policies at once; the first method decides. ",
+        f"Values: {told['estimand']['words']}; {PERCENT} intervals, each for itself. Gains: over the behaviour policy, "
+        f"estimated by the same method on the same episodes, with intervals of {level} for all policies at once; the first "
+        "method decides. ",
         "ESS: effective sample size, the number of equally weighted episodes that the weights amount to. "
         if any(each["effective"] for each in told["results"]) else None,
         "Without support: the share of a policy's actions, in states of the log, that the behaviour policy hardly takes. "
@@ -42,7 +44,7 @@ def _scatter(told: dict[str, Any], result: dict[str, Any], slots: dict[str, int]
     points = []
     for i, each in enumerate(told["policies"]):
         ends = (math.nan if result[end][i] is None else result[end][i] for end in ("value", "low", "high"))
-        points.append((each["name"], slots[each["run"]], truth["mean"][i], 1.96 * truth["error"][i], *ends))
+        points.append((each["name"], slots[each["run"]], truth["mean"][i], NORMAL * truth["error"][i], *ends))
     return figure(charts.scatter(points, "true value", "estimate"), f"{result['method']}: estimate against true value")
 
 

@@ -7,7 +7,7 @@ from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import brackets, score
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import Interval
 
 
 def note(*text: Any) -> Markup:
@@ -53,7 +53,7 @@ def tile(
     else:
         ends = f"[{shown(value.low, signed=signed)}, {shown(value.high, signed=signed)}]"
     small = tag("small", more) if more else None
-    return tag("div", tag("small", name), tag("b", shown(value.mean, signed=signed)), tag("span", ends), small, class_="tile")
+    return tag("div", tag("small", name), tag("b", shown(value.value, signed=signed)), tag("span", ends), small, class_="tile")
 
 
 def colours(page: Page, told: dict[str, Any]) -> dict[str, int]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deadreckon.agents import AGENTS, agent_class
-from deadreckon.collect.online import Online
+from deadreckon.online import Online
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll

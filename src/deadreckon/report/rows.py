@@ -6,7 +6,8 @@ import numpy as np
 
 from deadreckon.ope.estimate import LOGGED
 from deadreckon.report.entries import Entry, Page
-from deadreckon.runs.evaluate import MANY, Effects, Interval, mean_interval
+from deadreckon.stats.crossed import against, mean_interval, paired
+from deadreckon.stats.interval import Interval
 from deadreckon.tasks.task import Task
 
 BEHAVIOR = LOGGED
@@ -75,34 +76,11 @@ class Difference:
         return self.score or self.returns
 
 
-def paired(a: np.ndarray, b: np.ndarray, miss: float = 0.05) -> Interval:
-    """Mean of a - b with an interval, both (seeds, episodes) over the same starts.
-
-    Episodes are compared one by one, so that a hard start counts against both; seeds share nothing. If one has more episodes,
-    the common first ones are compared.
-    """
-    episodes = min(a.shape[1], b.shape[1])
-    a, b = a[:, :episodes], b[:, :episodes]
-    mine, theirs = Effects.of(a), Effects.of(b)
-    sources = [effects.sources[0] for effects, values in ((mine, a), (theirs, b)) if len(values) > 1]
-    if episodes > 1:
-        sources.append((float((a.mean(0) - b.mean(0)).var(ddof=1)) / episodes, episodes - 1.0))
-    twice = mine.twice[0] + theirs.twice[0], min(mine.twice[1], theirs.twice[1])
-    return Effects(tuple(sources), twice).interval(a.mean() - b.mean(), miss)
-
-
-def against(values: np.ndarray, other: Interval, miss: float = 0.05) -> Interval:
-    """Mean of (seeds, episodes) values minus an independent estimate, whose interval is taken as that of a normal."""
-    own = Effects.of(values)
-    error = (other.high - other.low) / (2 * 1.959964)
-    return Effects((*own.sources, (error**2, MANY)), own.twice).interval(values.mean() - other.mean, miss)
-
-
 def to_score(task: Task | None, returns: Interval) -> Interval | None:
     """Returns as scores; None where the task's references are not known here."""
     if task is None:
         return None
-    return Interval(*(float(task.reference.normalise(v)) for v in (returns.mean, returns.low, returns.high)))
+    return Interval(*(float(task.reference.normalise(v)) for v in (returns.value, returns.low, returns.high)))
 
 
 def behavior(entry: Entry) -> Interval | None:
@@ -172,7 +150,7 @@ def log_row(page: Page, entry: Entry) -> Row | None:
 def rows(page: Page) -> list[Row]:
     """All rows: the behaviour policy, then the runs, best first."""
     runs = [row(entry) for entry in page.entries]
-    runs.sort(key=lambda r: -np.inf if r.worth is None or np.isnan(r.worth.mean) else r.worth.mean, reverse=True)
+    runs.sort(key=lambda r: -np.inf if r.worth is None or np.isnan(r.worth.value) else r.worth.value, reverse=True)
     return log_rows(page) + runs
 
 

@@ -10,7 +10,7 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
 from deadreckon.report.rows import Row, rows
 from deadreckon.report.text import brackets, count, number, percent, score
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import Interval
 
 Cell = Callable[[Row], tuple[Any, float | None]]  # what is shown, and what it is sorted by
 
@@ -18,7 +18,7 @@ Cell = Callable[[Row], tuple[Any, float | None]]  # what is shown, and what it i
 def _two(value: Interval | None) -> tuple[Any, float | None]:
     if value is None:
         return number(None), None
-    return join(tag("b", score(value.mean)), tag("small", brackets(value))), value.mean
+    return join(tag("b", score(value.value)), tag("small", brackets(value))), value.value
 
 
 def _failures(r: Row) -> tuple[Any, float | None]:

@@ -12,7 +12,7 @@ from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import coded, figure, note, tile, unit_of
 from deadreckon.report.rows import Difference, Row, log_row, rows, versus
 from deadreckon.report.text import brackets, number, percent, score, words
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.mazes import Maze
 
 MISS = 0.05  # how often one of a page's intervals of differences may miss
@@ -50,7 +50,7 @@ def compare(page: Page) -> Comparison | None:
 
     What learned in the simulator is no candidate beside what learned from a log.
     """
-    judged = [r for r in rows(page) if r.entry is not None and r.worth is not None and math.isfinite(r.worth.mean)]
+    judged = [r for r in rows(page) if r.entry is not None and r.worth is not None and math.isfinite(r.worth.value)]
     beside = [r for r in judged if r.online]
     judged = [r for r in judged if not r.online] or beside
     if not judged:
@@ -64,14 +64,14 @@ def compare(page: Page) -> Comparison | None:
     miss = MISS / max(compared, 1)
     over_log = versus(best, log, miss) if log else None
     over_cloning = versus(best, cloning, miss) if cloning and cloning is not best else None
-    level = f"{'score' if best.score else 'return'} {score(best.worth.mean if best.worth else None)}"
+    level = f"{'score' if best.score else 'return'} {score(best.worth.value if best.worth else None)}"
     standing = "Best in the simulator:" if len(judged) > 1 else "In the simulator:"
     headline = f"{standing} {best.label}, {level}"
     if over_log:
         gain = over_log.worth
-        side = "above" if gain.mean >= 0 else "below"
-        size = Interval(gain.mean, gain.low, gain.high) if gain.mean >= 0 else Interval(-gain.mean, -gain.high, -gain.low)
-        headline += f", {score(size.mean)} {brackets(size)} {side} the behaviour policy"
+        side = "above" if gain.value >= 0 else "below"
+        size = Interval(gain.value, gain.low, gain.high) if gain.value >= 0 else Interval(-gain.value, -gain.high, -gain.low)
+        headline += f", {score(size.value)} {brackets(size)} {side} the behaviour policy"
         headline += "" if gain.low > 0 or gain.high < 0 else ", which may be chance"
     return Comparison(
         f"{headline}.", best, log, cloning, over_log, over_cloning, compared,
@@ -97,8 +97,9 @@ def section(page: Page, found: Comparison | None) -> Markup | None:
     why = tag("div", tag("h3", "What beats imitation, and why"), lines, class_="why") if lines else None
     many = found.compared > 1
     how = note(
-        "Means over seeds and episodes of the last evaluation, with deterministic (greedy) actions, each with its own 95 % "
-        "interval, in which both seeds and episodes count as chance. Differences are paired where episodes start alike"
+        "Means over seeds and episodes of the last evaluation, with deterministic (greedy) actions, each with its own "
+        f"{PERCENT} interval, in which both seeds and episodes count as chance. Differences are paired where episodes start "
+        "alike"
         + (f"; their intervals hold for all {found.compared} comparisons of this page at once (Bonferroni). " if many else ". ")
         + (f"The behaviour policy's worth is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
     )
@@ -114,7 +115,8 @@ def _how(page: Page) -> str:
 
 def _gap(name: str, gap: Difference) -> Markup:
     r = gap.returns
-    return tile(name, gap.worth, True, f"return {score(r.mean, signed=True)} {brackets(r, signed=True)}" if gap.score else None)
+    beside = f"return {score(r.value, signed=True)} {brackets(r, signed=True)}" if gap.score else None
+    return tile(name, gap.worth, True, beside)
 
 
 def _forest(page: Page) -> Markup | None:
@@ -122,13 +124,13 @@ def _forest(page: Page) -> Markup | None:
     marks = []
     for r in rows(page):
         spread = r.score if unit == "score" else r.returns
-        if spread and math.isfinite(spread.mean):
+        if spread and math.isfinite(spread.value):
             marks.append(charts.Mark(r.label, page.slot(r.entry) if r.entry else None, spread, r.per_seed))
     if not marks:
         return None
     dots = any(len(mark.dots) > 1 for mark in marks)
-    drawn = charts.forest(marks, f"{unit}: mean and 95 % interval", [("expert", 100.0)] if unit == "score" else [])
-    return figure(drawn, f"{unit}: mean and 95 % interval{'; small dots: seeds' if dots else ''}")
+    drawn = charts.forest(marks, f"{unit}: mean and {PERCENT} interval", [("expert", 100.0)] if unit == "score" else [])
+    return figure(drawn, f"{unit}: mean and {PERCENT} interval{'; small dots: seeds' if dots else ''}")
 
 
 def _beaten(page: Page, judged: list[Row], cloning: Row | None, log: Row | None, miss: float) -> list[str]:
@@ -141,7 +143,7 @@ def _beaten(page: Page, judged: list[Row], cloning: Row | None, log: Row | None,
         return ["Only behaviour cloning is on this page: there is nothing to compare it with."]
     if not better:
         return [f"No agent clearly beats {cloning.label}: every interval of the difference reaches to zero or below."]
-    listed = words([f"{r.label} by {score(gap.worth.mean)} {brackets(gap.worth)}" for r, gap in better])
+    listed = words([f"{r.label} by {score(gap.worth.value)} {brackets(gap.worth)}" for r, gap in better])
     said = f"Clearly better than behaviour cloning ({cloning.label}): {listed}."
     if others:
         said += f" Not clearly better: {words(others)}."
@@ -153,11 +155,11 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
     out = []
     directed = not isinstance(page.task, Maze) or "undirected data" not in page.task.properties
     undirected = not directed and bool(best.entry.config["data"].get("provenance", {}).get("recipe"))
-    level = f" (the behaviour policy is worth {score(log.worth.mean)})" if log and log.worth else ""
+    level = f" (the behaviour policy is worth {score(log.worth.value)})" if log and log.worth else ""
     if undirected:
         out.append(
             f"The log goes to goals of its own, most of them not the task's, so much of it leads elsewhere{level}. Cloning "
-            f"repeats the average of all goals and is worth {score(cloning.worth.mean if cloning.worth else None)}."
+            f"repeats the average of all goals and is worth {score(cloning.worth.value if cloning.worth else None)}."
         )
     if best.mmd is not None and cloning.mmd is not None:
         far = "further from" if best.mmd > cloning.mmd else "no further from"

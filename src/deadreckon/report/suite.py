@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.bench.statistics import Estimate, interval, mean
 from deadreckon.bench.tables import Cell, Table
 from deadreckon.files import replacing
 from deadreckon.report import charts
@@ -13,7 +12,8 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import words
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import PERCENT, Interval
+from deadreckon.stats.scores import interval, mean
 from deadreckon.tasks.registry import names as tasks
 from deadreckon.tasks.registry import of_log, task
 
@@ -86,28 +86,28 @@ def _bars(table: Table) -> Markup | None:
             other = float(np.mean(printed)) if len(printed) == len(members) else None
             ticks = ticks or other is not None
             spread = _spread(cells)
-            rows.append((method, i % SLOTS, Interval(spread.value, spread.low, spread.high), other))
-        if any(np.isfinite(spread.mean) for _, _, spread, _ in rows):
+            rows.append((method, i % SLOTS, spread, other))
+        if any(np.isfinite(spread.value) for _, _, spread, _ in rows):
             heading = members[0] if len(members) == 1 else f"{name}: mean of {len(members)}"
             drawn.append(figure(charts.bars(rows, table.metric.words), heading))
     if not drawn:
         return None
     text = (
-        "Means over logs of means over seeds, with 95 % bootstrap intervals over seeds, which with three seeds hold in no more "
-        "than 89 %. No bar: runs are missing or failed."
+        f"Means over logs of means over seeds, with {PERCENT} bootstrap intervals over seeds, which with three seeds hold in "
+        "no more than 89 %. No bar: runs are missing or failed."
     )
     if ticks:
         text += " Upright ticks: the thesis's numbers."
     return join(tag("div", drawn, class_="charts two"), note(text))
 
 
-def _spread(cells: dict[str, Cell]) -> Estimate:
+def _spread(cells: dict[str, Cell]) -> Interval:
     """Mean over logs with its interval; nothing where one is missing, for a mean of the easy ones misleads."""
     if not all(cell.sound for cell in cells.values()):
-        return Estimate(np.nan, np.nan, np.nan)
+        return Interval(np.nan, np.nan, np.nan)
     found = interval({on: cell.scores for on, cell in cells.items()}, mean)
     ends = (found.value if np.isnan(end) else end for end in (found.low, found.high))  # one seed has no spread
-    return Estimate(found.value, *ends)
+    return Interval(found.value, *ends)
 
 
 def _table(table: Table) -> Markup:
@@ -125,5 +125,8 @@ def _table(table: Table) -> Markup:
             small += [] if theirs is None else [f"thesis {shown(theirs)}"]
             tds.append(tag("td", tag("b", value) if cell.bold else value, [tag("small", line) for line in small]))
         rows.append(tag("tr", tds))
-    text = "Means over seeds with Student's 95 % intervals. Bold: the best, and all that Welch's t-test does not tell from it."
+    text = (
+        f"Means over seeds with Student's {PERCENT} intervals. Bold: the best, and all that Welch's t-test does not tell from "
+        "it."
+    )
     return join(scroll(tag("table", heads_of(("", *table.cells)), tag("tbody", rows))), note(text))

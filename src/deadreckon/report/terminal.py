@@ -9,19 +9,19 @@ from deadreckon.report.entries import read
 from deadreckon.report.rows import Row, rows
 from deadreckon.report.simulated import compare
 from deadreckon.report.text import NONE, brackets, count, number, percent, score
-from deadreckon.runs.evaluate import Interval
 from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
+from deadreckon.stats.interval import PERCENT, Interval
 
 
 def _with_interval(value: Interval | None) -> str:
-    return f"{score(value.mean)} {brackets(value)}" if value else number(None)
+    return f"{score(value.value)} {brackets(value)}" if value else number(None)
 
 
 COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("seeds", lambda r: count(len(r.entry.seeds) if r.entry else None)),
-    ("score [95 %]", lambda r: _with_interval(r.score)),
-    ("return [95 %]", lambda r: _with_interval(r.returns)),
+    (f"score [{PERCENT}]", lambda r: _with_interval(r.score)),
+    (f"return [{PERCENT}]", lambda r: _with_interval(r.returns)),
     ("estimated", lambda r: number(r.value)),
     ("realised", lambda r: number(r.truth)),
     ("MMD", lambda r: number(r.mmd)),

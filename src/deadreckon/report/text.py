@@ -2,7 +2,7 @@
 
 import math
 
-from deadreckon.runs.evaluate import Interval
+from deadreckon.stats.interval import Interval
 
 NONE = "\N{EM DASH}"
 
@@ -32,7 +32,7 @@ def score(value: float | None, *, signed: bool = False) -> str:
 
 def brackets(interval: Interval | None, *, signed: bool = False) -> str:
     """The two ends of an interval."""
-    if interval is None or not math.isfinite(interval.mean):
+    if interval is None or not math.isfinite(interval.value):
         return ""
     return f"[{score(interval.low, signed=signed)}, {score(interval.high, signed=signed)}]"
 

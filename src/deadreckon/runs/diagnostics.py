@@ -13,6 +13,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.policies.policy import Deployed, first_actions
 from deadreckon.runs.evaluate import action_key
+from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.task import Task
 
 SAMPLE = 1024  # logged rows that policies are compared on
@@ -81,7 +82,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
     (goals that change on the way), the mean reward a step is carried to the horizon.
 
     Returns:
-        `mean`, `low`, `high` (95 % bootstrap over episodes), and `how` in words.
+        `mean`, `low`, `high` (bootstrap over episodes), and `how` in words.
     """
     returns, lengths = log.returns(), log.lengths
     whole = bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon
@@ -94,7 +95,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
     else:
         mean = returns.sum() / lengths.sum() * task.horizon
         how = f"mean logged reward a step, times the horizon of {task.horizon}"
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = np.quantile(means, [ALPHA / 2, 1 - ALPHA / 2])
     return {"mean": float(mean), "low": float(low), "high": float(high), "how": how}
 
 

@@ -8,7 +8,7 @@
     episodes.npz        `episode_ids` of the episodes that were learned from (taught) and that were not (held)
     log.npz             stretches of the log, for pictures
     evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
-    replay/seedS.bin    online: every environment step, see `collect.online`; the newest checkpoint says how many count
+    replay/seedS.bin    online: every environment step, see `online.exploration`; the newest checkpoint says how many count
 
 Runs that share a program because they differ in float settings alone are folders like this one side by side, and have their
 checkpoints together: beside them, not in them.

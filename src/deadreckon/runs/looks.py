@@ -2,7 +2,7 @@
 
 An interval that may miss in 5 % of logs does so for what it was computed for. Who judges twenty settings one after the other on
 the same episodes and keeps the best has looked twenty times. So each look spends half of what is left of the 5 %: 2.5 % the
-first, 1.25 % the second, ...; within a look all policies share its level (`ope.inference.simultaneous`). The same policies
+first, 1.25 % the second, ...; within a look all policies share its level (`stats.inference.simultaneous`). The same policies
 under the same estimand are one look, however often they are judged. This bounds the error for policies that were learned
 without regard to earlier answers.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, home, read_json, write_json
-from deadreckon.ope.intervals import ALPHA
+from deadreckon.stats.interval import ALPHA
 
 MOST = 10_000  # episodes by whose ids a set is known; of a larger one the least of them, and its size
 

@@ -16,7 +16,6 @@ from deadreckon.files import digest, read_json, write_json
 from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimate import BehaviorModel, Case, CrossFitted, Estimates, Watcher
 from deadreckon.ope.groups import Groups
-from deadreckon.ope.intervals import ALPHA
 from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
 from deadreckon.ope.select import Choice, gains
 from deadreckon.policies import library, store
@@ -27,6 +26,7 @@ from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
+from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
-from deadreckon.collect.experience import experience_of
-from deadreckon.collect.online import Online
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json
+from deadreckon.online import Online
+from deadreckon.online.experience import experience_of
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.recorder import Recorder, Watcher
 from deadreckon.runs.train import Run, agents_of, check_plan, fields_of, lanes_of, load

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.collect.online import Online, replay_log
 from deadreckon.data.dataset import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
+from deadreckon.online import Online, replay_log
 from deadreckon.policies import library, store
 from deadreckon.policies.library import Returns
 from deadreckon.policies.policy import BlackBoxPolicy

@@ -34,6 +34,7 @@ from deadreckon.ope.select import Choice
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.offline import NAME, checked, supports
 from deadreckon.runs.train import Run, load
+from deadreckon.stats.interval import PERCENT
 
 COMMAND = (sys.executable, "-P", "-m", "deadreckon.runs.attempt")  # -P: files beside the user are no modules
 RESERVE, SHORT, LONG = 0.05, 2.0, 15.0  # share of the time that is kept for the card, and its bounds in seconds
@@ -403,7 +404,7 @@ def card(told: dict[str, Any]) -> str:
     names = [*(each["name"] for each in told["policies"]), "the log"]
     width = max(map(len, names))
     number = lambda x: "-" if x is None else f"{x:.2f}"  # noqa: E731
-    lines = [f"judged on {told['judged']['words']}", "", f"{first['title']}: {told['estimand']['words']}; 95 % intervals"]
+    lines = [f"judged on {told['judged']['words']}", "", f"{first['title']}: {told['estimand']['words']}; {PERCENT} intervals"]
     for name, value, low, high in zip(names, first["value"], first["low"], first["high"]):
         lines.append(f"  {name:<{width}}  {number(value):>{MANY_DIGITS}} [{number(low)}, {number(high)}]")
     lines += ["", supports(told), "", choice]

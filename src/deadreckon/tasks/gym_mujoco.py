@@ -9,7 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from deadreckon.data import stands
 from deadreckon.data.spec import Box
+from deadreckon.data.terminations import Fallen
 from deadreckon.tasks import copies
 from deadreckon.tasks.copies import MujocoCopies
 from deadreckon.tasks.task import Reference, Task
@@ -59,17 +61,9 @@ class GymMujoco(Task):
         return GymSimulator(self, seeds, threads)
 
     @property
-    def ends(self) -> Callable[[Any], Any]:
-        """See `Task.ends`: known to who learns a model (thesis 5.3), which then need not learn when episodes end."""
-        return self._fallen
-
-    def _fallen(self, observations: Any) -> Any:
-        arrays = observations.__array_namespace__()
-        if self.healthy is None:
-            return arrays.zeros(len(observations), dtype=bool)
-        unseen = arrays.zeros_like(observations[:, : self.ground])  # where along the ground, which decides nothing
-        size = observations.shape[1] - self.padding
-        return ~self.healthy(arrays.concat([unseen, observations[:, :size]], axis=1))
+    def ends(self) -> Fallen:
+        """See `Task.ends`."""
+        return Fallen(self.healthy, self.ground, self.padding)
 
 
 class GymSimulator(MujocoCopies):
@@ -150,35 +144,6 @@ def load_model(xml: str) -> Any:
 # ---- the tasks --------------------------------------------------------------------------------------------------------
 
 
-def _between(column: np.ndarray, low: float, high: float) -> np.ndarray:
-    return (low < column) & (column < high)
-
-
-def _finite(state: Any) -> Any:
-    return (abs(state) < np.inf).all(1)
-
-
-def _pendulum_stands(state: np.ndarray) -> np.ndarray:
-    return _finite(state) & (abs(state[:, 1]) <= 0.2)
-
-
-def _hopper_stands(state: np.ndarray) -> np.ndarray:
-    bounded = (abs(state[:, 2:]) < 100.0).all(1)
-    return bounded & (state[:, 1] > 0.7) & _between(state[:, 2], -0.2, 0.2)
-
-
-def _walker_stands(state: np.ndarray) -> np.ndarray:
-    return _between(state[:, 1], 0.8, 2.0) & _between(state[:, 2], -1.0, 1.0)
-
-
-def _ant_stands(state: np.ndarray) -> np.ndarray:
-    return _finite(state) & (state[:, 2] >= 0.2) & (state[:, 2] <= 1.0)
-
-
-def _humanoid_stands(state: np.ndarray) -> np.ndarray:
-    return _between(state[:, 2], 1.0, 2.0)
-
-
 def _make(name: str, size: int, actions: int, gym_id: str, split: str, summary: str, **fields: Any) -> GymMujoco:
     published = Reference(*_PUBLISHED[name], "D4RL") if name in _PUBLISHED else None
     bound = {"humanoid": 0.4, "inverted-pendulum": 3.0}.get(name, 1.0)
@@ -208,18 +173,18 @@ _MEASURED = {
 
 TASKS = (
     _make("inverted-pendulum", 4, 1, "InvertedPendulum-v5", "training", "balance a pole on a cart", xml="inverted_pendulum.xml",
-          frame_skip=2, ground=0, forward_reward=0.0, control_cost=0.0, healthy=_pendulum_stands, start_noise=1e-2,
+          frame_skip=2, ground=0, forward_reward=0.0, control_cost=0.0, healthy=stands.pendulum, start_noise=1e-2,
           clipped=False),
     _make("hopper", 11, 3, "Hopper-v5", "evaluation", "hop forward on one leg", xml="hopper.xml", frame_skip=4,
-          healthy=_hopper_stands),
+          healthy=stands.hopper),
     _make("halfcheetah", 17, 6, "HalfCheetah-v5", "training", "run forward on two legs; nothing ends an episode early",
           xml="half_cheetah.xml", frame_skip=5, control_cost=0.1, start_noise=0.1, gaussian=True, clipped=False),
     _make("walker2d", 17, 6, "Walker2d-v5", "training", "walk forward on two legs", xml="walker2d_v5.xml", frame_skip=4,
-          healthy=_walker_stands),
+          healthy=stands.walker),
     _make("ant", 111, 8, "deadreckon/Ant-v5", "evaluation", "run forward on four legs; 84 observations are zeros",
-          xml="ant.xml", frame_skip=5, ground=2, control_cost=0.5, healthy=_ant_stands, start_noise=0.1, gaussian=True,
+          xml="ant.xml", frame_skip=5, ground=2, control_cost=0.5, healthy=stands.ant, start_noise=0.1, gaussian=True,
           clipped=False, progress="torso", padding=84),
     _make("humanoid", 376, 17, "deadreckon/Humanoid-v5", "evaluation", "run forward on two legs, with two arms; 84 zeros",
-          xml="humanoid.xml", frame_skip=5, ground=2, forward_reward=1.25, control_cost=0.1, healthy=_humanoid_stands,
+          xml="humanoid.xml", frame_skip=5, ground=2, forward_reward=1.25, control_cost=0.1, healthy=stands.humanoid,
           healthy_reward=5.0, start_noise=1e-2, clipped=False, progress="mass", inner=True, padding=84),
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """The tasks by name. Importing this loads neither MuJoCo nor Gymnasium."""
 
+from deadreckon.data import terminations
 from deadreckon.data.catalogue import ENTRIES
 from deadreckon.errors import UserError, unknown
 from deadreckon.tasks import adroit, antmaze, battery, flow, gym_mujoco, kitchen, maze2d
@@ -36,6 +37,8 @@ def register(task: Task) -> None:
     if task.name in _TASKS:
         raise UserError(f"task {task.name!r} is registered already")
     _TASKS[task.name] = task
+    if task.ends is not None:
+        terminations.register(terminations.Termination(task.name, task.observation_shape, task.ends))
 
 
 _MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.collect.online import Exploration
+from deadreckon.online.exploration import Exploration
 
 
 class OnPolicy(Exploration):

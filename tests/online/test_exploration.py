@@ -13,16 +13,16 @@ import deadreckon as dr
 from deadreckon import agents, tasks
 from deadreckon.agents.agent import Agent
 from deadreckon.collect import gym
-from deadreckon.collect.online import Exploration, Online, replay_log, row_width
 from deadreckon.data.batch import Needs
 from deadreckon.data.dataset import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
+from deadreckon.online.exploration import Exploration, Online, replay_log, row_width
 from deadreckon.policies import library
 from deadreckon.policies.policy import Inner
 from deadreckon.tasks.task import Starts, Task
 from deadreckon.training.fit import Fit
-from deadreckon.training.learner import static
+from deadreckon.training.hyperparameters import static
 from deadreckon.versions import versions
 from tests.agents.little import Little
 

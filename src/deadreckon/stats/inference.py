@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special
 
-from deadreckon.ope.intervals import ALPHA
+from deadreckon.stats.interval import ALPHA
 
 REDRAWS = 2000  # of the units, for the simultaneous interval
 BEYOND = 10  # redraws that must lie beyond a quantile

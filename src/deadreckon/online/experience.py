@@ -6,15 +6,15 @@ from deadreckon.agents.mbpo import MBPO
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.agents.ppo import PPO
 from deadreckon.agents.slbo import SLBO
-from deadreckon.collect.demonstrated import Demonstrated
-from deadreckon.collect.imagined import Imagination
-from deadreckon.collect.modelled import Modelling
-from deadreckon.collect.on_policy import OnPolicy
-from deadreckon.collect.online import Exploration
-from deadreckon.collect.virtual import Virtual
+from deadreckon.online.branched_rollouts import BranchedRollouts
+from deadreckon.online.demonstrated import Demonstrated
+from deadreckon.online.exploration import Exploration
+from deadreckon.online.model_learning import ModelLearning
+from deadreckon.online.model_rollouts import ModelRollouts
+from deadreckon.online.on_policy import OnPolicy
 
 _KINDS: dict[type[Agent], type[Exploration]] = {
-    MBPO: Imagination, SLBO: Virtual, ModelledOnline: Modelling, PPO: OnPolicy, DAPG: Demonstrated,
+    MBPO: BranchedRollouts, SLBO: ModelRollouts, ModelledOnline: ModelLearning, PPO: OnPolicy, DAPG: Demonstrated,
 }  # fmt: skip
 
 

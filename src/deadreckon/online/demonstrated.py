@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Array
 
 from deadreckon.agents.dapg import DAPG, Cloning
-from deadreckon.collect.on_policy import OnPolicy, observing
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import STD_FLOOR
 from deadreckon.errors import DivergedError
+from deadreckon.online.on_policy import OnPolicy, observing
 from deadreckon.training.fit import fit
 from deadreckon.training.learner import lift
 

@@ -9,17 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.slbo import SLBO
-from deadreckon.collect.modelled import Modelling
-from deadreckon.collect.on_policy import digested, learned_fields, observing
 from deadreckon.dynamics import transition
+from deadreckon.online.model_learning import ModelLearning
+from deadreckon.online.on_policy import digested, learned_fields, observing
 from deadreckon.policies.policy import Step
 
-_VIRTUAL = 7  # purpose of randomness, beside those of `training.fit` and `collect.imagined`
+_VIRTUAL = 7  # purpose of randomness, beside those of `training.fit` and `online.branched_rollouts`
 STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model
 FAR = 100.0  # deviations of what was really seen, beyond which nothing is made up
 
 
-class Virtual(Modelling):
+class ModelRollouts(ModelLearning):
     """Real steps, a model fitted to them, and what the policy has just done in that model, as `PPO.digest` sees it."""
 
     def _begin(self, agent: Any) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtr, stdtrit
 
 from deadreckon.errors import UserError
+from deadreckon.stats.interval import ALPHA, LEVEL, Interval
 
 RESAMPLES = 5000  # each limit of a 95 % interval is then right to some 1 % of its width
 
@@ -25,19 +26,7 @@ Statistic = Callable[[list[np.ndarray]], Any]
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A number with its interval, whose limits are NaN where the runs do not tell them."""
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
-
-
-@dataclass(frozen=True)
-class Difference(Estimate):
+class Difference(Interval):
     """Ours less theirs, with its interval.
 
     Attributes:
@@ -170,8 +159,8 @@ def _means(scores: Scores) -> np.ndarray:
 
 
 def interval(
-    scores: Scores, statistic: Statistic = iqm, level: float = 0.95, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate:
+    scores: Scores, statistic: Statistic = iqm, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = 0
+) -> Interval:
     """A statistic with its percentile bootstrap interval, stratified: runs are redrawn within each task.
 
     Few seeds make it too narrow, because redrawn means of n runs spread by only sqrt((n - 1) / n) of what they should. With
@@ -194,17 +183,17 @@ def interval(
     rng, tasks = _generator(level, resamples, seed), list(_by_task(scores).values())
     value = float(statistic(tasks))
     if min(map(len, tasks)) < 2:
-        return Estimate(value, math.nan, math.nan)
+        return Interval(value, math.nan, math.nan)
     redrawn = np.asarray(statistic([x[rng.integers(0, len(x), (resamples, len(x)))] for x in tasks]))
     if redrawn.shape != (resamples,):
         raise UserError(f"statistic must reduce the last axis only: of (resamples, seeds) arrays it gave shape {redrawn.shape}")
     low, high = _limits(redrawn, level)
-    return Estimate(value, float(low), float(high))
+    return Interval(value, float(low), float(high))
 
 
 def probability_of_improvement(
-    ours: Scores, theirs: Scores, level: float = 0.95, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate:
+    ours: Scores, theirs: Scores, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = 0
+) -> Interval:
     """Mean over tasks of P(X > Y) + P(X = Y) / 2 for a run X of ours and a run Y of theirs, with its bootstrap interval.
 
     By task it is the Mann-Whitney statistic over the number of pairs of runs. Runs of both methods are redrawn within tasks,
@@ -222,12 +211,12 @@ def probability_of_improvement(
         redrawn += ((_counts(rng, len(x), resamples) @ wins) * _counts(rng, len(y), resamples)).sum(-1) / wins.size
     value = total / len(pairs)
     if min(min(len(x), len(y)) for _, x, y in pairs) < 2:
-        return Estimate(value, math.nan, math.nan)
+        return Interval(value, math.nan, math.nan)
     low, high = _limits(redrawn / len(pairs), level)
-    return Estimate(value, float(low), float(high))
+    return Interval(value, float(low), float(high))
 
 
-def paired(ours: Scores, theirs: Scores, level: float = 0.95) -> Difference:
+def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     """Mean over tasks of the mean difference between runs of the same seed, with Student's t interval and p.
 
     Run i of ours and run i of theirs share a seed. Each task's mean difference has the variance s^2 / n of its own
@@ -281,7 +270,7 @@ def _two_sided(t: float, freedom: float) -> float:
 
 
 def performance_profile(
-    scores: Scores, thresholds: ArrayLike, level: float = 0.95, resamples: int = RESAMPLES, seed: int = 0
+    scores: Scores, thresholds: ArrayLike, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = 0
 ) -> Profile:
     """The share of runs that score above each threshold, every task counting alike, with a bootstrap band.
 
@@ -311,7 +300,7 @@ def performance_profile(
     return Profile(cuts, share, *_limits(redrawn, level))
 
 
-def bold(columns: Mapping[str, Scores], level: float = 0.05) -> dict[str, np.ndarray]:
+def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.ndarray]:
     """Which cells of a table are bold: in each row the best mean, and all that Welch's t-test cannot tell from it (p > level).
 
     The test is two-sided, and nothing is corrected for how many methods there are. Bold does not say that methods are

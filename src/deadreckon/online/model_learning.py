@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.modelled import ModelledOnline
-from deadreckon.collect.online import Exploration, unpacked
 from deadreckon.dynamics import Report
 from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
+from deadreckon.online.exploration import Exploration, unpacked
 
 
-class Modelling(Exploration):
+class ModelLearning(Exploration):
     """Every `model_every` real steps fits the ensembles in the agents' states to all of them, going on from the last fit.
 
     Raises:

@@ -9,18 +9,18 @@ import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from deadreckon.agents.mbpo import MBPO
-from deadreckon.collect.modelled import Modelling, own
 from deadreckon.dynamics import branches, packed
 from deadreckon.dynamics.ensemble import room
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
+from deadreckon.online.model_learning import ModelLearning, own
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
 SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
 _DREAM = 6  # purpose of randomness, beside those of `training.fit`
 
 
-class Imagination(Modelling):
+class BranchedRollouts(ModelLearning):
     """Real steps, an ensemble fitted to them, and the rollouts that agents learn from.
 
     A made-up row is observation, action in [-1, 1], reward, next observation, terminal. What batches are drawn from are the

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from deadreckon.bench import statistics as s
 from deadreckon.errors import UserError
+from deadreckon.stats import scores as s
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]

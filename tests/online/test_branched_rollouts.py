@@ -8,11 +8,10 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.agents import MBPO
-from deadreckon.collect import imagined
-from deadreckon.collect.imagined import Imagination
-from deadreckon.collect.online import Online
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
+from deadreckon.online import Online, branched_rollouts
+from deadreckon.online.branched_rollouts import BranchedRollouts
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 
@@ -25,7 +24,7 @@ UPDATES = SETTINGS.updates(120)
 
 def job(seeds=(0,), paths=(), folder=None, updates=UPDATES, **changes):
     agent = MBPO(**TINY | changes).resolve(Spec.empty(TASK.observation_shape, TASK.action_space, TASK.name), updates)
-    experience = Imagination(TASK, agent, list(seeds), updates, SETTINGS, paths, threads=1)
+    experience = BranchedRollouts(TASK, agent, list(seeds), updates, SETTINGS, paths, threads=1)
     return Fit([agent] * len(seeds), experience, list(seeds), updates, 5, folder), experience
 
 
@@ -94,8 +93,8 @@ def test_long_rollouts_are_made_in_portions_until_there_are_enough(monkeypatch, 
         begun.append(len(starts))
         return [starts] * (1 if ends_at_once else length)
 
-    monkeypatch.setattr(imagined, "branches", branches)
-    monkeypatch.setattr(imagined, "packed", lambda found: np.zeros((sum(map(len, found)), 10), np.float32))
+    monkeypatch.setattr(branched_rollouts, "branches", branches)
+    monkeypatch.setattr(branched_rollouts, "packed", lambda found: np.zeros((sum(map(len, found)), 10), np.float32))
     _, experience = job(most=100)
     state = SimpleNamespace(actor=None, model=None)
     rows = experience._made_up(experience.agent, state, np.zeros((60, 4)), 40, jax.random.key(0))

@@ -1,0 +1,1 @@
+"""Statistics that everything else shares: intervals, the bootstrap, comparisons of scores. It knows arrays alone."""

@@ -1,0 +1,38 @@
+"""Intervals from bootstrap samples of an estimate, and from the members of an ensemble."""
+
+import numpy as np
+from scipy import special
+
+from deadreckon.stats.interval import ALPHA
+
+RESAMPLES = 1000
+TAIL = 10  # bootstrap samples beyond a percentile that it takes to know it
+
+
+def percentile_interval(draws: np.ndarray, effective: float, alpha: float = ALPHA) -> tuple[float, float]:
+    """The bootstrap's interval from (n,) bootstrap samples, wider where few episodes count.
+
+    Their percentiles are those of a normal with a deviation that is too small by sqrt(1 - 1/n); they are expanded to those of
+    Student's t (Hesterberg 2015), with as many episodes as the weights amount to. An end beyond which fewer than `TAIL`
+    bootstrap samples would lie is continued from the last percentile that has so many, as a normal's would be.
+    """
+    n = max(effective, 2.0)
+    # In standard deviations of the bootstrap samples, and how far they reach for sure.
+    wanted = float(np.sqrt(1.0 / (1.0 - 1.0 / n)) * special.stdtrit(n - 1, 1 - alpha / 2))
+    safe = min(wanted, float(special.ndtri(1 - min(TAIL / len(draws), 0.5 - 1e-3))))
+    tail = 100.0 * float(special.ndtr(-safe))
+    middle, low, high = np.percentile(draws, [50.0, tail, 100.0 - tail])
+    return float(middle - wanted / safe * (middle - low)), float(middle + wanted / safe * (high - middle))
+
+
+def ensemble_interval(values: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals from (members, ...) estimates, each fitted to redrawn episodes: mean +- t_{m-1} s sqrt(1 + 1/m).
+
+    A member differs from the estimate as the estimate does from the truth (the bootstrap), so what is missing is one more
+    draw: the interval is that of a prediction. It knows of the log's randomness and the fit's, not of a bias that all share.
+    """
+    members = len(values)
+    if members < 2:
+        return np.full(values.shape[1:], np.nan), np.full(values.shape[1:], np.nan)
+    half = special.stdtrit(members - 1, 1 - alpha / 2) * values.std(0, ddof=1) * np.sqrt(1 + 1 / members)
+    return values.mean(0) - half, values.mean(0) + half

@@ -1,0 +1,99 @@
+"""Intervals of means over policies and episodes, which both vary: crossed random effects."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtrit
+
+from deadreckon.stats.interval import ALPHA, NORMAL, Interval
+
+MANY = 1e9  # degrees of freedom of a variance that is known
+
+
+class Effects(NamedTuple):
+    """What the mean of (policies, episodes) values owes to chance.
+
+    Attributes:
+        sources: the variance that each source gives the mean, and its degrees of freedom.
+        twice: variance that seeds and episodes both count, and the degrees of freedom of the episodes.
+    """
+
+    sources: tuple[tuple[float, float], ...]
+    twice: tuple[float, float]
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> "Effects":
+        """Of policies that share nothing (seeds) and episodes that all of them start alike."""
+        policies, episodes = values.shape
+        rows, columns = values.mean(1), values.mean(0)
+        sources, twice = [], (0.0, MANY)
+        if policies > 1:
+            sources.append((float(rows.var(ddof=1)) / policies, policies - 1.0))
+        if episodes > 1:
+            sources.append((float(columns.var(ddof=1)) / episodes, episodes - 1.0))
+        if policies > 1 and episodes > 1:
+            rest = values - rows[:, None] - columns + values.mean()
+            both = float(np.square(rest).sum()) / ((policies - 1) * (episodes - 1) * values.size)
+            twice = both, episodes - 1.0
+        return cls(tuple(sources), twice)
+
+    def interval(self, mean: float, miss: float = ALPHA) -> Interval:
+        """The mean with the interval of Banerjee (1961): each source's variance times its own Student's t, squared, in sum.
+
+        One t with Satterthwaite's degrees of freedom is narrower, and too narrow: where the few seeds happen to agree it takes
+        its degrees of freedom from the many episodes.
+
+        Args:
+            mean: of all values.
+            miss: how often the interval may miss.
+        """
+        if not self.sources:  # one policy in one episode
+            return Interval(float(mean), math.nan, math.nan)
+        parts = [_reach(variance, freedom, miss) for variance, freedom in self.sources]
+        half = math.sqrt(max(sum(parts) - _reach(*self.twice, miss), *parts))
+        return Interval(float(mean), float(mean) - half, float(mean) + half)
+
+
+def _reach(variance: float, freedom: float, miss: float) -> float:
+    """The square of half of the interval of a normal mean whose estimated variance has that many degrees of freedom."""
+    return float(stdtrit(freedom, 1.0 - miss / 2)) ** 2 * variance
+
+
+def mean_interval(values: np.ndarray) -> Interval:
+    """Mean and 95 % interval of (policies, episodes) values, or of (episodes,).
+
+    Policies and episodes both vary, as crossed random effects: episode `i` starts the same way for every policy, and treating
+    all values as so many independent numbers would give intervals that are too narrow. Three seeds make wide intervals, as they
+    should; percentiles of redrawn seeds, which are common, cover the true value in no more than 80 % of cases then.
+
+    Measured with normal values, 2, 3, 5 and 10 policies of 5, 20 and 100 episodes, deviations between policies and between
+    starts of 0 to 3 times the rest's: the interval covers the true value in 94.6 to 99.5 % of cases, 96.6 % on average. That of
+    one t with Satterthwaite's degrees of freedom held it in 85.5 to 97.7 %. The price is its width: with two policies up to 4.5
+    times that of an interval for which all variances are known, with three up to 2.1 times, with five 1.6.
+    """
+    values = np.atleast_2d(np.asarray(values, np.float64))
+    return Effects.of(values).interval(float(values.mean()))
+
+
+def paired(a: np.ndarray, b: np.ndarray, miss: float = ALPHA) -> Interval:
+    """Mean of a - b with an interval, both (seeds, episodes) over the same starts.
+
+    Episodes are compared one by one, so that a hard start counts against both; seeds share nothing. If one has more episodes,
+    the common first ones are compared.
+    """
+    episodes = min(a.shape[1], b.shape[1])
+    a, b = a[:, :episodes], b[:, :episodes]
+    mine, theirs = Effects.of(a), Effects.of(b)
+    sources = [effects.sources[0] for effects, values in ((mine, a), (theirs, b)) if len(values) > 1]
+    if episodes > 1:
+        sources.append((float((a.mean(0) - b.mean(0)).var(ddof=1)) / episodes, episodes - 1.0))
+    twice = mine.twice[0] + theirs.twice[0], min(mine.twice[1], theirs.twice[1])
+    return Effects(tuple(sources), twice).interval(a.mean() - b.mean(), miss)
+
+
+def against(values: np.ndarray, other: Interval, miss: float = ALPHA) -> Interval:
+    """Mean of (seeds, episodes) values minus an independent estimate, whose interval is taken as that of a normal."""
+    own = Effects.of(values)
+    error = (other.high - other.low) / (2 * NORMAL)
+    return Effects((*own.sources, (error**2, MANY)), own.twice).interval(values.mean() - other.value, miss)

@@ -1,0 +1,32 @@
+"""A number with its interval, and the level that intervals have unless told otherwise."""
+
+import math
+from dataclasses import dataclass
+
+ALPHA = 0.05  # share of cases in which an interval misses
+LEVEL = 1.0 - ALPHA
+NORMAL = 1.959964  # half of a normal's interval at `LEVEL`, in standard deviations
+PERCENT = f"{100 * LEVEL:g} %"  # the level in words
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number with its confidence interval.
+
+    Attributes:
+        value: the estimate.
+        low, high: ends of the interval; NaN where there is none, infinite where nothing is known.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __format__(self, spec: str) -> str:
+        """`value [low, high]`, each number by `spec`; without brackets where there is no interval."""
+        if math.isnan(self.low):
+            return f"{self.value:{spec}}"
+        return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
+
+    def __str__(self) -> str:
+        return f"{self:.4g}"

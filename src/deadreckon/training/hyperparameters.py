@@ -1,0 +1,105 @@
+"""What hyperparameters may be: ranges that stand at the fields themselves, and their check.
+
+A field says its range in its type, `discount: Share = 0.99`, and the comment behind it is its help on the command line.
+"""
+
+import dataclasses
+import math
+import typing
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import equinox as eqx
+
+from deadreckon.errors import UserError
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a field takes.
+
+    Attributes:
+        ge, gt: the least number, or one that all are above.
+        le, lt: the greatest, or one that all are below.
+    """
+
+    ge: float = -math.inf
+    gt: float = -math.inf
+    le: float = math.inf
+    lt: float = math.inf
+
+    def __contains__(self, value: float) -> bool:
+        return self.ge <= value <= self.le and self.gt < value < self.lt
+
+    def __str__(self) -> str:
+        bounds = {">=": self.ge, ">": self.gt, "<=": self.le, "<": self.lt}
+        return " and ".join(f"{sign} {bound:g}" for sign, bound in bounds.items() if math.isfinite(bound))
+
+
+Number = Annotated[float, Range()]
+NonNegative = Annotated[float, Range(ge=0)]
+Positive = Annotated[float, Range(gt=0)]
+Share = Annotated[float, Range(ge=0, le=1)]
+Count = Annotated[int, Range(ge=1)]
+CountOrZero = Annotated[int, Range(ge=0)]
+Fraction = Annotated[float, Range(gt=0, le=1)]
+Sizes = Annotated[tuple[int, ...], Range(ge=1)]  # widths of hidden layers
+Weights = Annotated[tuple[float, ...], Range(ge=0)]  # one a layer
+
+
+def static(default: Any) -> Any:
+    """A field that is part of the program's shape: not traced, and the same in all lanes of one program."""
+    return eqx.field(static=True, default=default)
+
+
+def range_of(kind: type, field: str) -> Range | None:
+    """What a field of a class takes; None where it is no number."""
+    return _parted(typing.get_type_hints(kind, include_extras=True)[field])[1]
+
+
+def _parted(hint: Any) -> tuple[Any, Range | None, bool]:
+    """A type without its range, the range, and whether None is allowed."""
+    optional = type(None) in typing.get_args(hint)
+    if optional:
+        hint = next(part for part in typing.get_args(hint) if part is not type(None))
+    if typing.get_origin(hint) is not Annotated:
+        return hint, None, optional
+    kind, *more = typing.get_args(hint)
+    return kind, next((each for each in more if isinstance(each, Range)), None), optional
+
+
+def check_fields(learner: eqx.Module) -> None:
+    """Refuses hyperparameters of the wrong type or size before anything is compiled. None passes where it is allowed.
+
+    Raises:
+        UserError: names the field and what it takes.
+    """
+    hints = typing.get_type_hints(type(learner), include_extras=True)
+    for field in dataclasses.fields(learner):
+        value, name = getattr(learner, field.name), f"{type(learner).__name__}.{field.name}"
+        kind, range_, optional = _parted(hints[field.name])
+        if value is None and optional:
+            continue
+        if typing.get_origin(kind) is typing.Literal and value not in typing.get_args(kind):
+            raise UserError(f"{name} takes {' or '.join(map(repr, typing.get_args(kind)))}, got {value!r}")
+        if typing.get_origin(kind) is tuple:
+            if not isinstance(value, tuple):
+                raise UserError(f"{name} takes a tuple of numbers, got {value!r}")
+            for entry in value:
+                _check(name, entry, typing.get_args(kind)[0], range_ or Range())
+        elif kind in (int, float):
+            _check(name, value, kind, range_ or Range())
+
+
+def _check(name: str, value: Any, kind: type, range_: Range) -> None:
+    what = "a whole number" if kind is int else "a finite number"
+    right = isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if not right or value not in range_:
+        raise UserError(f"{name} takes {what} {range_}".rstrip() + f", got {value!r}")
+
+
+def described(learner: eqx.Module) -> str:
+    """All hyperparameters as text, by which results are told apart; `str` leaves out those that have their default's value."""
+    values = ((f.name, getattr(learner, f.name)) for f in dataclasses.fields(learner))
+    parts = (f"{name}={described(value) if isinstance(value, eqx.Module) else repr(value)}" for name, value in values)
+    return f"{type(learner).__name__}({', '.join(parts)})"
