@@ -120,7 +120,7 @@ def main(options: Options) -> None:
     if options.seed not in job.seeds:
         raise UserError(f"{options.run} has the seeds {list(job.seeds)}, not {options.seed}")
     lane = list(job.seeds).index(options.seed)
-    agent, experience = job.learners[lane], job.experience
+    agent, experience = job.learners[lane], job.source.experience
     if not isinstance(agent, ModelledOnline):
         raise UserError(f"{options.run} is a run of {type(agent).__name__}, which has no model")
     ensemble, task = own(job.states, lane).model, experience.task

@@ -133,7 +133,7 @@ def run(tmp_path_factory):
     """Two lanes: the fit, its progress with the rows at that time, and (lanes, rows, width) the files."""
     folder = tmp_path_factory.mktemp("online")
     job = fit(folder, (3, 4))
-    seen = [(p.step, job.experience.count, p.metrics, jax.device_get(p.states)) for p in job.chunks()]
+    seen = [(p.step, job.source.experience.count, p.metrics, jax.device_get(p.states)) for p in job.chunks()]
     return job, seen, np.stack([rows_of(folder / f"seed{seed}.bin") for seed in (3, 4)])
 
 
@@ -216,11 +216,11 @@ def test_a_row_goes_on_where_the_copys_last_one_stopped_unless_it_ended(run):
 
 def test_learners_see_the_rows_with_actions_in_their_coordinates(run):
     job, _, files = run
-    buffer = np.asarray(job.experience.replay.buffer)
+    buffer = np.asarray(job.source.experience.replay.buffer)
     expected = files.copy()
     expected[..., 2:4] = np.clip(2 * (files[..., 2:4] - LOW) / (HIGH - LOW) - 1, -1 + 1e-6, 1 - 1e-6)
     np.testing.assert_allclose(buffer, expected, atol=1e-6)
-    assert {name: shape for name, (shape, _) in job.experience.fields.items()} == {
+    assert {name: shape for name, (shape, _) in job.source.experience.fields.items()} == {
         "observation": (2,), "action": (2,), "reward": (), "next_observation": (2,), "terminal": (),
     }  # fmt: skip
 
@@ -307,7 +307,7 @@ def test_killed_and_gone_on_with_is_the_same(run, at, broken, tmp_path):
     again = fit(tmp_path, (3, 4))
     again.resume()
     assert again.step == 8 * (at - (broken and at > 0))
-    assert again.experience.count == SETTINGS.steps(again.step)
+    assert again.source.experience.count == SETTINGS.steps(again.step)
     for _ in again.chunks():
         pass
     assert same(again, run[0])
@@ -340,7 +340,7 @@ def test_updates_that_end_inside_a_block_are_rounded_up_to_it():
     job = fit(updates=20)
     assert job.steps == 24
     # With less room, the newest rows would be written over older ones without a word.
-    assert job.experience.replay.buffer.shape[1] == SETTINGS.steps(24) == 80 + 3 * 16
+    assert job.source.experience.replay.buffer.shape[1] == SETTINGS.steps(24) == 80 + 3 * 16
 
 
 # ---- refusals ---------------------------------------------------------------------------------------------------------

@@ -302,7 +302,7 @@ def test_a_run_is_opened_again_to_look_into(run, tmp_path):
         state = jax.tree.map(lambda leaf, lane=lane: leaf[lane], job.states)
         mean = np.asarray(job.learners[lane].policy(state).pre_actions(seen, jax.random.key(0), greedy=True))
         np.testing.assert_allclose(np.tanh(mean), policy(seen), atol=1e-6)
-    assert job.experience.replay.buffer[:, :STEPS].shape == (2, STEPS, row_width(HOPPER))
+    assert job.source.experience.replay.buffer[:, :STEPS].shape == (2, STEPS, row_width(HOPPER))
     with pytest.raises(UserError, match="is not the folder of an online run"):
         module.reopened(tmp_path)
     shutil.rmtree(trained.path / "checkpoints")

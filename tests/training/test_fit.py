@@ -228,10 +228,10 @@ def test_a_broken_newest_checkpoint_is_passed_over(tmp_path):
 
 def test_data_is_an_argument_of_the_program_not_a_constant():
     """The same compiled chunk serves two logs of one shape."""
-    from deadreckon.training import fit as module
+    from deadreckon.training import program
 
     asks = Needs()
     fit([Collector()], Rows(LOG, asks), [0], 5, chunk=5)
-    before = module._advance._cached._cache_size()
+    before = program.advance._cached._cache_size()
     fit([Collector()], Rows(corridor(400, seed=1), asks), [0], 5, chunk=5)
-    assert module._advance._cached._cache_size() == before
+    assert program.advance._cached._cache_size() == before

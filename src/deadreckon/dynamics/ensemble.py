@@ -19,8 +19,8 @@ from deadreckon.data.view import STD_FLOOR
 from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import begin
-from deadreckon.training.fit import choose
 from deadreckon.training.hyperparameters import Count, Range, Share, static
+from deadreckon.training.program import choose
 
 FEWEST = 10  # rows, of which some must be held out
 

@@ -17,7 +17,7 @@ from deadreckon.online.model_learning import ModelLearning, own
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
 SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
-_DREAM = 6  # purpose of randomness, beside those of `training.fit`
+_DREAM = 6  # purpose of randomness, beside those of `training.program`
 
 
 class BranchedRollouts(ModelLearning):

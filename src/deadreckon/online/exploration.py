@@ -18,7 +18,7 @@ from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.policies.policy import Step
 from deadreckon.tasks.task import Task
-from deadreckon.training.fit import ACT
+from deadreckon.training.program import ACT
 from deadreckon.training.replay import Replay, read_rows
 
 

@@ -14,7 +14,7 @@ from deadreckon.online.model_learning import ModelLearning
 from deadreckon.online.on_policy import digested, learned_fields, observing
 from deadreckon.policies.policy import Step
 
-_VIRTUAL = 7  # purpose of randomness, beside those of `training.fit` and `online.branched_rollouts`
+_VIRTUAL = 7  # purpose of randomness, beside those of `training.program` and `online.branched_rollouts`
 STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model
 FAR = 100.0  # deviations of what was really seen, beyond which nothing is made up
 

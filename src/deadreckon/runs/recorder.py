@@ -124,8 +124,8 @@ class Recorder:
         for future in done:
             future.result()  # what went wrong in the background is told at the next chunk, not hours later
         columns: dict[str, Any] = {"step": np.full(len(seeds), progress.step), "seed": np.asarray(seeds)}
-        if self.job.experience is not None:
-            columns["environment_steps"] = np.full(len(seeds), self.job.experience.environment_steps)
+        if (acted := self.job.source.environment_steps) is not None:
+            columns["environment_steps"] = np.full(len(seeds), acted)
         self._write("metrics", progress.step, columns | progress.metrics)
         if progress.step % self.every == 0 or progress.step == self.job.steps or all(progress.failures):
             self.judge_now(progress.step)

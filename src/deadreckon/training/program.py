@@ -1,0 +1,197 @@
+"""Many updates as one compiled program: how rows are packed, drawn and learned from, for all lanes at once.
+
+All randomness is folded from the seed, a purpose and the step, and a chunk's length is an argument of the program, so neither
+the chunk length nor where rows come from changes a bit of the result.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from deadreckon.data.batch import Batch
+from deadreckon.data.spec import Box, Discrete, Spec
+
+INIT, DRAW, UPDATE, PREPARE, STARTS, ACT = range(6)  # purposes of randomness
+
+
+class Column(NamedTuple):
+    """Where a batch's field lies in the packed matrix (`start` >= 0) or, for images, that it is its own array."""
+
+    name: str
+    start: int
+    shape: tuple[int, ...]
+    dtype: str
+
+
+def layout_of(fields: dict[str, tuple[tuple[int, ...], Any]]) -> tuple[Column, ...]:
+    """Where fields of given shapes and types lie."""
+    columns, start = [], 0
+    for name, (shape, dtype) in fields.items():
+        packed = dtype != np.uint8
+        columns.append(Column(name, start if packed else -1, tuple(shape), str(dtype)))
+        start += int(np.prod(shape)) if packed else 0
+    return tuple(columns)
+
+
+def pack(columns: dict[str, np.ndarray], layout: tuple[Column, ...], axes: int) -> dict[str, np.ndarray]:
+    """Columns as one float32 matrix, so that a batch is one gather; images stay beside it. `axes`: leading index axes."""
+    packed = [columns[c.name] for c in layout if c.start >= 0]
+    lead = packed[0].shape[:axes]
+    out = {"packed": np.concatenate([p.reshape(*lead, -1).astype(np.float32, copy=False) for p in packed], -1)}
+    return out | {c.name: columns[c.name] for c in layout if c.start < 0}
+
+
+def unpack(taken: dict[str, Array], layout: tuple[Column, ...], axes: int) -> dict[str, Array]:
+    """The inverse of `pack`."""
+    out = {}
+    for c in layout:
+        if c.start < 0:
+            out[c.name] = taken[c.name]
+            continue
+        matrix = taken["packed"]
+        part = matrix[..., c.start : c.start + int(np.prod(c.shape))].reshape(*matrix.shape[:axes], *c.shape)
+        out[c.name] = part.astype(c.dtype)
+    return out
+
+
+class Plan(NamedTuple):
+    """What shapes the compiled chunk; hashable."""
+
+    layout: tuple[Column, ...]
+    batch_size: int
+    window: int
+    initial: int
+    resident: bool
+    grows: bool  # each lane has rows of its own, on the device
+
+
+def draw(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b *w"]:
+    """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
+    key = jax.random.fold_in(jax.random.fold_in(root, DRAW), step)
+    index = jax.random.randint(key, (plan.batch_size,), 0, rows)
+    if plan.window:
+        index = jnp.minimum(index[:, None] + jnp.arange(plan.window), rows - 1)
+    return index
+
+
+@eqx.filter_jit
+def indices(
+    plan: Plan, roots: PRNGKeyArray, start: Int[Array, ""], rows: Int[Array, ""], length: int
+) -> Int[Array, "t lanes b *w"]:
+    """Those of `draw`, for `length` steps of all lanes."""
+    steps = start + jnp.arange(length)
+    return jax.vmap(lambda step: jax.vmap(lambda root: draw(plan, root, step, rows))(roots))(steps)
+
+
+def batch_of(plan: Plan, taken: dict[str, Array], initial: dict[str, Array] | None, root: PRNGKeyArray, step: Array) -> Batch:
+    """A batch from packed rows, with its mask and initial observations where they are needed."""
+    fields = unpack(taken, plan.layout, 2 if plan.window else 1)
+    if plan.window:
+        left = fields.pop("_left")[:, :1]
+        fields["mask"] = (jnp.arange(plan.window) <= left).astype(jnp.float32)
+    if initial is not None:
+        key = jax.random.fold_in(jax.random.fold_in(root, STARTS), step)
+        index = jax.random.randint(key, (plan.initial,), 0, len(initial["initial_observation"]))
+        fields |= {name: column[index] for name, column in initial.items()}
+    known = {name: fields.pop(name) for name in Batch._fields if name in fields}
+    # Keeps the compiler from fusing the fetch into the update, whose bits then do not depend on where rows come from.
+    return jax.lax.optimization_barrier(Batch(**known, extra=fields or None))
+
+
+@eqx.filter_jit
+def advance(
+    learner: Any,
+    plan: Plan,
+    states: Any,
+    data: dict[str, Array],
+    initial: dict[str, Array] | None,
+    roots: PRNGKeyArray,
+    start: Int[Array, ""],
+    stop: Int[Array, ""],
+    rows: Int[Array, ""],
+) -> tuple[Any, dict[str, Float[Array, "lanes"]], dict[str, Int[Array, "lanes"]]]:
+    """Updates `start` .. `stop` - 1 of all lanes as one program.
+
+    The log is an argument, never a closure (that would be compiled in). Nothing is donated: the states from before the
+    chunk are what a failed lane falls back to, for one copy of the states a chunk.
+
+    Returns:
+        The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none).
+    """
+    single = roots.shape[0] == 1
+
+    if single and plan.grows:  # before the loop, where it costs nothing
+        data = {name: column.reshape(column.shape[1:]) for name, column in data.items()}
+
+    def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, step: Array) -> tuple[Any, dict[str, Array]]:
+        if plan.resident:
+            index = draw(plan, root, step, rows)
+            own = fetched if plan.grows and not single else data
+            fetched = {name: column[index] for name, column in own.items()}
+        batch = batch_of(plan, fetched, initial, root, step)
+        key = jax.random.fold_in(jax.random.fold_in(root, UPDATE), step)
+        return learner.update(state, batch, step=step, key=key)
+
+    def all_lanes(states: Any, step: Array) -> tuple[Any, dict[str, Array]]:
+        fetched = None if plan.resident else {name: column[step - start] for name, column in data.items()}
+        if plan.grows and not single:
+            fetched = data
+        if single:  # a lane axis of one would make every product a batched one
+            squeeze = lambda tree: jax.tree.map(lambda x: x[0], tree)  # noqa: E731
+            out = one(squeeze(learner), squeeze(states), roots[0], squeeze(fetched), step)
+            return jax.tree.map(lambda x: x[None], out)
+        return jax.vmap(one, (0, 0, 0, 0, None))(learner, states, roots, fetched, step)
+
+    def body(step: Array, carry: Any) -> Any:
+        states, sums, bad = carry
+        states, metrics = all_lanes(states, step)
+        sums = jax.tree.map(jnp.add, sums, metrics)
+        bad = jax.tree.map(lambda b, m: jnp.where((b < 0) & ~jnp.isfinite(m), step, b), bad, metrics)
+        return states, sums, bad
+
+    shapes = jax.evalshape_of(all_lanes, states, start)[1]
+    sums = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    bad = jax.tree.map(lambda s: jnp.full(s.shape, -1, jnp.int32), shapes)
+    states, sums, bad = jax.lax.fori_loop(start, stop, body, (states, sums, bad))
+    count = jnp.maximum(stop - start, 1)
+    return states, jax.tree.map(lambda s: s / count, sums), bad
+
+
+@eqx.filter_jit
+def begin(learner: Any, spec: Spec, roots: PRNGKeyArray) -> Any:
+    """(lanes, ...) first states."""
+    one = lambda learner, root: learner.init(spec, jax.random.fold_in(root, INIT))  # noqa: E731
+    return jax.vmap(one)(learner, roots)
+
+
+def shape_of(spec: Spec) -> Spec:
+    """One spec for all logs of a shape, so that they share a program."""
+    return _shaped(spec.observation_shape, spec.action if spec.discrete else spec.action_size)
+
+
+@lru_cache
+def _shaped(observation_shape: tuple[int, ...], action: Discrete | int) -> Spec:
+    space = Box((-1.0,) * action, (1.0,) * action) if isinstance(action, int) else action
+    return Spec.empty(observation_shape, space, "any")
+
+
+@jax.jit
+def finite(states: Any) -> Array:
+    """(lanes,) whether every number of a lane is finite."""
+    flags = [
+        jnp.isfinite(leaf).reshape(leaf.shape[0], -1).all(1)
+        for leaf in jax.tree.leaves(states)
+        if jnp.issubdtype(leaf.dtype, jnp.floating)
+    ]
+    return jnp.stack(flags).all(0)
+
+
+@jax.jit
+def choose(take_new: Array, new: Any, old: Any) -> Any:
+    """Of two stacks (lanes, ...) each lane from the one that (lanes,) says."""
+    return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)

@@ -1,0 +1,212 @@
+"""Where the rows of batches come from: the device, the host, or experience that grows while learners learn."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from deadreckon.data.batch import Rows
+from deadreckon.data.points import Points
+from deadreckon.training.program import Column, Plan, indices, layout_of, pack
+from deadreckon.training.replay import Experience
+
+BLOCK = 65_536  # rows that are packed at a time
+ROUNDED = 2**28  # bytes up to which a log's rows are rounded up
+RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
+
+# Updates `start` .. `stop` - 1: (states, data, start, stop, rows) to states, means of metrics, and when one was not finite.
+Update = Callable[[Any, dict[str, Any], int, int, int], tuple[Any, dict[str, Any], dict[str, Any]]]
+
+
+class Source:
+    """Rows to learn from; entered where the walk begins, left where it ends.
+
+    Attributes:
+        plan: what shapes the compiled program.
+        initial: columns of initial observations on the device, or None.
+        block: updates between two places where a chunk may end.
+    """
+
+    plan: Plan
+    initial: dict[str, Any] | None = None
+    block = 1
+
+    def __enter__(self) -> "Source":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def advance(self, update: Update, learner: Any, states: Any, start: int, stop: int, end: int) -> tuple[Any, Any, Any]:
+        """The updates `start` .. `stop` - 1 of a walk to `end`.
+
+        Returns:
+            States, means of metrics (lanes,), and the first step at which each was not finite (-1: none).
+        """
+        raise NotImplementedError
+
+    def tree(self, states: Any) -> Any:
+        """What a checkpoint holds."""
+        return states
+
+    def restore(self, tree: Any) -> Any:
+        """Goes on where a checkpoint was taken; gives its states.
+
+        Raises:
+            UserError: rows that it counts are not there.
+        """
+        return tree
+
+    def flush(self) -> None:
+        """Puts rows that a checkpoint will count on disk."""
+
+    @property
+    def environment_steps(self) -> int | None:
+        """Steps in the environment so far, in every lane; None of a log."""
+        return None
+
+
+class Resident(Source):
+    """A log that lies on the device."""
+
+    def __init__(self, rows: Rows | Points, plan: Plan):
+        self.rows, self.plan = rows, plan
+        self.initial = None if rows.initial is None else jax.device_put(rows.initial)
+        self.data: dict[str, Any] = {}
+
+    def __enter__(self):
+        self.data = jax.device_put(_packed(self.rows, self.plan.layout))
+        return self
+
+    def __exit__(self, *_):
+        self.data = {}
+
+    def advance(self, update, learner, states, start, stop, end):
+        """See `Source`."""
+        return update(states, self.data, start, stop, self.rows.count)
+
+
+class Streamed(Source):
+    """A log on the host, whose batches are fetched for each chunk while the one before is computed."""
+
+    def __init__(self, rows: Rows | Points, plan: Plan, roots: PRNGKeyArray, chunk: int):
+        self.rows, self.plan, self.roots, self.chunk = rows, plan, roots, chunk
+        self.initial = None if rows.initial is None else jax.device_put(rows.initial)
+        self.ahead: tuple[int, Future] | None = None
+
+    def __enter__(self):
+        self.pool = ThreadPoolExecutor(1)
+        return self
+
+    def __exit__(self, *_):
+        self.pool.shutdown(wait=True, cancel_futures=True)
+        self.ahead = None
+
+    def advance(self, update, learner, states, start, stop, end):
+        """See `Source`; the fetch of the chunk that follows is set going."""
+        if self.ahead is not None and self.ahead[0] == start:
+            data = self.ahead[1].result()
+        else:
+            data = self._fetch(start)
+        self.ahead = (stop, self.pool.submit(self._fetch, stop)) if stop < end else None
+        return update(states, data, start, stop, self.rows.count)
+
+    def _fetch(self, start: int) -> dict[str, Any]:
+        # Always a whole chunk of draws, so that one compiled program serves the last, shorter chunk too.
+        index = np.asarray(indices(self.plan, self.roots, jnp.int32(start), jnp.int32(self.rows.count), self.chunk))
+        return pack(self.rows.take(index), self.plan.layout, index.ndim)
+
+
+class Growing(Source):
+    """Experience: acting and learning take turns, block by block."""
+
+    def __init__(self, experience: Experience, plan: Plan, roots: PRNGKeyArray):
+        self.experience, self.plan, self.roots, self.block = experience, plan, roots, experience.block
+
+    def advance(self, update, learner, states, start, stop, end):
+        """See `Source`."""
+        experience, means, bad = self.experience, [], []
+        for step in range(start, stop, self.block):
+            states, data = experience.extend(learner, states, self.roots, step)
+            states, mean, first = update(states, data, step, step + self.block, experience.count)
+            means.append(mean)
+            bad.append(first)
+        means, bad = jax.device_get((means, bad))
+        mean = {name: np.mean([part[name] for part in means], 0) for name in means[0]} | experience.metrics
+        return states, mean, {name: _earliest([part[name] for part in bad]) for name in bad[0]}
+
+    def tree(self, states):
+        """The states and what the experience's future depends on."""
+        return {"learner": states, "experience": self.experience.state()}
+
+    def restore(self, tree):
+        """See `Source`."""
+        self.experience.restore(tree["experience"])
+        return tree["learner"]
+
+    def flush(self):
+        """See `Source`."""
+        self.experience.flush()
+
+    @property
+    def environment_steps(self):
+        """See `Source`."""
+        return self.experience.environment_steps
+
+
+def source_of(rows: Rows | Points | Experience, roots: PRNGKeyArray, chunk: int, stream: bool | None) -> Source:
+    """The source for these rows.
+
+    Args:
+        rows: a log or designs, or experience.
+        roots: (lanes,) keys of the lanes.
+        chunk: most updates of a chunk.
+        stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
+    """
+    needs, layout = rows.needs, layout_of(rows.fields)
+    if not isinstance(rows, Rows | Points):
+        return Growing(rows, Plan(layout, needs.batch_size, needs.window, needs.initial, resident=True, grows=True), roots)
+    resident = not stream if stream is not None else _fits(rows)
+    plan = Plan(layout, needs.batch_size, needs.window, needs.initial, resident=resident, grows=False)
+    return Resident(rows, plan) if resident else Streamed(rows, plan, roots, chunk)
+
+
+def _room(rows: Rows | Points) -> int:
+    """Rows of the arrays on the device: rounded up by an eighth at the most, so that logs of about one size share a program."""
+    if rows.nbytes > ROUNDED:
+        return rows.count
+    step = 1 << max((rows.count - 1).bit_length() - 4, 0)
+    return -(-rows.count // step) * step
+
+
+def _packed(rows: Rows | Points, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
+    """All rows as `pack` gives them, made block by block so that a second copy of them never is in memory."""
+    out: dict[str, np.ndarray] = {}
+    room = _room(rows)
+    for start in range(0, rows.count, BLOCK):
+        part = pack(rows.take(np.arange(start, min(start + BLOCK, rows.count))), layout, 1)
+        for name, column in part.items():
+            if name not in out:
+                out[name] = np.zeros((room, *column.shape[1:]), column.dtype)
+            out[name][start : start + len(column)] = column
+    return out
+
+
+def _fits(rows: Rows | Points) -> bool:
+    stats = jax.devices()[0].memory_stats()
+    if stats and "bytes_limit" in stats:
+        return rows.nbytes < RESIDENT_SHARE * stats["bytes_limit"]
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return rows.nbytes < RESIDENT_SHARE * memory
+
+
+def _earliest(steps: list[np.ndarray]) -> np.ndarray:
+    """(lanes,) the first step in any block at which a metric was not finite, -1 if none."""
+    stacked = np.stack(steps)
+    found = np.where(stacked < 0, np.iinfo(np.int32).max, stacked).min(0)
+    return np.where((stacked < 0).all(0), -1, found)
