@@ -181,7 +181,7 @@ def test_refuses_what_does_not_fit(trained):
     agent, *_ = trained
     rng = np.random.default_rng(0)
     discrete = Dataset.from_arrays(observations=rng.normal(size=(9, 2)), actions=np.arange(9) % 3, rewards=np.zeros(9))
-    if not agent.choices:
+    if not agent.supports_discrete:
         with pytest.raises(UserError, match="continuous actions"):
             agent.resolve(discrete.spec, STEPS)
     images = Dataset.from_arrays(

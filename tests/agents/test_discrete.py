@@ -22,7 +22,7 @@ from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
 
 KEY = jax.random.key(5)
-NAMES = [name for name in AGENTS if agent_class(name).choices]
+NAMES = [name for name in AGENTS if agent_class(name).supports_discrete]
 
 LOG = corridor(actions="choices")
 
@@ -141,8 +141,8 @@ def test_what_is_not_for_choices_says_so():
 def test_entropy_of_choices_is_a_tenth_of_the_most():
     for kind in (CQL, REM):
         np.testing.assert_allclose(kind().resolve(LOG.spec, 10).target_entropy, 0.1 * np.log(3))
-    assert BCQ.choices
-    assert IQL.choices
+    assert BCQ.supports_discrete
+    assert IQL.supports_discrete
 
 
 # ---- policies

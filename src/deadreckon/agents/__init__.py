@@ -1,10 +1,16 @@
-"""Agents: one algorithm, one file. `deadreckon.agents.BEAR()` or, by name, `agent_class("bear")()`."""
+"""Agents: one algorithm, one file. `deadreckon.agents.BEAR()` or, by name, `agent_class("bear")()`.
+
+Agents of other packages are known by `module:Class`, or by the name of an entry point in the group `deadreckon.agents`.
+"""
 
 import functools
 import importlib
+import importlib.metadata
 import importlib.resources
 import json
+import os
 import re
+import sys
 from typing import TYPE_CHECKING, Any
 
 from deadreckon.errors import UserError, unknown
@@ -124,6 +130,7 @@ __all__ = [
     "ReBRAC",
     "agent_class",
     "agent_name",
+    "plugins",
     "preset",
     "preset_for",
     "presets",
@@ -136,16 +143,40 @@ def _key(name: str) -> str:
 
 
 def agent_class(name: str) -> "type[Agent]":
-    """The class behind a name such as `td3_bc` (also `td3-bc`).
+    """The class behind a name such as `td3_bc` (also `td3-bc`), or behind `module:Class`.
+
+    Modules are looked for as Python does, and in the current folder.
 
     Raises:
-        UserError: no agent has this name.
+        UserError: no agent has this name, or what has it is no agent.
     """
     key = _key(name)
-    if key not in AGENTS:
-        raise unknown("agent", name, AGENTS)
-    module, attribute, _ = AGENTS[key]
-    return getattr(importlib.import_module(f"deadreckon.agents.{module}"), attribute)
+    if key in AGENTS:
+        module, attribute, _ = AGENTS[key]
+        return getattr(importlib.import_module(f"deadreckon.agents.{module}"), attribute)
+    path = name if ":" in name else {_key(each): path for each, path in plugins().items()}.get(key)
+    if path is None:
+        raise unknown("agent", name, [*AGENTS, *plugins()])
+    return _imported(path)
+
+
+def plugins() -> dict[str, str]:
+    """Agents of other packages that are installed: name -> `module:Class`."""
+    return {point.name: point.value for point in importlib.metadata.entry_points(group="deadreckon.agents")}
+
+
+def _imported(path: str) -> "type[Agent]":
+    module, _, attribute = path.partition(":")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.append(here)  # a command that pip installs does not look there
+    try:
+        found = importlib.import_module(module)
+    except ImportError as error:
+        raise UserError(f"agent {path}: {error}; an agent of your own is named module:Class") from error
+    kind = getattr(found, attribute, None)
+    if not isinstance(kind, type) or not issubclass(kind, importlib.import_module("deadreckon.agents.agent").Agent):
+        raise UserError(f"agent {path}: {module} has no class {attribute} that is a deadreckon.agents.Agent")
+    return kind
 
 
 @functools.cache
@@ -189,8 +220,18 @@ def space(agent: str) -> dict[str, list[Any]]:
 
 
 def agent_name(agent: object) -> str:
-    """The name under which an agent is registered; for others their class's name."""
-    return next((k for k, (_, cls, _) in AGENTS.items() if cls == type(agent).__name__), type(agent).__name__)
+    """The name by which `agent_class` finds an agent's class; that of the class alone where it cannot be imported."""
+    kind = type(agent)
+    path = f"{kind.__module__}:{kind.__qualname__}"
+    known = {f"deadreckon.agents.{module}:{attribute}": name for name, (module, attribute, _) in AGENTS.items()}
+    known |= {value: name for name, value in plugins().items()}
+    if path in known:
+        return known[path]
+    return kind.__name__ if kind.__module__ == "__main__" or "<locals>" in path else path
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
 
 
 def __getattr__(name: str):

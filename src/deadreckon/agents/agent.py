@@ -24,16 +24,16 @@ class Agent(eqx.Module):
     The comment behind a field becomes its help on the command line.
 
     Attributes:
-        choices: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
-        images: whether it takes observations of any shape instead of flat ones (class attribute).
+        supports_discrete: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
+        supports_images: whether it takes observations of any shape instead of flat ones (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
     """
 
-    choices: ClassVar[bool] = False
+    supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     offline: ClassVar[bool] = True
-    images: ClassVar[bool] = False
+    supports_images: ClassVar[bool] = False
 
     def needs(self, spec: Spec) -> Needs:
         """What every batch must hold."""
@@ -73,9 +73,9 @@ class Agent(eqx.Module):
         check_fields(self)
         if spec.rows and not self.offline:
             raise UserError(f"{type(self).__name__} learns by acting in a simulator, not from a log; say --online --task TASK")
-        if spec.discrete and not self.choices:
+        if spec.discrete and not self.supports_discrete:
             raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
-        if len(spec.observation_shape) != 1 and not self.images:
+        if len(spec.observation_shape) != 1 and not self.supports_images:
             raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
         return self
 

@@ -28,7 +28,7 @@ class BC(Agent):
     """Behaviour cloning with a tanh-Gaussian network, the VAE that the thesis used as its baseline (A.4), or a Gaussian whose
     draws are clipped, for logs with many actions at the bounds."""
 
-    choices: ClassVar[bool] = True
+    supports_discrete: ClassVar[bool] = True
 
     lr: NonNegative = 3e-4  # learning rate
     model: Literal["gaussian", "vae", "clipped"] = static("gaussian")  # a tanh-Gaussian, a VAE (thesis A.4), a Gaussian

@@ -38,7 +38,7 @@ class State(NamedTuple):
 class BCQ(Agent):
     """Batch-constrained Q-learning."""
 
-    choices: ClassVar[bool] = True
+    supports_discrete: ClassVar[bool] = True
 
     actor_lr: NonNegative = 1e-3  # learning rate of what moves actions
     critic_lr: NonNegative = 1e-3  # learning rate of the critics

@@ -38,7 +38,7 @@ class CQL(SAC):
     """SAC with conservative critics."""
 
     online: ClassVar[bool] = False
-    choices: ClassVar[bool] = True
+    supports_discrete: ClassVar[bool] = True
 
     actor_lr: NonNegative = 1e-4  # learning rate of the actor
     entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too

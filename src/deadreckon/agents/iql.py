@@ -34,7 +34,7 @@ class State(NamedTuple):
 class IQL(Agent):
     """Expectile values and weighted imitation."""
 
-    choices: ClassVar[bool] = True
+    supports_discrete: ClassVar[bool] = True
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of critics and values

@@ -22,7 +22,7 @@ class REM(SAC):
     """SAC on mixtures of critics."""
 
     online: ClassVar[bool] = False
-    choices: ClassVar[bool] = True
+    supports_discrete: ClassVar[bool] = True
 
     critics: Count = static(10)  # Q-networks (published, as heads of one network: 200)
 

@@ -176,7 +176,7 @@ def methods(args: Sequence[str]) -> None:
     from deadreckon.mbo import DESIGNERS
 
     parse(Nothing, args, "design methods")
-    print(table([["method", "what and whence"], *([name, line] for name, (_, line) in DESIGNERS.items())]))
+    print(table([["method", "algorithm and source"], *([name, line] for name, (_, line) in DESIGNERS.items())]))
 
 
 @dataclass

@@ -85,7 +85,7 @@ def ope(args: Sequence[str]) -> None:
         from deadreckon.cli.show import table
         from deadreckon.ope.registry import ESTIMATORS
 
-        print(table([["estimator", "what and whence"], *([name, line] for name, (_, line) in ESTIMATORS.items())]))
+        print(table([["estimator", "algorithm and source"], *([name, line] for name, (_, line) in ESTIMATORS.items())]))
         return None
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue

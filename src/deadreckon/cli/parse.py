@@ -13,6 +13,14 @@ import tyro
 from deadreckon.errors import UserError
 
 T = TypeVar("T")
+# What publications call hyperparameters, and fields that may be meant.
+SYMBOLS = {
+    "alpha": "conservatism penalty imitation regularisation multiplier temperature", "beta": "sharpness temperature",
+    "epsilon": "threshold clip", "eta": "diversity", "gamma": "discount", "hidden_dim": "hidden", "hidden_size": "hidden",
+    "lam": "min_weight trace", "lambda": "min_weight trace", "learning_rate": "lr actor_lr critic_lr", "lr": "actor_lr critic_lr",
+    "num_critics": "critics", "phi": "reach", "policy_freq": "actor_every", "policy_noise": "noise", "polyak": "target_rate",
+    "tau": "target_rate expectile share",
+}  # fmt: skip
 _NOT_A_NUMBER = re.compile(
     r"Error parsing (--[\w.-]+): .*(?:could not convert|invalid literal|no type matching).*'([^']*)'[^']*$"
 )
@@ -82,6 +90,10 @@ def _nearest(given: str, known: list[str]) -> list[str]:
     prefix, dot, last = given.rpartition(".")
     inside = {k.rpartition(".")[2]: k for k in known if dot and k.startswith(f"{prefix}.")}
     if inside:
+        fields = {name.replace("-", "_"): option for name, option in inside.items()}
+        meant = [fields[name] for name in SYMBOLS.get(last.replace("-", "_"), "").split() if name in fields]
+        if meant:
+            return meant[:3]
         holding = [k for last_part, k in inside.items() if last in last_part]
         return holding[:2] or [inside[k] for k in difflib.get_close_matches(last, inside, n=2, cutoff=0.5)]
     return difflib.get_close_matches(given, known, n=2, cutoff=0.6)

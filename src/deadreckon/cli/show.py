@@ -114,10 +114,11 @@ def _policies(tasks: Sequence) -> None:
 
 def agents(args: Sequence[str]) -> None:
     """Prints the agents, a line each."""
-    from deadreckon.agents import AGENTS, presets
+    from deadreckon.agents import AGENTS, plugins, presets
 
     parse(Agents, args, "agents")
-    print(table([["agent", "what and whence"], *([name, line] for name, (_, _, line) in AGENTS.items())]))
+    known = [[name, line] for name, (_, _, line) in AGENTS.items()] + [[name, path] for name, path in plugins().items()]
+    print(table([["agent", "algorithm and source"], *known]))
     lines = [
         [agent, name, ", ".join(f"{field} {value}" for field, value in fields.items())]
         for agent, known in presets().items()
@@ -125,3 +126,4 @@ def agents(args: Sequence[str]) -> None:
     ]
     print("\n" + table([["agent", "preset, for logs that begin so", "published settings"], *lines]))
     print("\ndeadreckon train --agent NAME --help shows its hyperparameters; --preset NAME begins from a preset.")
+    print("--agent MODULE:CLASS takes an agent of your own; see the documentation, Your own agent.")

@@ -211,7 +211,7 @@ def _config(path: Path) -> dict[str, Any]:
 
 def _written(agent: str) -> str:
     known = AGENTS.get(agent)
-    return NAMES.get(agent) or (known[1] if known else agent)
+    return NAMES.get(agent) or (known[1] if known else agent.rpartition(":")[2])
 
 
 def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:

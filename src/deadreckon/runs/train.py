@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -333,8 +334,16 @@ def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
 
 
 def agents_of(config: dict[str, Any]) -> list[Agent]:
-    """The agents of a run's `config`, one a seed: what `fields_of` wrote down."""
-    kind, written = agent_class(config["agent"]["name"]), config["agent"]["fields"]
+    """The agents of a run's `config`, one a seed: what `fields_of` wrote down.
+
+    Raises:
+        UserError: the agent's module has not been imported: a folder from elsewhere must not name code that runs.
+    """
+    name, written = str(config["agent"]["name"]), config["agent"]["fields"]
+    module = name.partition(":")[0]
+    if ":" in name and module not in sys.modules:
+        raise UserError(f"the run's agent is {name}, which is not part of deadreckon: import {module} first")
+    kind = agent_class(name)
     fixed = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}
     tuples = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
 

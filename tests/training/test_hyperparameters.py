@@ -1,0 +1,75 @@
+"""Ranges of hyperparameters stand at their fields: of every agent, designer and estimator."""
+
+import dataclasses
+import math
+import typing
+
+import numpy as np
+import pytest
+
+from deadreckon.agents import AGENTS, agent_class
+from deadreckon.errors import UserError
+from deadreckon.mbo import DESIGNERS, designer
+from deadreckon.ope import BehaviorModel
+from deadreckon.ope.registry import ESTIMATORS, estimator
+from deadreckon.training.hyperparameters import Range, check_fields, range_of
+
+MADE = {
+    **{f"agent {name}": agent_class(name) for name in AGENTS},
+    **{f"designer {name}": type(designer(name)) for name in DESIGNERS},
+    **{f"estimator {name}": type(estimator(name)) for name in ESTIMATORS},
+    "behaviour model": BehaviorModel,
+}
+# Numbers of any sign.
+FREE = {
+    "ask", "floor", "log_ratio_range", "multiplier_max", "multiplier_min", "return_range", "target_entropy", "threshold",
+}  # fmt: skip
+
+
+def numbers(kind):
+    """Fields that hold a number or several, with their range."""
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        plain = [each for each in (hints[field.name], *typing.get_args(hints[field.name])) if each in (int, float)]
+        parts = [part for each in typing.get_args(hints[field.name]) for part in typing.get_args(each) if part in (int, float)]
+        if plain or parts:
+            yield field.name, range_of(kind, field.name)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_every_number_has_a_range(name):
+    bare = [field for field, range_ in numbers(MADE[name]) if range_ is None or range_ == Range()]
+    assert set(bare) <= FREE
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_defaults_lie_within_and_what_lies_beyond_is_refused(name):
+    made = MADE[name]()
+    check_fields(made)
+    for field, range_ in numbers(MADE[name]):
+        default = getattr(made, field)
+        for beyond in () if range_ is None else outside(range_):
+            wrong = (beyond,) if isinstance(default, tuple) else beyond
+            with pytest.raises(UserError, match=rf"{type(made).__name__}\.{field} takes "):
+                check_fields(type(made)(**{field: wrong}))
+
+
+def outside(range_):
+    """Numbers that a range leaves out, whole ones where its ends are, so that they are wrong for no other reason."""
+    if math.isfinite(range_.ge):
+        yield int(range_.ge) - 1
+    if math.isfinite(range_.gt):
+        yield int(range_.gt)
+    if math.isfinite(range_.le):
+        yield int(range_.le) + 1
+    if math.isfinite(range_.lt):
+        yield int(range_.lt)
+
+
+def test_ranges_in_words():
+    assert str(Range(ge=0, lt=1)) == ">= 0 and < 1"
+    assert str(Range(gt=0)) == "> 0"
+    assert str(Range()) == ""
+    assert 0.0 in Range(ge=0)
+    assert 0.0 not in Range(gt=0)
+    assert np.inf not in Range(lt=1)
