@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import protocol
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO, STACKS, quantise
 from deadreckon.nets.mlp import split
 from deadreckon.nets.optim import descend, track

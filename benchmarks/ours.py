@@ -14,11 +14,11 @@ import protocol
 from deadreckon.agents import agent_class
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.designs import Designs, Variable
-from deadreckon.data.points import Points
 from deadreckon.data.view import View
 from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO
+from deadreckon.mbo.points import Points
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.estimate import Case
 from deadreckon.ope.fqe import FQE

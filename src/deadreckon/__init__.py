@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from deadreckon.collect.recipes import collect as collect_log
     from deadreckon.data.catalogue import load
     from deadreckon.data.dataset import Dataset
-    from deadreckon.data.designs import Designs
     from deadreckon.data.io import read
+    from deadreckon.mbo.designs import Designs
     from deadreckon.policies.library import load_policies
     from deadreckon.report.recommended import recommend
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
-    "Designs": ("data.designs", "Designs"),
+    "Designs": ("mbo.designs", "Designs"),
     "Run": ("runs.train", "Run"),
     "collect_log": ("collect.recipes", "collect"),
     "cross_fit": ("runs.crossfit", "cross_fit"),

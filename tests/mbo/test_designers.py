@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from deadreckon.data.batch import redrawn
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, COMs, designer
 from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.registry import CPU_BUDGET
 
 SMALL = {

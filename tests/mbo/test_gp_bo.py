@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.gp_bo import GPBO, log_improvement
 
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
 from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import Fixed, Net, Training, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
 from deadreckon.nets.mlp import ensemble, joined
 

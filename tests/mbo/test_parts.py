@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.mbo.cbas import Layout
 from deadreckon.mbo.coms import Conservative
 from deadreckon.mbo.ddom import kept, sample
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.ram import Ranking
 from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP

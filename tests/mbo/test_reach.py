@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deadreckon.data.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.reach import reach
 
 

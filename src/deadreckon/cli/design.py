@@ -114,7 +114,7 @@ def _free(name: str, data: Any) -> str:
 
 
 def _designs(options: Design) -> Any:
-    from deadreckon.data.designs import Designs
+    from deadreckon.mbo.designs import Designs
 
     if options.target is None:
         raise UserError("missing --target, the column of the scores")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -69,6 +69,33 @@ def redrawn(count: int, members: int, seed: int) -> np.ndarray:
         return np.ones((count, 1), np.float32)
     draws = np.random.default_rng([seed, 1]).multinomial(count, np.full(count, 1 / count), members)
     return draws.T.astype(np.float32)
+
+
+class BatchSource(Protocol):
+    """Rows of which batches are made: a log's (`Rows`), or designs.
+
+    Attributes:
+        needs: what every batch holds.
+        spec: what methods know of the rows before they see them.
+        fields: per column its shape and dtype, as `take` gives it.
+        initial: (episodes, *shape) initial observations and what goes with them, or None.
+        count: rows to draw from.
+    """
+
+    needs: Any
+    spec: Any
+    fields: dict[str, tuple[tuple[int, ...], Any]]
+    initial: dict[str, np.ndarray] | None
+    count: int
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that all columns take."""
+        ...
+
+    def take(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns at these indices."""
+        ...
 
 
 class Rows:

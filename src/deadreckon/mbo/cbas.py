@@ -19,9 +19,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, Needs, redrawn
-from deadreckon.data.designs import Coordinates
 from deadreckon.errors import UserError
 from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.designs import Coordinates
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend

@@ -15,9 +15,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.data.designs import Designs
-from deadreckon.data.points import Points
 from deadreckon.errors import UserError
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.points import Points
 from deadreckon.nets.optim import begin, descend
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete

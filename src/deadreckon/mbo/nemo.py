@@ -27,8 +27,8 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from deadreckon.data.batch import Batch, Needs
-from deadreckon.data.designs import Designs
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.designs import Designs
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Share, Sizes, static

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deadreckon.data.designs import Designs
+from deadreckon.mbo.designs import Designs
 
 SAMPLE = 1000  # designs of the data whose neighbours tell what near is
 

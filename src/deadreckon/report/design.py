@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.data.designs import Designs
 from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, join, tag

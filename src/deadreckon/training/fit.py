@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from deadreckon.data.batch import Rows
-from deadreckon.data.points import Points
+from deadreckon.data.batch import BatchSource, Rows
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
@@ -81,7 +80,7 @@ class Fit:
     """
 
     learners: Sequence[Any]
-    rows: Rows | Points | Experience
+    rows: BatchSource | Experience
     seeds: Sequence[int]
     steps: int
     chunk: int = 1000
@@ -99,7 +98,7 @@ class Fit:
             raise UserError("lanes of one program must need the same batches (discount with n-step rows, standardisation)")
         if self.stops:
             self.chunk = min(self.chunk, self.stops)
-        if not isinstance(self.rows, Rows | Points) and hasattr(self.learners[0], "prepare"):
+        if isinstance(self.rows, Experience) and hasattr(self.learners[0], "prepare"):
             raise UserError(f"{type(self.learners[0]).__name__} prepares itself on a whole log and cannot learn online")
         self.learner = lift(self.learners)
         self.roots = jnp.stack([jax.random.key(seed) for seed in self.seeds])
@@ -251,7 +250,7 @@ def complete(job: Fit, what: str, told: Callable[[Progress], None]) -> None:
 
 def fit(
     learners: Sequence[Any],
-    rows: Rows | Points,
+    rows: BatchSource,
     seeds: Sequence[int],
     steps: int,
     *,

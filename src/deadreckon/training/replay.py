@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import write_at
 
 
+@runtime_checkable
 class Experience(Protocol):
     """Rows that the learners' own policies make, by turns with the updates.
 

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from deadreckon.data.batch import Rows
-from deadreckon.data.points import Points
+from deadreckon.data.batch import BatchSource
 from deadreckon.training.program import Column, Plan, indices, layout_of, pack
 from deadreckon.training.replay import Experience
 
@@ -74,7 +73,7 @@ class Source:
 class Resident(Source):
     """A log that lies on the device."""
 
-    def __init__(self, rows: Rows | Points, plan: Plan):
+    def __init__(self, rows: BatchSource, plan: Plan):
         self.rows, self.plan = rows, plan
         self.initial = None if rows.initial is None else jax.device_put(rows.initial)
         self.data: dict[str, Any] = {}
@@ -94,7 +93,7 @@ class Resident(Source):
 class Streamed(Source):
     """A log on the host, whose batches are fetched for each chunk while the one before is computed."""
 
-    def __init__(self, rows: Rows | Points, plan: Plan, roots: PRNGKeyArray, chunk: int):
+    def __init__(self, rows: BatchSource, plan: Plan, roots: PRNGKeyArray, chunk: int):
         self.rows, self.plan, self.roots, self.chunk = rows, plan, roots, chunk
         self.initial = None if rows.initial is None else jax.device_put(rows.initial)
         self.ahead: tuple[int, Future] | None = None
@@ -159,7 +158,7 @@ class Growing(Source):
         return self.experience.environment_steps
 
 
-def source_of(rows: Rows | Points | Experience, roots: PRNGKeyArray, chunk: int, stream: bool | None) -> Source:
+def source_of(rows: BatchSource | Experience, roots: PRNGKeyArray, chunk: int, stream: bool | None) -> Source:
     """The source for these rows.
 
     Args:
@@ -169,14 +168,14 @@ def source_of(rows: Rows | Points | Experience, roots: PRNGKeyArray, chunk: int,
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
     """
     needs, layout = rows.needs, layout_of(rows.fields)
-    if not isinstance(rows, Rows | Points):
+    if isinstance(rows, Experience):
         return Growing(rows, Plan(layout, needs.batch_size, needs.window, needs.initial, resident=True, grows=True), roots)
     resident = not stream if stream is not None else _fits(rows)
     plan = Plan(layout, needs.batch_size, needs.window, needs.initial, resident=resident, grows=False)
     return Resident(rows, plan) if resident else Streamed(rows, plan, roots, chunk)
 
 
-def _room(rows: Rows | Points) -> int:
+def _room(rows: BatchSource) -> int:
     """Rows of the arrays on the device: rounded up by an eighth at the most, so that logs of about one size share a program."""
     if rows.nbytes > ROUNDED:
         return rows.count
@@ -184,7 +183,7 @@ def _room(rows: Rows | Points) -> int:
     return -(-rows.count // step) * step
 
 
-def _packed(rows: Rows | Points, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
+def _packed(rows: BatchSource, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
     """All rows as `pack` gives them, made block by block so that a second copy of them never is in memory."""
     out: dict[str, np.ndarray] = {}
     room = _room(rows)
@@ -197,7 +196,7 @@ def _packed(rows: Rows | Points, layout: tuple[Column, ...]) -> dict[str, np.nda
     return out
 
 
-def _fits(rows: Rows | Points) -> bool:
+def _fits(rows: BatchSource) -> bool:
     stats = jax.devices()[0].memory_stats()
     if stats and "bytes_limit" in stats:
         return rows.nbytes < RESIDENT_SHARE * stats["bytes_limit"]

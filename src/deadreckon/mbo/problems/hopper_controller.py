@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.problem import Problem
 from deadreckon.tasks import registry
 

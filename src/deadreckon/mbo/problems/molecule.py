@@ -6,9 +6,9 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.data.layout import reading
 from deadreckon.errors import UserError
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.forest import forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 

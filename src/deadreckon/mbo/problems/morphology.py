@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadreckon.data.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.problem import Problem, hidden
 from deadreckon.tasks.morphology import ANT, KITTY, LEGS, Morphology
 

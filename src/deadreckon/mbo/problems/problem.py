@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.data.designs import Designs
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designs import Designs
 
 Oracle = Callable[[np.ndarray], np.ndarray]  # (n, variables) designs as `Designs.x` holds them -> (n,) true scores
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
+from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 
 FILE, SOURCE = "tfbind8_six6.npz", "arrays x and y of Design-Bench's TFBind8, SIX6 reference 1"

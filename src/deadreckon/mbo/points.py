@@ -1,14 +1,11 @@
 """Designs as rows for the training loop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from deadreckon.data.designs import Designs
+from deadreckon.mbo.designs import Designs
 
 
 class Points:

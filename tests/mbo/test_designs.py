@@ -8,8 +8,8 @@ import pyarrow as pa
 import pytest
 from pyarrow import csv
 
-from deadreckon.data.designs import Designs, Variable
 from deadreckon.errors import UserError
+from deadreckon.mbo.designs import Designs, Variable
 
 
 def table(rows=12, **changes):
