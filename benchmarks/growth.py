@@ -18,7 +18,7 @@ from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.nets.mlp import MLP
-from deadreckon.ope.estimate import Case
+from deadreckon.ope.case import Case
 from deadreckon.ope.fqe import FQE
 from deadreckon.policies.policy import Deployed, TanhGaussian
 from deadreckon.training.fit import Fit

@@ -20,7 +20,7 @@ from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO
 from deadreckon.mbo.points import Points
 from deadreckon.nets.mlp import MLP
-from deadreckon.ope.estimate import Case
+from deadreckon.ope.case import Case
 from deadreckon.ope.fqe import FQE
 from deadreckon.policies.policy import Deployed, TanhGaussian
 from deadreckon.training.fit import Fit

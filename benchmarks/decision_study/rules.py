@@ -19,8 +19,8 @@ from scipy import special
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.ope import Case
+from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import decide
-from deadreckon.ope.estimate import CrossFitted
 from deadreckon.ope.select import UNITS
 from deadreckon.stats.means import student
 from decision_study.fqe import fqe

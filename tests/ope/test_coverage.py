@@ -8,7 +8,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import Case, coverage, select
-from deadreckon.ope.estimate import BehaviorModel
+from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.support import MISSING, Support
 from deadreckon.policies import BlackBoxPolicy
 from tests.ope.test_select import estimates

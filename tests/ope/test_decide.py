@@ -9,8 +9,9 @@ from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import LOGGED, Case, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, estimator, inference
 from deadreckon.ope.behavior import out_of_fold
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import automatic, decide
-from deadreckon.ope.estimate import BehaviorModel, CrossFitted
 from deadreckon.ope.support import support
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.theory import garnet

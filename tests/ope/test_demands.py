@@ -10,9 +10,10 @@ from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import Case
 from deadreckon.ope.behavior import PROPENSITIES
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.confounding import Confounding
 from deadreckon.ope.decide import UNSEEN, decide
-from deadreckon.ope.estimate import BehaviorModel, CrossFitted
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.registry import estimator, with_fields

@@ -9,8 +9,9 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.ope import ESTIMATORS, FQE, LOGGED, Case, DoublyRobust, ImportanceSampling, ModelBased, dope, estimator, select
+from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import Estimand
-from deadreckon.ope.estimate import BehaviorModel, Estimates
+from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
 from deadreckon.policies import BlackBoxPolicy, library

@@ -22,8 +22,9 @@ from deadreckon.bench.suite import Method, Suite
 from deadreckon.data import catalogue
 from deadreckon.errors import BusyError, UserError, unknown
 from deadreckon.files import write_json
+from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.coverage import MODEL
-from deadreckon.ope.estimate import BehaviorModel, Watcher
+from deadreckon.ope.fits import Watcher
 from deadreckon.ope.metrics import Metrics, compare
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge

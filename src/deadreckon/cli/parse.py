@@ -18,8 +18,8 @@ SYMBOLS = {
     "alpha": "conservatism penalty imitation regularisation multiplier temperature", "beta": "sharpness temperature",
     "epsilon": "threshold clip", "eta": "diversity", "gamma": "discount", "hidden_dim": "hidden", "hidden_size": "hidden",
     "lam": "min_weight trace", "lambda": "min_weight trace", "learning_rate": "lr actor_lr critic_lr",
-    "lr": "actor_lr critic_lr", "num_critics": "critics", "phi": "reach", "policy_freq": "actor_every", "policy_noise": "noise", "polyak": "target_rate",
-    "tau": "target_rate expectile share",
+    "lr": "actor_lr critic_lr", "num_critics": "critics", "phi": "reach", "policy_freq": "actor_every",
+    "policy_noise": "noise", "polyak": "target_rate", "tau": "target_rate expectile share",
 }  # fmt: skip
 _NOT_A_NUMBER = re.compile(
     r"Error parsing (--[\w.-]+): .*(?:could not convert|invalid literal|no type matching).*'([^']*)'[^']*$"

@@ -1,10 +1,13 @@
 """Off-policy evaluation: what policies are worth, from a log alone (thesis chapter 8)."""
 
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
 from deadreckon.ope.coverage import coverage
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import Estimand
-from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimates import LOGGED, Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.fqe_d import FQED
 from deadreckon.ope.importance import ImportanceSampling

@@ -18,8 +18,9 @@ from scipy.special import softmax
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import begin, descend
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Best, in_blocks
-from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.policy import Categorical, create_actor

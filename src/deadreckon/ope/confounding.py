@@ -14,8 +14,9 @@ order it adds no variance, and the influence of an episode on a bound is that of
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import WEIGHTLESS, Case
 from deadreckon.ope.doubly_robust import DoublyRobust
-from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
 from deadreckon.ope.importance import log_ratios, logged_probs
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.sensitivity import bounds, tipping, weight_box

@@ -19,8 +19,9 @@ from jaxtyping import Array, Float
 from deadreckon.data.batch import Rows
 from deadreckon.data.view import View
 from deadreckon.nets import distributions as dist
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import in_blocks
-from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.policies.policy import Categorical
 
 LEVEL = 0.99  # of the log's own actions are covered

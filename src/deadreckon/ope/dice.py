@@ -23,8 +23,10 @@ from jaxtyping import Array
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Fitted, create, expected, taken
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import few
 from deadreckon.stats.bootstrap import ensemble_interval

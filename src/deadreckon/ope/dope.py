@@ -20,8 +20,10 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import digest, file_part, read_json, write_json
+from deadreckon.ope.case import Case
 from deadreckon.ope.estimand import Estimand
-from deadreckon.ope.estimate import Case, Estimates, Watcher
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.fits import Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
 from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library

@@ -22,9 +22,12 @@ from typing import Literal
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimate import LOGGED, BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimates import LOGGED, Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.importance import log_ratios, logged_probs, multiplied
 from deadreckon.ope.linear import Fit, LinearFQE

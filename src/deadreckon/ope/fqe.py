@@ -21,8 +21,10 @@ from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.ope.behavior import masks
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 

@@ -16,8 +16,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import begin, copy, descend
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import in_blocks
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, static

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import WEIGHTLESS, Case
 from deadreckon.ope.doubly_robust import DoublyRobust
-from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA

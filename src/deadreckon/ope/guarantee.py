@@ -16,7 +16,7 @@ policies, and that the range is known without looking at the log.
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.estimate import Case
+from deadreckon.ope.case import Case
 from deadreckon.stats.betting import lower
 from deadreckon.stats.interval import ALPHA
 

@@ -11,7 +11,10 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior import out_of_fold
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.weights import Episodes
 from deadreckon.stats import inference, means

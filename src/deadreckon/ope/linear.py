@@ -16,8 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import OutOfFold
-from deadreckon.ope.estimate import LOGGED, Case, Estimates, Estimator
+from deadreckon.ope.estimates import LOGGED, Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.features import Features
 from deadreckon.stats.bootstrap import percentile_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, static

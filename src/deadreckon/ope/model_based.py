@@ -15,7 +15,10 @@ from deadreckon.data.batch import Rows
 from deadreckon.dynamics import AutoRegressive, Gaussian, Model
 from deadreckon.dynamics.model import Limits
 from deadreckon.errors import UserError
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 

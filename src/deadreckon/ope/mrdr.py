@@ -28,9 +28,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from deadreckon.errors import UserError
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimate import Case
 from deadreckon.ope.linear import PILOT, RIDGES, Critic, Fit, blocks
 from deadreckon.ope.sequences import cumulate, starts_of, times
 

@@ -10,9 +10,11 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.ope.behavior import PROPENSITIES
+from deadreckon.ope.case import Case
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.fqe_d import FQED
 from deadreckon.ope.importance import PUBLIC_RANGE, ImportanceSampling

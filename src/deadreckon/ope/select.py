@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.estimate import LOGGED, Estimates
+from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
 from deadreckon.stats import inference

@@ -20,8 +20,11 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior import PROPENSITIES
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimate import BehaviorModel, Case, Estimates, Estimator
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.features import TABLE, Features
 from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.linear import LinearFQE

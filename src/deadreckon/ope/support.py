@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deadreckon.ope.behavior import out_of_fold
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case
 from deadreckon.ope.coverage import LEVEL, coverage
-from deadreckon.ope.estimate import BehaviorModel, Case
 from deadreckon.ope.importance import log_ratios
 from deadreckon.stats import inference
 

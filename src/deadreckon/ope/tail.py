@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.estimate import WEIGHTLESS, BehaviorModel, Case
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import WEIGHTLESS, Case
 from deadreckon.ope.importance import log_ratios
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA

@@ -23,9 +23,11 @@ from jaxtyping import Array
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.dice import estimates, mass, occupancy_rows, weighted
-from deadreckon.ope.estimate import Case, Estimates, Estimator
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 EXCESS_RATE = 0.01  # of the running mean of the mass beyond one

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from deadreckon.ope.estimate import LOGGED
+from deadreckon.ope.estimates import LOGGED
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag

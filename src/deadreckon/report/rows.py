@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.ope.estimate import LOGGED
+from deadreckon.ope.estimates import LOGGED
 from deadreckon.report.entries import Entry, Page
 from deadreckon.stats.crossed import against, mean_interval, paired
 from deadreckon.stats.interval import Interval

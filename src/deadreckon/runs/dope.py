@@ -10,7 +10,7 @@ from deadreckon.collect.recipes import default_path
 from deadreckon.data.io import read
 from deadreckon.errors import UserError
 from deadreckon.ope.dope import Result, evaluate_log
-from deadreckon.ope.estimate import Watcher
+from deadreckon.ope.fits import Watcher
 from deadreckon.ope.registry import as_estimator
 from deadreckon.policies import library
 

@@ -13,8 +13,11 @@ from deadreckon.data.split import clusters as clusters_of
 from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, write_json
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import Case, CrossFitted
 from deadreckon.ope.decide import check, decide
-from deadreckon.ope.estimate import BehaviorModel, Case, CrossFitted, Estimates, Watcher
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.fits import Watcher
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
 from deadreckon.ope.select import Choice, gains

@@ -1,119 +1,31 @@
-"""What every estimator is asked (`Case`) and answers (`Estimates`). What is estimated is an `Estimand`, for all alike."""
+"""What every estimator is asked: a log, policies, and all that estimators share about them."""
 
-import contextlib
 import dataclasses
 import hashlib
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
-import jax
 import numpy as np
 
-from deadreckon.data.batch import Batch, Needs, Rows, redrawn
+from deadreckon.data.batch import Rows, redrawn
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.files import alone, read_json, write_json
-from deadreckon.nets.optim import begin, descend
+from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import Estimand, discounted_steps
+from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
+from deadreckon.ope.fits import Fits, Watcher
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy, create_actor
-from deadreckon.stats import inference
-from deadreckon.stats.interval import PERCENT
-from deadreckon.training.checkpoint import folder_of
-from deadreckon.training.fit import Fit, Progress, complete
-from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, check_fields, described, static
+from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy
 
-Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
-SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
-LOGGED = "behaviour policy"  # the name of the policy that made the log
-APART = "judges each policy by all episodes, and cross-fitted ones are one for each fold, taught by the others; use dr-linear"
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
-
-
-@dataclass(frozen=True)
-class Estimates:
-    """What an estimator says about each policy.
-
-    Attributes:
-        method: the estimator.
-        names: of the policies.
-        value: (policies,) expected discounted return of an episode.
-        low, high: (policies,) ends of intervals at `stats.interval.LEVEL`; NaN where the method gives none.
-        estimand: what is estimated.
-        redraws: (n, policies) estimates of redrawn logs or of members of an ensemble, the same redraws for all policies, so
-            that differences between policies can be judged; None where there are none.
-        influence: (units, policies) influence function of the estimates at each unit of the log (`Case.units`: episodes,
-            clusters or groups of them), which has mean zero; the sum of its squares over units^2 is the variance of the
-            estimate. The same units for all policies and methods of a case, so that gains are paired. None where there is none.
-        effective: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
-            weighted.
-        corrected: whether logged rewards, weighted by how likely the policy is to act as logged, decide the estimate. Otherwise
-            it is model-based: an error of the fitted model is not corrected by anything.
-        warnings: why not to trust it, one line each.
-        seconds: it took, without what was there already for another estimator.
-        diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
-        inflation: (policies,) by which errors are multiplied, beyond what the influence function says; see `Case.inflation`.
-            None: by one.
-    """
-
-    method: str
-    names: tuple[str, ...]
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    estimand: Estimand
-    redraws: np.ndarray | None = field(default=None, repr=False)
-    influence: np.ndarray | None = field(default=None, repr=False)
-    effective: np.ndarray | None = None
-    corrected: bool = False
-    warnings: tuple[str, ...] = ()
-    seconds: float = 0.0
-    diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
-    inflation: np.ndarray | None = field(default=None, repr=False)
-
-    @classmethod
-    def of_influence(cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any) -> "Estimates":
-        """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
-        itself.
-        """
-        low, high = inference.intervals(value, influence, seed=case.seed)
-        if (weights := more.get("effective")) is not None:  # without weights nothing is known
-            low, high = np.where(weights > 0, low, -np.inf), np.where(weights > 0, high, np.inf)
-        return cls(method, case.names, value, low, high, case.estimand, influence=influence, **more)
-
-    @property
-    def discount(self) -> float:
-        """Of the returns."""
-        return self.estimand.discount
-
-    @property
-    def average(self) -> np.ndarray:
-        """(policies,) discounted average reward, (1 - discount) times the value."""
-        return (1.0 - self.discount) * self.value
-
-    @property
-    def best(self) -> int:
-        """Index of the policy with the highest estimate."""
-        return int(np.argmax(np.where(np.isnan(self.value), -np.inf, self.value)))
-
-    def __str__(self) -> str:
-        width = max(map(len, self.names))
-        model = "" if self.corrected else ", model-based"
-        lines = [f"{self.method}{model}: {self.estimand}; {PERCENT} intervals"]
-        for i, name in enumerate(self.names):
-            weight = "" if self.effective is None else f"   effective sample size {self.effective[i]:,.1f} episodes"
-            lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
-        return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])
 
 
 @dataclass(frozen=True)
@@ -131,39 +43,7 @@ class CrossFitted:
     which: np.ndarray
 
 
-class BehaviorModel(eqx.Module):
-    """The behaviour policy, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
-
-    Beside policies that are clipped Gaussians it is one itself: what these have at the bounds are probabilities, which no
-    density may divide.
-    """
-
-    hidden: Sizes = static((256, 256))  # width of each hidden layer
-    lr: NonNegative = 3e-4  # learning rate
-    steps: Count = static(10_000)  # updates; out of fold the best by validation loss are kept
-    batch_size: Count = static(256)  # rows a batch
-    clipped: bool = static(False)  # a clipped Gaussian; cases set it
-
-    def needs(self, spec):
-        """Observations and actions."""
-        return Needs(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
-
-    def init(self, spec, key):
-        """Network and optimiser."""
-        make = models.Clipped.create if self.clipped else create_actor
-        model = make(spec, self.hidden, key)
-        return model, begin(model)
-
-    def update(self, state, batch: Batch, *, step, key):
-        """One step of maximum likelihood."""
-        model, opt = state
-        loss = models.censored if self.clipped else models.loss
-        grads, metrics = jax.grad(loss, has_aux=True)(model, batch.observation, batch.action, key)
-        model, opt = descend(model, grads, opt, self.lr)
-        return (model, opt), metrics
-
-
-class Case:
+class Case(Fits):
     """A log, the policies to judge by it, and all that estimators share about them, each made when first asked for.
 
     Args:
@@ -209,7 +89,7 @@ class Case:
         clusters: np.ndarray | None = None,
         noise: float | None = NOISE,
     ):
-        self.estimand = Estimand.of(data, discount, horizon, greedy)
+        super().__init__(Estimand.of(data, discount, horizon, greedy), seed, out, watch)
         if not 0 <= seed < 2**32:
             raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
         self.policies = _policies(policies)
@@ -220,7 +100,7 @@ class Case:
             raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
         if len(data.spec.observation_shape) != 1:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
-        self.discount, self.seed, self.greedy = discount, seed, greedy
+        self.discount, self.greedy = discount, greedy
         self.held = np.arange(data.episodes) if held is None else np.asarray(held)
         if len(np.unique(self.held)) < len(self.held) or not len(self.held):
             raise UserError("held must be different episodes of the log, one or more")
@@ -230,7 +110,6 @@ class Case:
         self.log = self.estimand.cut(data)
         self.data = self.log if held is None else self.log.select(self.held)
         self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
-        self.out, self.watch = None if out is None else Path(out), watch
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
         self._parts: list[np.ndarray | None] = [None] * len(self.policies)
@@ -254,8 +133,6 @@ class Case:
         self.logged = logged
         if logged:
             self.names = (*self.names, LOGGED)
-        self._kept: dict[Any, Any] = {}
-        self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by updates done
 
     @property
     def count(self) -> int:
@@ -490,70 +367,12 @@ class Case:
 
         return self.once(("behavior policy", model), make)
 
-    # ---- fits -------------------------------------------------------------------------------------------------------
-
-    def train(self, learner: Any, rows: Rows, steps: int, what: str) -> Any:
-        """The state of a learner after `steps` updates, gone on with from its checkpoints where there are some.
-
-        Raises:
-            UserError: its numbers went bad.
-        """
-        folder = None if self.out is None else self._folder(learner, rows, steps, what)
-        with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):
-            return self._train(learner, rows, steps, what, folder)
-
-    def _train(self, learner: Any, rows: Rows, steps: int, what: str, folder: Path | None) -> Any:
-        job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
-        kept = None if folder is None else folder / "metrics.json"
-        known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
-        seen = self._metrics[what] = {step: metrics for step, metrics in known}
-
-        def told(progress: Progress) -> None:
-            # What a kill lost is computed, and noted, again.
-            seen[progress.step] = {name: float(value[0]) for name, value in progress.metrics.items()}
-            if kept is not None:  # for who asks again when the fit is done
-                write_json(kept, {"metrics": list(seen.items())})
-            self.watch(what, progress.step, steps)
-
-        complete(job, what, told)
-        return jax.tree.map(lambda leaf: leaf[0], job.states)
-
-    def unsettled(self, what: str, metric: str) -> list[str]:
-        """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
-        seen = self._metrics.get(what, {})
-        last = max(seen, default=0)
-        early = max((step for step in seen if step <= 0.8 * last), default=None)
-        if early is None:
-            return []
-        value, before = seen[last][metric], seen[early][metric]
-        change = abs(value - before) / max(abs(value), abs(before), 1e-12)
-        if change <= SETTLED:
-            return []
-        found = f"{metric} by {100 * change:.0f} % over its last fifth"
-        return [f"{what} still changes: {found}; more than {last:,} updates are needed"]
-
-    def _folder(self, learner: Any, rows: Rows, steps: int, what: str) -> Path:
-        """Where a fit's checkpoints lie: a folder of its own for every log, set of policies and setting."""
-        assert self.out is not None
-        columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
-        asked = {
-            "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
-            "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
-        }  # fmt: skip
-        return folder_of(self.out, what, asked)
-
     @cached_property
     def manner(self) -> str:
         """Tells sets of policies apart by what they do at observations from all over the log."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
         done = self.actor.table(np.asarray(self.data.observations[some]), 1)
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
-
-    def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What `make` gives, made once."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        return self._kept[key]
 
     def redrawn(self, members: int) -> np.ndarray:
         """(episodes, members) how often each episode counts for each member of an ensemble: redrawn with replacement.
@@ -562,59 +381,6 @@ class Case:
         """
         own = np.unique(self.clusters[self.held], return_inverse=True)[1]
         return redrawn(int(own.max()) + 1, members, self.seed)[own]
-
-
-class Estimator(eqx.Module):
-    """Hyperparameters in, estimates out."""
-
-    takes_horizon = False  # whether it can count the first steps of an episode only, and take a discount of one
-    # Whether it can judge cross-fitted policies: weights are of single rows. What is fitted to all folds for a policy has the
-    # rewards that taught it, and what follows policies from state to state needs one for all states.
-    takes_crossed = False
-
-    def estimate(
-        self,
-        data: Dataset,
-        policies: Any,
-        **options: Any,
-    ) -> Estimates:
-        """The value of each policy, from the log alone; see `Case` for the options."""
-        return self.on(Case(data, policies, **options))
-
-    def on(self, case: Case) -> Estimates:
-        """The same on a case that several estimators share."""
-        for each in (self, *vars(self).values()):
-            if isinstance(each, eqx.Module):
-                check_fields(each)
-        if case.estimand.horizon not in (None, 1) and not self.takes_horizon:
-            raise UserError(f"{self.label} does not take a horizon; use FQE, importance sampling or a doubly robust estimator")
-        if case.discount == 1.0 and not self.takes_horizon:
-            raise UserError(f"{self.label} needs a discount below 1, got 1")
-        if case.crossed and not self.takes_crossed:
-            raise UserError(f"{self.label} {APART}")
-        begun = time.perf_counter()
-        found = self.solve(case)
-        warnings = found.warnings
-        if getattr(self, "members", None) == 1:
-            warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
-        if case.crossed:
-            more, middle = case.inflation, found.value
-            low, high = middle - more * (middle - found.low), middle + more * (found.high - middle)
-            found = dataclasses.replace(found, low=low, high=high, inflation=more)
-        return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)
-
-    @property
-    def label(self) -> str:
-        """What tables call it."""
-        raise NotImplementedError
-
-    def solve(self, case: Case) -> Estimates:
-        """What the estimator is."""
-        raise NotImplementedError
-
-    def replace(self, **changes: Any) -> Any:
-        """The same estimator with some fields changed."""
-        return dataclasses.replace(self, **changes)
 
 
 def _timed(data: Dataset, horizon: int | None) -> Dataset:

@@ -1,0 +1,42 @@
+"""A model of the behaviour policy, where the log does not tell its propensities."""
+
+import equinox as eqx
+import jax
+
+from deadreckon.data.batch import Batch, Needs
+from deadreckon.nets.optim import begin, descend
+from deadreckon.policies import behavior as models
+from deadreckon.policies.policy import create_actor
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
+
+
+class BehaviorModel(eqx.Module):
+    """The behaviour policy, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
+
+    Beside policies that are clipped Gaussians it is one itself: what these have at the bounds are probabilities, which no
+    density may divide.
+    """
+
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    lr: NonNegative = 3e-4  # learning rate
+    steps: Count = static(10_000)  # updates; out of fold the best by validation loss are kept
+    batch_size: Count = static(256)  # rows a batch
+    clipped: bool = static(False)  # a clipped Gaussian; cases set it
+
+    def needs(self, spec):
+        """Observations and actions."""
+        return Needs(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
+
+    def init(self, spec, key):
+        """Network and optimiser."""
+        make = models.Clipped.create if self.clipped else create_actor
+        model = make(spec, self.hidden, key)
+        return model, begin(model)
+
+    def update(self, state, batch: Batch, *, step, key):
+        """One step of maximum likelihood."""
+        model, opt = state
+        loss = models.censored if self.clipped else models.loss
+        grads, metrics = jax.grad(loss, has_aux=True)(model, batch.observation, batch.action, key)
+        model, opt = descend(model, grads, opt, self.lr)
+        return (model, opt), metrics

@@ -1,0 +1,91 @@
+"""What every estimator answers."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deadreckon.ope.estimand import Estimand
+from deadreckon.stats import inference
+from deadreckon.stats.interval import PERCENT
+
+if TYPE_CHECKING:
+    from deadreckon.ope.case import Case
+
+LOGGED = "behaviour policy"  # the name of the policy that made the log
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What an estimator says about each policy.
+
+    Attributes:
+        method: the estimator.
+        names: of the policies.
+        value: (policies,) expected discounted return of an episode.
+        low, high: (policies,) ends of intervals at `stats.interval.LEVEL`; NaN where the method gives none.
+        estimand: what is estimated.
+        redraws: (n, policies) estimates of redrawn logs or of members of an ensemble, the same redraws for all policies, so
+            that differences between policies can be judged; None where there are none.
+        influence: (units, policies) influence function of the estimates at each unit of the log (`Case.units`: episodes,
+            clusters or groups of them), which has mean zero; the sum of its squares over units^2 is the variance of the
+            estimate. The same units for all policies and methods of a case, so that gains are paired. None where there is none.
+        effective: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
+            weighted.
+        corrected: whether logged rewards, weighted by how likely the policy is to act as logged, decide the estimate. Otherwise
+            it is model-based: an error of the fitted model is not corrected by anything.
+        warnings: why not to trust it, one line each.
+        seconds: it took, without what was there already for another estimator.
+        diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
+        inflation: (policies,) by which errors are multiplied, beyond what the influence function says; see `Case.inflation`.
+            None: by one.
+    """
+
+    method: str
+    names: tuple[str, ...]
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    estimand: Estimand
+    redraws: np.ndarray | None = field(default=None, repr=False)
+    influence: np.ndarray | None = field(default=None, repr=False)
+    effective: np.ndarray | None = None
+    corrected: bool = False
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+    diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+    inflation: np.ndarray | None = field(default=None, repr=False)
+
+    @classmethod
+    def of_influence(cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any) -> "Estimates":
+        """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
+        itself.
+        """
+        low, high = inference.intervals(value, influence, seed=case.seed)
+        if (weights := more.get("effective")) is not None:  # without weights nothing is known
+            low, high = np.where(weights > 0, low, -np.inf), np.where(weights > 0, high, np.inf)
+        return cls(method, case.names, value, low, high, case.estimand, influence=influence, **more)
+
+    @property
+    def discount(self) -> float:
+        """Of the returns."""
+        return self.estimand.discount
+
+    @property
+    def average(self) -> np.ndarray:
+        """(policies,) discounted average reward, (1 - discount) times the value."""
+        return (1.0 - self.discount) * self.value
+
+    @property
+    def best(self) -> int:
+        """Index of the policy with the highest estimate."""
+        return int(np.argmax(np.where(np.isnan(self.value), -np.inf, self.value)))
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names))
+        model = "" if self.corrected else ", model-based"
+        lines = [f"{self.method}{model}: {self.estimand}; {PERCENT} intervals"]
+        for i, name in enumerate(self.names):
+            weight = "" if self.effective is None else f"   effective sample size {self.effective[i]:,.1f} episodes"
+            lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
+        return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])

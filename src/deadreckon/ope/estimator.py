@@ -1,0 +1,68 @@
+"""What an estimator is."""
+
+import dataclasses
+import time
+from typing import Any
+
+import equinox as eqx
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.ope.case import Case
+from deadreckon.ope.estimates import Estimates
+from deadreckon.training.hyperparameters import check_fields
+
+APART = "judges each policy by all episodes, and cross-fitted ones are one for each fold, taught by the others; use dr-linear"
+
+
+class Estimator(eqx.Module):
+    """Hyperparameters in, estimates out."""
+
+    takes_horizon = False  # whether it can count the first steps of an episode only, and take a discount of one
+    # Whether it can judge cross-fitted policies: weights are of single rows. What is fitted to all folds for a policy has the
+    # rewards that taught it, and what follows policies from state to state needs one for all states.
+    takes_crossed = False
+
+    def estimate(
+        self,
+        data: Dataset,
+        policies: Any,
+        **options: Any,
+    ) -> Estimates:
+        """The value of each policy, from the log alone; see `Case` for the options."""
+        return self.on(Case(data, policies, **options))
+
+    def on(self, case: Case) -> Estimates:
+        """The same on a case that several estimators share."""
+        for each in (self, *vars(self).values()):
+            if isinstance(each, eqx.Module):
+                check_fields(each)
+        if case.estimand.horizon not in (None, 1) and not self.takes_horizon:
+            raise UserError(f"{self.label} does not take a horizon; use FQE, importance sampling or a doubly robust estimator")
+        if case.discount == 1.0 and not self.takes_horizon:
+            raise UserError(f"{self.label} needs a discount below 1, got 1")
+        if case.crossed and not self.takes_crossed:
+            raise UserError(f"{self.label} {APART}")
+        begun = time.perf_counter()
+        found = self.solve(case)
+        warnings = found.warnings
+        if getattr(self, "members", None) == 1:
+            warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
+        if case.crossed:
+            more, middle = case.inflation, found.value
+            low, high = middle - more * (middle - found.low), middle + more * (found.high - middle)
+            found = dataclasses.replace(found, low=low, high=high, inflation=more)
+        return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        raise NotImplementedError
+
+    def solve(self, case: Case) -> Estimates:
+        """What the estimator is."""
+        raise NotImplementedError
+
+    def replace(self, **changes: Any) -> Any:
+        """The same estimator with some fields changed."""
+        return dataclasses.replace(self, **changes)

@@ -1,0 +1,93 @@
+"""What is fitted for a case: made once, gone on with from checkpoints, and watched for whether it has settled."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from deadreckon.data.batch import Rows
+from deadreckon.files import alone, read_json, write_json
+from deadreckon.ope.estimand import Estimand
+from deadreckon.training.checkpoint import folder_of
+from deadreckon.training.fit import Fit, Progress, complete
+from deadreckon.training.hyperparameters import described
+
+Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
+SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
+
+
+class Fits:
+    """Fits of one log and set of policies.
+
+    Args:
+        estimand: what they are for.
+        seed: of everything random.
+        out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
+        watch: called with what is fitted, the updates done and those in all.
+    """
+
+    manner: str  # tells sets of policies apart
+
+    def __init__(self, estimand: Estimand, seed: int, out: Path | str | None, watch: Watcher):
+        self.estimand, self.seed, self.watch = estimand, seed, watch
+        self.out = None if out is None else Path(out)
+        self._kept: dict[Any, Any] = {}
+        self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by updates done
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make` gives, made once."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
+
+    def train(self, learner: Any, rows: Rows, steps: int, what: str) -> Any:
+        """The state of a learner after `steps` updates, gone on with from its checkpoints where there are some.
+
+        Raises:
+            UserError: its numbers went bad.
+        """
+        folder = None if self.out is None else self._folder(learner, rows, steps, what)
+        with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):
+            return self._train(learner, rows, steps, what, folder)
+
+    def _train(self, learner: Any, rows: Rows, steps: int, what: str, folder: Path | None) -> Any:
+        job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
+        kept = None if folder is None else folder / "metrics.json"
+        known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
+        seen = self._metrics[what] = {step: metrics for step, metrics in known}
+
+        def told(progress: Progress) -> None:
+            # What a kill lost is computed, and noted, again.
+            seen[progress.step] = {name: float(value[0]) for name, value in progress.metrics.items()}
+            if kept is not None:  # for who asks again when the fit is done
+                write_json(kept, {"metrics": list(seen.items())})
+            self.watch(what, progress.step, steps)
+
+        complete(job, what, told)
+        return jax.tree.map(lambda leaf: leaf[0], job.states)
+
+    def unsettled(self, what: str, metric: str) -> list[str]:
+        """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
+        seen = self._metrics.get(what, {})
+        last = max(seen, default=0)
+        early = max((step for step in seen if step <= 0.8 * last), default=None)
+        if early is None:
+            return []
+        value, before = seen[last][metric], seen[early][metric]
+        change = abs(value - before) / max(abs(value), abs(before), 1e-12)
+        if change <= SETTLED:
+            return []
+        found = f"{metric} by {100 * change:.0f} % over its last fifth"
+        return [f"{what} still changes: {found}; more than {last:,} updates are needed"]
+
+    def _folder(self, learner: Any, rows: Rows, steps: int, what: str) -> Path:
+        """Where a fit's checkpoints lie: a folder of its own for every log, set of policies and setting."""
+        assert self.out is not None
+        columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
+        asked = {
+            "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
+            "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
+        }  # fmt: skip
+        return folder_of(self.out, what, asked)
