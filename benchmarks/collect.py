@@ -250,7 +250,7 @@ def acting(name: str, policy: str) -> Any:
     from deadreckon.data.spec import Spec
     from deadreckon.data.view import View
     from deadreckon.policies import library
-    from deadreckon.policies.policy import Deployed
+    from deadreckon.policies.deployed import Deployed
 
     if policy != "untrained":
         return library.snapshot(name, policy).policy()

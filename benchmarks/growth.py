@@ -20,7 +20,8 @@ from deadreckon.data.view import View
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.case import Case
 from deadreckon.ope.fqe import FQE
-from deadreckon.policies.policy import Deployed, TanhGaussian
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.fit import Fit
 
 CHUNK = 20  # updates between two looks at the clock

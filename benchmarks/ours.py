@@ -22,7 +22,8 @@ from deadreckon.mbo.points import Points
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.case import Case
 from deadreckon.ope.fqe import FQE
-from deadreckon.policies.policy import Deployed, TanhGaussian
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.fit import Fit
 
 CHUNK = 100  # updates between two looks from outside; a run makes whole chunks

@@ -16,8 +16,8 @@ from deadreckon.agents.sac import SAC
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.collect.antmaze import WALKER, Errands, walker
-from deadreckon.online import Online
 from deadreckon.files import read_json, write_json
+from deadreckon.online import Online
 from deadreckon.policies import store
 from deadreckon.runs.folder import Folder
 from deadreckon.tasks.antmaze import REACH_TASK, TASKS, AntMaze

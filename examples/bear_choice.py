@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 import deadreckon as dr
-from deadreckon.policies.policy import GreedyQ
+from deadreckon.policies.kinds import GreedyQ
 
 
 @dataclass

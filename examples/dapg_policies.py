@@ -21,8 +21,8 @@ from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.collect import generate
 from deadreckon.collect.maze2d import demonstrations
-from deadreckon.online import Online
 from deadreckon.data.dataset import Dataset
+from deadreckon.online import Online
 from deadreckon.policies.library import ROOT, SNAPSHOTS, library, library_tasks
 from deadreckon.runs.publish import Publish, publish
 from deadreckon.tasks.maze2d import Maze2D

@@ -20,13 +20,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.cli.main import cache_compiled_programs
-from deadreckon.online.model_learning import own
 from deadreckon.collect.rollouts import played
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.step import Step
 from deadreckon.dynamics import Ensemble, transition
 from deadreckon.errors import UserError
+from deadreckon.online.model_learning import own
 from deadreckon.policies import store
-from deadreckon.policies.policy import Deployed, Step
+from deadreckon.policies.deployed import Deployed
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.runs.folder import Folder

@@ -25,7 +25,7 @@ from deadreckon.dynamics.ensemble import rows_of
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.policies import library
-from deadreckon.policies.policy import Deployed
+from deadreckon.policies.deployed import Deployed
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.tasks import task as find_task

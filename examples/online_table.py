@@ -16,8 +16,8 @@ from deadreckon.agents.sac import SAC
 from deadreckon.bench.published import scores
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
-from deadreckon.online import Online
 from deadreckon.data.catalogue import entry
+from deadreckon.online import Online
 
 LOGS = (
     "maze2d-umaze-v1", "antmaze-umaze-v2", "door-human-v1", "kitchen-complete-v0", "flow-ring-controller-v0",

@@ -22,7 +22,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.nets.distributions import LOG_STD_MAX, LOG_STD_MIN
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.policy import Categorical, Deployed, Deterministic, TanhGaussian
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import Categorical, Deterministic, TanhGaussian
 from deadreckon.training.fit import Fit
 from decision_study.problem import Choices, Normal, softmax
 

@@ -9,7 +9,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import static
 
 

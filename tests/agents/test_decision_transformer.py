@@ -9,11 +9,11 @@ from scipy.special import softmax
 from deadreckon.agents import DecisionTransformer
 from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import clipped
 from deadreckon.nets.transformer import Block, Transformer, dropped
 from deadreckon.policies import Deployed
-from deadreckon.policies.policy import Step
 from deadreckon.training.fit import fit
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp

@@ -14,7 +14,8 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import Deployed, store
-from deadreckon.policies.policy import Categorical, Supported, first_actions, supported
+from deadreckon.policies.deployed import first_actions
+from deadreckon.policies.kinds import Categorical, Supported, supported
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests.agents.test_bear import lane

@@ -7,13 +7,13 @@ import pytest
 
 from deadreckon.agents import PETS
 from deadreckon.data.spec import Box, Spec
+from deadreckon.data.step import Step
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.online import Online
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.policies import Deployed, store
-from deadreckon.policies.policy import Step
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit

@@ -12,7 +12,7 @@ from deadreckon.agents.rem import simplex
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import q_values
-from deadreckon.policies.policy import OneStep
+from deadreckon.policies.kinds import OneStep
 from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import numpy_gaussian
 from tests.agents.test_offline import KEY, SMALL, SPEC, least_q, logged_log_prob, made, updated

@@ -14,7 +14,7 @@ from deadreckon.data.download import Patience
 from deadreckon.data.hdf5 import write_hdf5
 from deadreckon.errors import UserError
 from deadreckon.policies import load_dapg
-from deadreckon.policies.policy import Gaussian
+from deadreckon.policies.kinds import Gaussian
 from deadreckon.tasks import task
 from deadreckon.tasks.adroit import TASKS
 

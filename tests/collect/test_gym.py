@@ -8,7 +8,7 @@ from deadreckon.collect import gym, recipe, recipe_names
 from deadreckon.errors import UserError
 from deadreckon.files import alone
 from deadreckon.policies import library, store
-from deadreckon.policies.policy import Deployed
+from deadreckon.policies.deployed import Deployed
 from deadreckon.tasks import gym_mujoco, task
 
 SUITE = ("hopper", "halfcheetah", "walker2d", "ant")

@@ -19,7 +19,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies import Deployed, library
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.kinds import TanhGaussian
 
 # Bounds that are neither symmetric nor of width 2, and episodes that end both ways.
 HOPPER = replace(tasks.task("hopper"), horizon=16, action_space=Box((-0.9, -0.5, -1.0), (0.3, 1.0, 0.6)))

@@ -11,7 +11,7 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.ope import FQE, LOGGED, BehaviorModel, Case, DoublyRobust, ImportanceSampling
 from deadreckon.ope.tables import NOISE
 from deadreckon.policies import BlackBoxPolicy, Deployed, library
-from deadreckon.policies.policy import ClippedGaussian, Deterministic
+from deadreckon.policies.kinds import ClippedGaussian, Deterministic
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
 

@@ -6,8 +6,9 @@ import numpy as np
 from scipy import stats
 
 from deadreckon.data.spec import Box, Spec
+from deadreckon.data.step import Step
 from deadreckon.policies import behavior
-from deadreckon.policies.policy import Deployed, Step
+from deadreckon.policies.deployed import Deployed
 
 SPEC = Spec.empty((3,), Box([-1.0, -1.0], [1.0, 1.0]), "none")
 

@@ -15,16 +15,8 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import BlackBoxPolicy, Deployed, Policy, Step, portable, store
-from deadreckon.policies.policy import (
-    Categorical,
-    ClippedGaussian,
-    Deterministic,
-    GreedyQ,
-    Mixture,
-    Moved,
-    TanhGaussian,
-    VAEDecoder,
-)
+from deadreckon.policies.deployed import Mixture
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, GreedyQ, Moved, TanhGaussian, VAEDecoder
 
 KEY = jax.random.key(0)
 VIEW = View(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))

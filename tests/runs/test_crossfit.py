@@ -11,7 +11,7 @@ from deadreckon.data.split import folds
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.policies import store
-from deadreckon.policies.policy import Mixture
+from deadreckon.policies.deployed import Mixture
 from deadreckon.runs import crossfit
 from deadreckon.runs.train import train
 from deadreckon.training.fit import Failure

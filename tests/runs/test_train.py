@@ -211,7 +211,7 @@ def test_lanes_are_judged_by_their_own_settings(log, tmp_path):
 
 def test_a_policy_of_another_size_is_refused(run):
     from deadreckon.policies import Deployed
-    from deadreckon.policies.policy import Deterministic
+    from deadreckon.policies.kinds import Deterministic
 
     narrow = Deployed.of(Deterministic(run.policies[0].inner.net), run.policies[0].view)
     wide = evaluate(narrow, "maze2d-umaze", episodes=1)

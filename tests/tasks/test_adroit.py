@@ -12,7 +12,7 @@ import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon import tasks
 from deadreckon.data.pickles import load_pickle, read_pickle
 from deadreckon.policies import load_dapg
-from deadreckon.policies.policy import first_actions
+from deadreckon.policies.deployed import first_actions
 from deadreckon.tasks.adroit import TASKS, _angles
 
 every = pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)

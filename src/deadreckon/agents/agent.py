@@ -13,7 +13,8 @@ from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
-from deadreckon.policies.policy import Categorical, Inner
+from deadreckon.policies.kinds import Categorical
+from deadreckon.policies.policy import Inner
 from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
 

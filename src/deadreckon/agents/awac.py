@@ -12,7 +12,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 

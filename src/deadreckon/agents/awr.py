@@ -17,7 +17,7 @@ from deadreckon.agents.agent import Agent, backup, capped_exp, imitation_loss, t
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 

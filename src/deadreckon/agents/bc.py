@@ -13,7 +13,7 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
-from deadreckon.policies.policy import Categorical, create_actor
+from deadreckon.policies.kinds import Categorical, create_actor
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 

@@ -18,7 +18,7 @@ from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import Categorical, GreedyQ, Moved, Supported, moved, supported
+from deadreckon.policies.kinds import Categorical, GreedyQ, Moved, Supported, moved, supported
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
 
 

@@ -21,7 +21,7 @@ from deadreckon.nets.mmd import Kernel, mmd
 from deadreckon.nets.optim import begin, copy, descend, track
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import GreedyQ, TanhGaussian
+from deadreckon.policies.kinds import GreedyQ, TanhGaussian
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Number, Positive, Range, Share, Sizes, static
 from deadreckon.training.learner import Metrics
 

@@ -22,7 +22,7 @@ from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import begin, descend
-from deadreckon.policies.policy import Categorical
+from deadreckon.policies.kinds import Categorical
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 

@@ -25,7 +25,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, descend
-from deadreckon.policies.policy import Gaussian
+from deadreckon.policies.kinds import Gaussian
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
 
 LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall

@@ -19,7 +19,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import OneStep
+from deadreckon.policies.kinds import OneStep
 from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
 

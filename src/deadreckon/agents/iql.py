@@ -15,7 +15,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, cre
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import Categorical, create_actor, stochastic
+from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Share, Sizes, static
 
 

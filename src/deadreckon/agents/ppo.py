@@ -19,7 +19,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import begin, clipped, descend
-from deadreckon.policies.policy import TanhGaussian
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
 PASSES, MINIBATCH = 10, 64  # of a block, and rows

@@ -13,7 +13,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import Categorical, create_actor, stochastic
+from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Share, Sizes, static
 
 

@@ -10,7 +10,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import begin, copy, descend, track
-from deadreckon.policies.policy import Deterministic
+from deadreckon.policies.kinds import Deterministic
 from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
 

@@ -24,7 +24,7 @@ from deadreckon.data.pickles import read_pickle
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.policies.dapg import load_dapg
-from deadreckon.policies.policy import Deployed, first_actions
+from deadreckon.policies.deployed import Deployed, first_actions
 from deadreckon.tasks.adroit import Adroit
 from deadreckon.training.fit import Fit
 

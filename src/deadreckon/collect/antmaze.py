@@ -19,7 +19,7 @@ from deadreckon.collect.rollouts import COPIES, Act, Guide, acted_in, perform
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies import library, store
-from deadreckon.policies.policy import Deployed, first_actions
+from deadreckon.policies.deployed import Deployed, first_actions
 from deadreckon.tasks.antmaze import GOAL_NOISE, AntMaze, ahead
 
 ACTION_NOISE = 0.2  # standard deviation of the noise on the walker's actions

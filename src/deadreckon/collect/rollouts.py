@@ -22,9 +22,10 @@ from jaxtyping import Array, PRNGKeyArray
 from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
+from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_at, write_json
-from deadreckon.policies.policy import Deployed, Step
+from deadreckon.policies.deployed import Deployed
 from deadreckon.tasks.task import Simulator, Task
 from deadreckon.versions import differences
 

@@ -14,9 +14,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Discrete, Spec
+from deadreckon.data.step import Step
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Step
 from deadreckon.tasks.task import Task
 from deadreckon.training.program import ACT
 from deadreckon.training.replay import Replay, read_rows

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.slbo import SLBO
+from deadreckon.data.step import Step
 from deadreckon.dynamics import transition
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.online.on_policy import digested, learned_fields, observing
-from deadreckon.policies.policy import Step
 
 _VIRTUAL = 7  # purpose of randomness, beside those of `training.program` and `online.branched_rollouts`
 STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model

@@ -23,7 +23,7 @@ from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Best, in_blocks
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import Categorical, create_actor
+from deadreckon.policies.kinds import Categorical, create_actor
 from deadreckon.training.hyperparameters import static
 
 # What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.

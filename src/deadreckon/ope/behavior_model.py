@@ -6,7 +6,7 @@ import jax
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.optim import begin, descend
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import create_actor
+from deadreckon.policies.kinds import create_actor
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 

@@ -22,7 +22,9 @@ from deadreckon.ope.fits import Fits, Watcher
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
-from deadreckon.policies.policy import ClippedGaussian, Deployed, Policy
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import ClippedGaussian
+from deadreckon.policies.policy import Policy
 
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"

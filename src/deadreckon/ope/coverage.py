@@ -22,7 +22,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import Case
 from deadreckon.ope.critics import in_blocks
-from deadreckon.policies.policy import Categorical
+from deadreckon.policies.kinds import Categorical
 
 LEVEL = 0.99  # of the log's own actions are covered
 # The bound comes from this share of the log's rows, or more, to have so many rows and episodes; never from more than half.

@@ -14,9 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.data.spec import Spec
+from deadreckon.data.step import Step
 from deadreckon.data.view import View
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, OneStep, Step
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import Deterministic, Gaussian, OneStep
 
 BLOCK = 8192  # rows at a time
 LIMIT = 2**30  # bytes of a table above which it lies in a file

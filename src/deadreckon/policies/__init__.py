@@ -6,14 +6,22 @@ Names are looked up on first use, so that `deadreckon.policies.portable` can be 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from deadreckon.data.step import Step
     from deadreckon.policies.dapg import load_dapg
+    from deadreckon.policies.deployed import Deployed
     from deadreckon.policies.dope import load_dope
-    from deadreckon.policies.policy import BlackBoxPolicy, Deployed, Policy, Step
+    from deadreckon.policies.policy import BlackBoxPolicy, Policy
     from deadreckon.policies.store import load, save
 
-_HOMES = {"BlackBoxPolicy": "policy", "Deployed": "policy", "Policy": "policy", "Step": "policy", "load": "store",
-          "load_dapg": "dapg", "load_dope": "dope", "save": "store"}  # fmt: skip
+_HOMES = {
+    "BlackBoxPolicy": "policy", "Deployed": "deployed", "Policy": "policy", "Step": "policy", "load": "store",
+    "load_dapg": "dapg", "load_dope": "dope", "save": "store",
+}  # fmt: skip
 __all__ = ["BlackBoxPolicy", "Deployed", "Policy", "Step", "load", "load_dapg", "load_dope", "save"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
 
 
 def __getattr__(name: str):

@@ -10,7 +10,8 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import Categorical, ClippedGaussian, Gaussian, Inner, VAEDecoder, stochastic
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, VAEDecoder, stochastic
+from deadreckon.policies.policy import Inner
 
 Kind = Literal["gaussian", "vae"]
 

@@ -13,7 +13,8 @@ import numpy as np
 from deadreckon.data.pickles import load_network
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.policy import Deployed, Gaussian
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import Gaussian
 
 
 def load_dapg(path: Path | str) -> Deployed:

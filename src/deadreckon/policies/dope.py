@@ -15,7 +15,8 @@ import numpy as np
 from deadreckon.data.pickles import load_pickle
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.policy import Deployed, Deterministic, Gaussian, TanhGaussian
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.kinds import Deterministic, Gaussian, TanhGaussian
 
 
 def load_dope(path: Path | str) -> Deployed:

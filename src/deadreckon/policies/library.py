@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.errors import UserError, unknown
-from deadreckon.policies.policy import Deployed
+from deadreckon.policies.deployed import Deployed
 from deadreckon.policies.store import load
 
 ROOT = Path(__file__).parent / "library"

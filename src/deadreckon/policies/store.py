@@ -14,7 +14,8 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import planner, portable  # noqa: F401 - a planner registers itself
-from deadreckon.policies.policy import KINDS, Deployed
+from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.policy import KINDS
 from deadreckon.policies.sequence import Sequence
 
 _TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`

@@ -21,7 +21,7 @@ from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_json, write_json
 from deadreckon.policies import store
-from deadreckon.policies.policy import Deployed, Mixture
+from deadreckon.policies.deployed import Deployed, Mixture
 from deadreckon.runs.seen import seen
 from deadreckon.runs.train import Run, lanes_of, load, train
 from deadreckon.versions import differences

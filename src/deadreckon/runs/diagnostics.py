@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.view import View
-from deadreckon.policies.policy import Deployed, first_actions
+from deadreckon.policies.deployed import Deployed, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.task import Task

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.data.spec import Discrete
+from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.policy import Deployed, Policy, Step, first_actions
+from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.policies.policy import Policy
 from deadreckon.policies.store import load
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval

@@ -12,7 +12,7 @@ from deadreckon.agents import agent_name
 from deadreckon.data.dataset import Dataset
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
-from deadreckon.policies.policy import Deployed
+from deadreckon.policies.deployed import Deployed
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder

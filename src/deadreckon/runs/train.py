@@ -20,7 +20,7 @@ from deadreckon.data.split import Fold, Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json, safe_name
 from deadreckon.policies import store
-from deadreckon.policies.policy import Deployed
+from deadreckon.policies.deployed import Deployed
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided

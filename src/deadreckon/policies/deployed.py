@@ -1,0 +1,141 @@
+"""What is saved, evaluated and shipped: policies between raw observations and the environment's actions."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, PRNGKeyArray
+
+from deadreckon.data.step import Step
+from deadreckon.data.view import EDGE, View
+from deadreckon.errors import UserError
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, Supported, TanhGaussian
+from deadreckon.policies.policy import Inner
+
+
+class Deployed(eqx.Module):
+    """An inner policy between raw observations and the environment's actions: what is saved, evaluated and shipped.
+
+    Attributes:
+        inner: in the method's coordinates.
+        mean, std: of the observations, or None.
+        low, high: (size,) bounds of the actions.
+    """
+
+    inner: Inner
+    mean: Array | None
+    std: Array | None
+    low: Array | None
+    high: Array | None
+
+    @classmethod
+    def of(cls, inner: Inner, view: View) -> "Deployed":
+        """`inner` seen through `view`."""
+        arrays = (None if v is None else jnp.asarray(v) for v in (view.mean, view.std, view.low, view.high))
+        return cls(inner, *arrays)
+
+    @property
+    def view(self) -> View:
+        """The change of coordinates."""
+        return View(self.mean, self.std, self.low, self.high)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def has_log_prob(self) -> bool:
+        """Whether `log_prob` is defined."""
+        return self.inner.has_log_prob
+
+    def start(self, n: int) -> Any:
+        """The inner policy's carry."""
+        return self.inner.start(n)
+
+    def act(self, step: Step, carry: Any, key: PRNGKeyArray, *, greedy: bool) -> tuple[Array, Any]:
+        """Actions in the environment's bounds."""
+        seen = step._replace(observation=self.view.observe(step.observation))
+        action, carry = self.inner.act(seen, carry, key, greedy=greedy)
+        return self.view.from_unit(action), carry
+
+    def log_prob(self, observation: Any, action: Any) -> Array:
+        """Log-density of environment actions (n, size) at raw observations (n, *shape); see also `ClippedGaussian`."""
+        if not isinstance(self.inner, TanhGaussian | Gaussian | Categorical):
+            raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
+        view = self.view
+        unit = view.to_unit(jnp.asarray(action))
+        log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), unit)
+        if self.low is None or self.high is None:
+            return log_prob
+        # As `View.log_scale`, but also where the bounds are traced; what a bound has of a clipped Gaussian is no density.
+        scale = jnp.log(0.5 * (self.high - self.low))
+        dense = jnp.abs(unit) < EDGE if isinstance(self.inner, ClippedGaussian) else 1.0
+        return log_prob - (dense * scale).sum(-1)
+
+    @property
+    def action_probs(self) -> Callable[[Any], np.ndarray] | None:
+        """Of discrete actions, what gives the probabilities (n, actions) at raw observations; None for continuous ones.
+
+        Those of a mixture are of an episode's first action; what it does later depends on which member was drawn.
+        """
+        if isinstance(self.inner, Mixture):
+            found = [member.action_probs for member in self.inner.members]
+            told = [tells for tells in found if tells is not None]
+            if len(told) < len(found):
+                return None
+            return lambda observations: np.mean([tells(observations) for tells in told], 0)
+        if not isinstance(self.inner, Categorical | Supported):
+            return None
+        return lambda observations: np.asarray(_chances(self, jnp.asarray(observations)))
+
+    def __call__(self, observations: Any) -> np.ndarray:
+        """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
+        x = np.asarray(observations, np.float32)
+        single = x.ndim == 1
+        actions = first_actions(self, jnp.asarray(x[None] if single else x), jax.random.key(0), True)
+        return np.asarray(actions[0] if single else actions)
+
+
+class Mixture(Inner):
+    """One of several policies, drawn with equal chances when an episode begins, also when `greedy`, and kept to its end.
+
+    A policy that came of another part of a log has its own coordinates, so these are whole policies: a mixture sees raw
+    observations and gives the environment's actions.
+
+    Attributes:
+        members: the policies.
+    """
+
+    members: tuple[Deployed, ...]
+
+    @classmethod
+    def of(cls, members: Sequence[Deployed]) -> Deployed:
+        """Of policies with equal sizes, as what is saved and judged."""
+        return Deployed(cls(tuple(members)), None, None, None, None)
+
+    def start(self, n: int) -> tuple[Array, tuple[Any, ...]]:
+        """(n,) which member acts, not drawn yet, and the members' carries."""
+        return jnp.zeros(n, jnp.int32), tuple(member.start(n) for member in self.members)
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`; in the environment's bounds."""
+        which, carries = carry
+        draw, *keys = jax.random.split(key, 1 + len(self.members))
+        first = jnp.asarray(step.first, bool)
+        which = jnp.where(first, jax.random.randint(draw, first.shape, 0, len(self.members)), which)
+        acts = [member.act(step, c, k, greedy=greedy) for member, c, k in zip(self.members, carries, keys)]
+        actions = jnp.stack([action for action, _ in acts])
+        return actions[which, jnp.arange(len(which))], (which, tuple(kept for _, kept in acts))
+
+
+@eqx.filter_jit
+def first_actions(policy: Deployed, observations: Array, key: PRNGKeyArray, greedy: bool) -> Array:
+    """What the policy does at raw observations (n, *shape) as the first of an episode, (n, size)."""
+    n = len(observations)
+    step = Step(observations, jnp.zeros(n), jnp.ones(n, bool))
+    return policy.act(step, policy.start(n), key, greedy=greedy)[0]
+
+
+@eqx.filter_jit
+def _chances(policy: Deployed, observations: Array) -> Array:
+    assert isinstance(policy.inner, Categorical | Supported)
+    return policy.inner.chances(policy.view.observe(observations))

@@ -1,0 +1,245 @@
+"""The kinds of policy that agents produce, in a method's coordinates."""
+
+from typing import Any, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from deadreckon.data.spec import Spec
+from deadreckon.data.step import Step
+from deadreckon.data.view import EDGE
+from deadreckon.nets import distributions as dist
+from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.vae import VAE
+from deadreckon.policies.policy import Inner
+
+
+class Deterministic(Inner):
+    """a = tanh(net(s))."""
+
+    net: MLP
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`; every draw is the same."""
+        out = self.net(observation)
+        return jnp.broadcast_to(out, (*count, *out.shape))
+
+
+class TanhGaussian(Inner):
+    """a = tanh(mean + std * noise); greedy is tanh(mean).
+
+    Attributes:
+        net: to mean and log-deviation.
+        log_std: the range that log-deviations are clipped to.
+    """
+
+    net: MLP
+    log_std: tuple[float, float] = eqx.field(static=True, default=(dist.LOG_STD_MIN, dist.LOG_STD_MAX))
+    has_log_prob = True
+
+    def _head(self, observation: Float[Array, "n o"]) -> dist.Gaussian:
+        return dist.gaussian_head(self.net(observation), *self.log_std)
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        d = self._head(observation)
+        if greedy:
+            return jnp.broadcast_to(d.mean, (*count, *d.mean.shape))
+        return dist.sample(d, key, count)
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+        """Log-density over [-1, 1] of actions, clipped to the open interval."""
+        return dist.log_prob(self._head(observation), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
+
+
+class Gaussian(Inner):
+    """a = mean + std * noise without bounds, as published policies have it; the environment clips. Greedy is the mean."""
+
+    net: MLP
+    has_log_prob = True
+
+    @classmethod
+    def of(cls, means: MLP, log_std: Float[Array, "a"]) -> Self:
+        """With a network to the means, and log-deviations that no observation changes."""
+        weight, bias = means.weights[-1], means.biases[-1]
+        weights = *means.weights[:-1], jnp.concatenate([weight, jnp.zeros_like(weight)], -1)
+        return cls(MLP(weights, (*means.biases[:-1], jnp.concatenate([bias, log_std])), means.activation))
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`; the action is not squashed."""
+        return self.pre_actions(step.observation, key, greedy=greedy), carry
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
+        if greedy:
+            return jnp.broadcast_to(mean, (*count, *mean.shape))
+        return dist.sample(dist.Gaussian(mean, log_std), key, count)
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+        """Log-density of actions."""
+        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
+        return _log_densities(mean, log_std, action).sum(-1)
+
+
+def _log_densities(mean: Array, log_std: Array, action: Array) -> Array:
+    """Of each number of an action, under a Gaussian."""
+    z = (action - mean) * jnp.exp(-log_std)
+    return -0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)
+
+
+class ClippedGaussian(Gaussian):
+    """A `Gaussian` whose draws are cut to [-1, 1]; each bound has the probability of all that lies beyond."""
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`."""
+        return jnp.clip(self.pre_actions(step.observation, key, greedy=greedy), -1.0, 1.0), carry
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+        """Sum of log-densities of actions between the bounds, and log-probabilities of those at them."""
+        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
+        beyond = jax.scipy.stats.norm.logcdf((jnp.sign(action) * mean - 1.0) * jnp.exp(-log_std))
+        return jnp.where(jnp.abs(action) >= EDGE, beyond, _log_densities(mean, log_std, action)).sum(-1)
+
+
+class VAEDecoder(Inner):
+    """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
+
+    vae: VAE
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        if greedy:
+            size = self.vae.decoder.weights[0].shape[0] - observation.shape[-1]
+            return self.vae.decode(observation, jnp.zeros((*count, *observation.shape[:-1], size)))
+        return self.vae.sample(observation, key, count)
+
+
+def moved(mover: MLP, reach: Any, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n a"]:
+    """Actions in [-1, 1], each moved by `reach` tanh(mover(s, a)) and kept within."""
+    return jnp.clip(action + reach * jnp.tanh(mover.beside(observation, action)), -1.0, 1.0)
+
+
+class Moved(Inner):
+    """Actions of a VAE, each moved a little by a network (BCQ's).
+
+    Attributes:
+        vae: makes actions.
+        mover: of observation and action, to which way an action goes.
+        reach: how far at most.
+    """
+
+    vae: VAE
+    mover: MLP
+    reach: Array
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        pre = VAEDecoder(self.vae).pre_actions(observation, key, greedy=greedy, count=count)
+        return jnp.arctanh(jnp.clip(moved(self.mover, self.reach, observation, jnp.tanh(pre)), -EDGE, EDGE))
+
+
+class OneStep(Inner):
+    """a = net(s, z), cut to [-1, 1], with z standard normal (FQL's). It draws also when `greedy`: no z is the best."""
+
+    net: MLP
+
+    def drawn(self, observation: Float[Array, "n o"], key: PRNGKeyArray, count: tuple[int, ...] = ()) -> Float[Array, "*c n a"]:
+        """Actions in [-1, 1]."""
+        z = jax.random.normal(key, (*count, *observation.shape[:-1], self.net.biases[-1].shape[-1]))
+        seen = jnp.broadcast_to(observation, (*z.shape[:-1], observation.shape[-1]))
+        return jnp.clip(self.net(jnp.concatenate([seen, z], -1)), -1.0, 1.0)
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`."""
+        return jnp.arctanh(jnp.clip(self.drawn(observation, key, count), -EDGE, EDGE))
+
+
+class Categorical(Inner):
+    """A choice among discrete actions by a network's logits; greedy is the likeliest."""
+
+    net: MLP
+    has_log_prob = True
+
+    @classmethod
+    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> "Categorical":
+        """A fresh network."""
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key))
+
+    def chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """The probability of every action."""
+        return jax.nn.softmax(self.net(observation))
+
+    def log_chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """Its logarithm."""
+        return jax.nn.log_softmax(self.net(observation))
+
+    def log_prob(self, observation: Float[Array, "n o"], action: Int[Array, "n"]) -> Float[Array, "n"]:
+        """Log-probability of one action each."""
+        return jnp.take_along_axis(self.log_chances(observation), action[:, None], -1)[:, 0]
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`."""
+        logits = self.net(step.observation)
+        return (logits.argmax(-1) if greedy else jax.random.categorical(key, logits)).astype(jnp.int32), carry
+
+
+def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | Categorical:
+    """A stochastic actor: a network to mean and log-deviation before the tanh, or the logits of discrete actions."""
+    if spec.discrete:
+        return Categorical.create(spec, hidden, key)
+    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
+
+
+def stochastic(actor: MLP | Categorical) -> Inner:
+    """What `create_actor` made as a policy; greedy is its mean, or its likeliest action."""
+    return actor if isinstance(actor, Categorical) else TanhGaussian(actor)
+
+
+class Supported(Inner):
+    """Of the discrete actions that a model of the log finds likely enough, the best by a critic (discrete BCQ).
+
+    Attributes:
+        behavior: the model.
+        critic: to a value an action.
+        share: of the likeliest action's probability, which others need.
+    """
+
+    behavior: Categorical
+    critic: MLP
+    share: Array
+
+    def act(self, step, carry, key, *, greedy):
+        """See `Inner`; nothing is drawn."""
+        values = jnp.where(supported(self.behavior, self.share, step.observation), self.critic(step.observation), -jnp.inf)
+        return values.argmax(-1).astype(jnp.int32), carry
+
+    def chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """The probability of every action: all of it on one."""
+        step = Step(observation, None, None)
+        chosen, _ = self.act(step, (), jax.random.key(0), greedy=True)
+        return jax.nn.one_hot(chosen, self.critic.biases[-1].shape[-1])
+
+
+def supported(behavior: Categorical, share: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:
+    """Which actions have at least this share of the likeliest one's probability."""
+    log_chances = behavior.log_chances(observation)
+    return log_chances >= log_chances.max(-1, keepdims=True) + jnp.log(share)
+
+
+class GreedyQ(Inner):
+    """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
+
+    actor: Inner
+    critic: MLP
+    samples: int = eqx.field(static=True, default=10)
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `Inner`. The candidates are drawn also when `greedy`: choosing among them is what makes it so."""
+        pre = self.actor.pre_actions(observation, key, greedy=False, count=(self.samples, *count))
+        critics = jax.tree.map(lambda w: w[None], self.critic)
+        q = q_values(critics, observation, jnp.tanh(pre))[0]
+        best = jnp.argmax(q, 0)
+        return jnp.take_along_axis(pre, best[None, ..., None], 0)[0]
