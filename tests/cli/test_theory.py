@@ -8,6 +8,7 @@ import pytest
 
 from deadreckon.cli.main import main
 from deadreckon.report import theory
+from deadreckon.report.theory import drawing, grid, nml
 
 
 def test_it_lists_what_there_is(capsys):
@@ -22,7 +23,7 @@ def test_an_unknown_name(capsys):
 
 
 def test_numbers_in_columns(tmp_path):
-    theory.columns(tmp_path / "a.csv", {"k": np.arange(3), "x": np.array([0.1, np.nan, 1e-9])})
+    drawing.columns(tmp_path / "a.csv", {"k": np.arange(3), "x": np.array([0.1, np.nan, 1e-9])})
     with open(tmp_path / "a.csv") as file:
         assert [*csv.reader(file)] == [["k", "x"], ["0", "0.1"], ["1", "nan"], ["2", "1e-09"]]
 
@@ -34,8 +35,8 @@ def test_pictures_of_small_worlds(tmp_path):
     found = propagation.propagate(propagation.grid(3, 3, rows=100), 0.2, shown=(1, 5), draws=4)
     seen = piecewise.sine(points=12, queries=9, members=2)
     paths = [
-        theory.draw_propagation(tmp_path / "p.svg", found), theory.draw_stitching(tmp_path / "s.svg", fitted.stitching()),
-        theory.draw_beliefs(tmp_path / "b.svg", seen), theory.draw_claims(tmp_path / "c.svg", seen, shown=3),
+        grid.draw_propagation(tmp_path / "p.svg", found), grid.draw_stitching(tmp_path / "s.svg", fitted.stitching()),
+        nml.draw_beliefs(tmp_path / "b.svg", seen), nml.draw_claims(tmp_path / "c.svg", seen, shown=3),
     ]  # fmt: skip
     roots = [ET.parse(path).getroot() for path in paths]
     assert all(root.tag.endswith("svg") for root in roots)
