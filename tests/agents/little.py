@@ -10,7 +10,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.kinds import TanhGaussian
-from deadreckon.training.hyperparameters import static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
 class Little(Agent):
@@ -18,9 +18,9 @@ class Little(Agent):
 
     online: ClassVar[bool] = True
 
-    lr: float = 1e-2
-    hidden: tuple[int, ...] = static((4,))
-    batch_size: int = static(8)
+    lr: NonNegative = 1e-2
+    hidden: Sizes = static((4,))
+    batch_size: Count = static(8)
 
     def needs(self, spec):
         return Needs(batch_size=self.batch_size)

@@ -8,7 +8,7 @@ import pytest
 
 from deadreckon.cli.main import main
 from deadreckon.report import theory
-from deadreckon.report.theory import drawing, grid, nml
+from deadreckon.report.theory import drawing, grid, normalised
 
 
 def test_it_lists_what_there_is(capsys):
@@ -36,7 +36,7 @@ def test_pictures_of_small_worlds(tmp_path):
     seen = piecewise.sine(points=12, queries=9, members=2)
     paths = [
         grid.draw_propagation(tmp_path / "p.svg", found), grid.draw_stitching(tmp_path / "s.svg", fitted.stitching()),
-        nml.draw_beliefs(tmp_path / "b.svg", seen), nml.draw_claims(tmp_path / "c.svg", seen, shown=3),
+        normalised.draw_beliefs(tmp_path / "b.svg", seen), normalised.draw_claims(tmp_path / "c.svg", seen, shown=3),
     ]  # fmt: skip
     roots = [ET.parse(path).getroot() for path in paths]
     assert all(root.tag.endswith("svg") for root in roots)

@@ -130,5 +130,5 @@ def test_margins_and_percentiles(mixed):
     assert not mixed.coordinates.discrete
     levels = [Variable(c, "categorical", levels=tuple("xyz")) for c in "ab"]
     assert Designs.from_arrays(np.arange(20).reshape(10, 2) % 3, np.arange(10.0), levels).coordinates.discrete
-    with pytest.raises(UserError, match=r"CbAS.percentile must be 0 .. 100 without 100, got 150"):
+    with pytest.raises(UserError, match="CbAS.percentile takes a finite number >= 0 and < 100, got 150"):
         designer("cbas", percentile=150.0).propose(mixed, 4)

@@ -7,13 +7,14 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import LOGGED, Case, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, estimator, inference
+from deadreckon.ope import LOGGED, Case, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, estimator
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import automatic, decide
 from deadreckon.ope.support import support
 from deadreckon.policies import BlackBoxPolicy
+from deadreckon.stats import inference
 from deadreckon.theory import garnet
 from deadreckon.theory.tabular import softmax
 from tests.ope.worlds import as_policy, tables

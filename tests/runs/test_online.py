@@ -80,7 +80,7 @@ def stop_at(step):
 
 def test_run_folder_holds_what_was_asked_and_what_came_out(run):
     config = run.config
-    assert config["agent"] == {"name": "Little", "fields": {"lr": 0.01, "hidden": [4], "batch_size": 8}}
+    assert config["agent"] == {"name": "tests.agents.little:Little", "fields": {"lr": 0.01, "hidden": [4], "batch_size": 8}}
     assert config["online"] == asdict(SETTINGS)
     assert config["task"] == "hopper"
     assert config["steps"] == UPDATES

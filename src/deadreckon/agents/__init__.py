@@ -134,6 +134,7 @@ __all__ = [
     "preset",
     "preset_for",
     "presets",
+    "short_name",
 ]  # fmt: skip
 
 
@@ -228,6 +229,11 @@ def agent_name(agent: object) -> str:
     if path in known:
         return known[path]
     return kind.__name__ if kind.__module__ == "__main__" or "<locals>" in path else path
+
+
+def short_name(agent: object) -> str:
+    """`agent_name` without a module, for titles and folders."""
+    return agent_name(agent).rpartition(":")[2]
 
 
 def __dir__() -> list[str]:

@@ -12,14 +12,14 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deadreckon.agents import agent_name
+from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import RANDOM, Fold
 from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_json, write_json
+from deadreckon.files import file_part, read_json, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import Deployed, Mixture
 from deadreckon.runs.seen import seen
@@ -101,8 +101,9 @@ def cross_fit(
         raise unknown("delivery", deliver, get_args(Deliver))
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=options.get("strict", False))
     fold = dealt(log, folds, by, seed)
-    name = agent_name(lanes_of(agent, options.get("seeds", 1))[0])
-    path = Path(out) if out is not None else Path("runs") / f"{name}-{log.name}-crossfit"
+    first = lanes_of(agent, options.get("seeds", 1))[0]
+    name = agent_name(first)
+    path = Path(out) if out is not None else Path("runs") / file_part(f"{short_name(first)}-{log.name}-crossfit")
     config = {
         "folds": folds, "by": by, "seed": seed, "agent": name, "episodes": np.bincount(fold).tolist(),
         "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.agents import agent_name
+from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
@@ -72,7 +72,7 @@ def train_online(
     updates = settings.updates(steps)
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
-    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{name}-{task.name}-online"))
+    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
     every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
     if evaluate_every is None:
         every = folder.period(resume) or every

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.agents import agent_class, agent_name
+from deadreckon.agents import agent_class, agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import Rows
@@ -125,7 +125,7 @@ def train(
     check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
     lanes = lanes_of(agent, seeds)
-    path = Path(out) if out is not None else Path("runs") / file_part(f"{agent_name(lanes[0])}-{log.name}")
+    path = Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{log.name}")
     [run] = _train(
         {path: lanes}, path, log, steps=steps, seed=seed, task=task, evaluate_every=evaluate_every, episodes=episodes,
         chunk=chunk, resume=resume, stream=stream, strict=strict, holdout=holdout, watch=watch,

@@ -154,7 +154,7 @@ def advance(
         bad = jax.tree.map(lambda b, m: jnp.where((b < 0) & ~jnp.isfinite(m), step, b), bad, metrics)
         return states, sums, bad
 
-    shapes = jax.evalshape_of(all_lanes, states, start)[1]
+    shapes = jax.eval_shape(all_lanes, states, start)[1]
     sums = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     bad = jax.tree.map(lambda s: jnp.full(s.shape, -1, jnp.int32), shapes)
     states, sums, bad = jax.lax.fori_loop(start, stop, body, (states, sums, bad))

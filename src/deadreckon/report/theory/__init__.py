@@ -5,7 +5,7 @@ from pathlib import Path
 
 from deadreckon.report.theory.drawing import Made
 from deadreckon.report.theory.grid import gridworld
-from deadreckon.report.theory.nml import nml
+from deadreckon.report.theory.normalised import nml
 from deadreckon.report.theory.rollout_bounds import bounds
 from deadreckon.report.theory.sampled_mmd import mmd
 
