@@ -209,3 +209,26 @@ def test_a_column_that_is_kept_survives_conversion(tmp_path, ending):
     assert again.extras["user"].tolist() == log.extras["user"].tolist()
     plain = read(tmp_path / "log.csv", action="arm", reward="click", ignore="user")
     np.testing.assert_array_equal(again.episode_ids, plain.episode_ids)
+
+
+def test_decisions_that_stand_alone_need_no_options(tmp_path):
+    """Nothing tells of episodes: each row is one, and a column called propensity is what it says."""
+    path = tmp_path / "bandit.csv"
+    path.write_text("observation_0,observation_1,action,reward,propensity\n1,2,0,0.5,0.25\n3,4,1,1,0.5\n")
+    found = read(path)
+    assert found.episodes == 2
+    assert found.terminals.all()
+    np.testing.assert_allclose(found.extras["behavior_log_probs"], np.log([0.25, 0.5]), rtol=1e-6)
+    assert read(path, horizon=1).timeouts.all()  # whoever gives a horizon has a stream
+    path.write_text("observation_0,action,reward,time\n1,0,0.5,1\n3,1,1,2\n")
+    assert read(path).episodes == 1
+
+
+def test_columns_that_look_like_something_else_than_an_observation(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("x,pscore,user_id,offer,reward\n1,0.25,7,a,0.5\n3,0.5,8,b,1\n")
+    said = " ".join(read(path, action="offer", reward="reward").warnings)
+    assert "column pscore looks like a probability of the logged action" in said
+    assert "--keep user_id" in said
+    named = read(path, action="offer", reward="reward", propensity="pscore", keep="user_id")
+    assert not [line for line in named.warnings if "looks like" in line]

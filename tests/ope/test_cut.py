@@ -14,6 +14,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.features import Table
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.ope.select import gains
 from deadreckon.theory.tabular import garnet
 from tests.ope.worlds import as_policy, tables
 
@@ -47,6 +48,21 @@ def test_the_value_beyond_the_recording_is_that_of_the_world(recorded, kind):
     error = gain.std(ddof=1) / np.sqrt(len(gain))
     assert abs((found.value[0] - found.value[1]) - (truth[0] - truth[1])) < 3 * error
     assert found.corrected == (kind == "marginal")
+
+
+def test_errors_beyond_the_recording_are_those_within_it(recorded):
+    """Of `dr`, whose corrections end there: a share b beyond makes them 1 / (1 - b) times as large. `drl` corrects all."""
+    _, _, other, log = recorded
+    for horizon, share in ((None, None), (STEPS, 0.0)):
+        case = Case(log, [as_policy(other)], discount=DISCOUNT, horizon=horizon, logged=True, names=["other"])
+        share = case.beyond if share is None else share
+        plain, marginal = (DoublyRobust(kind=kind, fqe=LinearFQE()).on(case) for kind in ("dr", "marginal"))
+        assert marginal.inflation is None
+        errors = plain.influence.std(0, ddof=1) / np.sqrt(len(plain.influence))
+        assert (plain.high - plain.low) / errors == pytest.approx(2 * 1.96 / (1 - share), rel=0.05)
+        low, high = gains(plain)[0, 1:]
+        gain = (plain.influence[:, 0] - plain.influence[:, 1]).std(ddof=1) / np.sqrt(len(plain.influence))
+        assert (high - low) / gain == pytest.approx(2 * 1.96 / (1 - share), rel=0.05)
 
 
 def test_estimators_are_chosen_by_how_much_lies_beyond(recorded):

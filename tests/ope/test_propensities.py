@@ -2,9 +2,15 @@
 
 import numpy as np
 import pytest
+from sklearn.linear_model import LogisticRegression
 
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
+from deadreckon.ope import BehaviorModel, Case
+from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.propensities import shifts, temperature
+from deadreckon.policies import BlackBoxPolicy
 
 
 def log_softmax(z):
@@ -91,3 +97,24 @@ def test_what_cannot_be_calibrated():
             temperature(logits, taken)
         with pytest.raises(UserError, match=match):
             shifts(logits, taken)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_a_linear_policy_is_found_by_few_rows_and_a_curved_one_by_more(curved):
+    """Out of fold, the better of a network and a linear model is near the true propensities; of the other kind it is not."""
+    rng = np.random.default_rng(0)
+    n, size, actions = (4_000, 2, 2) if curved else (600, 12, 4)
+    x = rng.standard_normal((n, size)).astype(np.float32)
+    weights = rng.standard_normal((size, actions))
+    logits = np.stack([6.0 * (np.abs(x[:, 0]) < 0.7) - 3.0, np.zeros(n)], 1) if curved else x @ weights
+    taken = drawn(logits, rng)
+    log = Dataset.from_arrays(
+        observations=x, actions=taken, rewards=np.zeros(n, np.float32), terminals=np.ones(n, bool),
+        action_space=Discrete(actions),
+    )  # fmt: skip
+    case = Case(log, [BlackBoxPolicy(lambda seen, rng: np.zeros(len(seen), int))], discount=0.0, horizon=1)
+    found = out_of_fold(case, BehaviorModel(hidden=(32,), lr=3e-3, steps=1_500), 3)
+    excess = likelihood(logits, taken) - found.log_probs.mean()
+    line = LogisticRegression(C=0.3).fit(x[: n // 2], taken[: n // 2])
+    linear = likelihood(logits, taken) - line.predict_log_proba(x)[np.arange(n), taken][n // 2 :].mean()
+    assert excess < (0.25 * linear if curved else 1.5 * linear), (excess, linear)

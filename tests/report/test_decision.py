@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from run_folders import OBJECTION, told, write_run
 
+from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.report import charts, headline, write
 from deadreckon.report.entries import read
@@ -37,7 +38,7 @@ def test_a_page_has_one_verdict_that_of_the_log_alone(runs, deploy):
     assert seen.count("DEPLOY") == 1
     for said in (
         "good seed 0", "133", "of 667", "sampled actions", "98.8 % for all policies at once",
-        "look 2 at these episodes, 7 policies so far in all looks", "4.0 % of its actions have no support",
+        "look 2 at these episodes or some of them, 7 policies so far in all looks", "4.0 % of its actions have no support",
         "agrees that it is best", "Objections to other policies (1 of 2)", OBJECTION, "Checked afterwards in the simulator",
         "Checked in the simulator", "Best in the simulator",
     ):  # fmt: skip
@@ -113,3 +114,18 @@ def test_whiskers_of_the_scatter_are_cut_with_an_arrow():
     drawn = charts.scatter([*points, ("wild", 5, 2.0, 0.1, 3.0, -900.0, 900.0)], "true value", "estimate")
     assert drawn.count('class="arrow"') == 2
     assert 'class="reference"' in drawn
+
+
+def test_estimates_of_other_runs_are_refused(runs, tmp_path):
+    """A verdict on what is not on the page would be taken for one on what is."""
+    estimates = told({"other seed 0": (12.0, 6.0, 18.0)}, True)
+    write_json(tmp_path / "ope" / "estimates.json", estimates)
+    with pytest.raises(UserError, match="decides on other, which is not among these runs; name its folder too"):
+        write(runs, tmp_path / "page.html", estimates=tmp_path / "ope")
+
+
+def test_a_cross_fit_shows_the_runs_of_its_folds(tmp_path):
+    for fold in range(2):
+        write_run(tmp_path / "cf" / f"fold{fold}", "bc", 10.0 * fold)
+    write_json(tmp_path / "cf" / "crossfit.json", {})
+    assert [folder.path.name for e in read(tmp_path / "cf").entries for folder, _ in e.folders] == ["fold0", "fold1"]

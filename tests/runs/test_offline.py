@@ -151,9 +151,11 @@ def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_p
     assert [each["number"] for each in levels] == [1, 2, 1, 3]  # the same policies again are the same look
     assert [each["alpha"] for each in levels] == [0.025, 0.0125, 0.025, 0.00625]
     assert levels[-1]["policies"] == 4
+    fewer = judge([run], log.select(range(log.episodes - 5)), **QUICK).told["looks"]
+    assert fewer["number"] == 4  # some of the same episodes are no new ones
     uncounted = judge([run], log, counted=False, **QUICK).told["looks"]
     assert (uncounted["alpha"], uncounted["counted"]) == (0.05, False)
-    [note] = (tmp_path / "looks").glob("*.json")
+    note, _ = (tmp_path / "looks").glob("*.json")
     note.write_text("[]")
     with pytest.raises(UserError, match="is not a note of looks"):
         judge([run], log, **QUICK)

@@ -90,7 +90,7 @@ def ope(args: Sequence[str]) -> None:
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
     from deadreckon.ope.registry import PROPENSITIES, titled, with_fields
-    from deadreckon.runs.offline import checked, groups, judge, supports
+    from deadreckon.runs.offline import checked, grounds, groups, judge, supports
 
     found = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
@@ -107,12 +107,16 @@ def ope(args: Sequence[str]) -> None:
             return_range=options.return_range, confounding=options.confounding, by_group=options.by_group, tail=options.tail,
             watch=watch,
         )  # fmt: skip
-    print(f"judged on {judged.told['judged']['words']}\n")
+    print("\n".join(f"{name}: {words}" for name, words in grounds(judged.told)) + "\n")
     for each in judged.estimates:
         print(f"{dataclasses.replace(each, method=titled(each.method))}\n")
     print(f"{supports(judged.told)}\n")
     if options.select:
         print(judged.choice)
+        chosen = next(each for each in judged.told["policies"] if each["name"] == judged.choice.name)
+        if judged.choice.deploy and chosen["file"]:
+            drawn = "" if options.greedy else ", rng, greedy=False"
+            print(f"  use it: deadreckon.policies.portable.load({chosen['file']!r})(observations{drawn})")
     if options.by_group:
         print(f"\n{groups(judged.told)}")
     if options.task:

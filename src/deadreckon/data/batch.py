@@ -80,10 +80,12 @@ class BatchSource(Protocol):
         fields: per column its shape and dtype, as `take` gives it.
         initial: (episodes, *shape) initial observations and what goes with them, or None.
         count: rows to draw from.
+        view: the coordinates that the columns are in, where policies have some.
     """
 
     needs: Any
     spec: Any
+    view: Any
     fields: dict[str, tuple[tuple[int, ...], Any]]
     initial: dict[str, np.ndarray] | None
     count: int

@@ -13,6 +13,9 @@ from deadreckon.data.encode import Encoder, encode_action, numbers, sorted_indic
 from deadreckon.data.layout import RESERVED, naming
 from deadreckon.errors import UserError, unknown
 
+PROPENSITY = re.compile(r"propensit(y|ies)|p_?scores?|(action_|behaviou?r_|logging_)?prob(s|ability)?|action_probability")
+IDENTITY = re.compile(r"(^|_)(u?u?id|user|customer|patient|session|site)(_?id)?$")
+
 
 def from_frame(
     frame: Any,
@@ -83,6 +86,17 @@ def from_frame(
         observation_names = encoder.plausible(observation_names)
     else:
         observation_names = [column for column in _columns_like(table, observations, name) if column not in ignored]
+    for column in observation_names if observations is None else ():
+        if propensity is None and PROPENSITY.fullmatch(column.lower()):
+            encoder.warnings.append(
+                f"column {column} looks like a probability of the logged action, and is read as an observation: "
+                f"--propensity {column}, or --ignore {column}"
+            )
+        elif IDENTITY.search(column.lower()):
+            encoder.warnings.append(
+                f"column {column} looks like a name of someone or something, and is read as an observation: --keep {column} "
+                f"keeps it beside the log, --ignore {column} leaves it out"
+            )
     if not observation_names:
         raise UserError(f"{name}: no column is left to be an observation; name them with observations")
 
@@ -94,7 +108,7 @@ def from_frame(
     for key, column in (("terminals", terminal), ("timeouts", timeout)):
         columns[key] = np.zeros(rows, bool) if column is None else _flags(name, table, column)
     if propensity is not None:
-        columns["behavior_log_probs"] = _log_probabilities(name, table, propensity)
+        columns["behavior_log_probs"] = log_probabilities(name, table, propensity)
     for column in kept:
         if column in RESERVED | columns.keys():
             raise UserError(f"{name}: a column that is kept cannot be called {column}, which means something else; rename it")
@@ -194,7 +208,8 @@ def _flags(name: str, table: pa.Table, column: str) -> np.ndarray:
     return values != 0
 
 
-def _log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
+def log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) logarithms of a column of probabilities in (0, 1]."""
     values = numbers(name, table, column)
     wrong = (values <= 0) | (values > 1)
     if wrong.any():

@@ -18,7 +18,7 @@ from pyarrow import csv, parquet
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.encode import numbers
-from deadreckon.data.frame import from_frame, numbered
+from deadreckon.data.frame import from_frame, log_probabilities, numbered
 from deadreckon.data.layout import build, columns_of, damaged, header_of, naming, parse_header, reading, stem
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import replacing, safe_name
@@ -29,6 +29,8 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
              "timeouts": "timeout", "next_observations": "next_observation",
              "final_observations": "final_observation"}  # fmt: skip
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
+# Any of these tells that rows follow each other, or that somebody meant to say so.
+_ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", "dones", "done", "terminations", "time"}
 MAPPING = ("episode", "time", "action", "reward", "observations", "ignore", "terminal", "timeout", "propensity", "keep")
 
 
@@ -178,10 +180,17 @@ def _from_table(
         if key not in table.column_names and not numbered(table.column_names, key):
             raise UserError(
                 f"{path}: no column {key} or {key}_0; name the columns: --action COLUMN --reward COLUMN "
-                "[--observations COLUMN ...] [--episode, --time, --propensity ...]; all others become observations "
+                "[--observations COLUMN ...] [--episode, --time, --propensity ...]; all others become observations; "
+                "`deadreckon data convert` does that once, for commands that do not take these options "
                 f"({_listed(table.column_names)})"
             )
     columns = _columns(path, table, _shapes(path, about))
+    if about is None:
+        if horizon is None and not ("episode" in table.column_names or _ORDERED & columns.keys()):
+            columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
+        if "propensity" in columns and "behavior_log_probs" not in columns:
+            columns["behavior_log_probs"] = log_probabilities(str(path), table, "propensity")
+            del columns["propensity"]
     return build(path, columns, about, source=source, name=name, strict=strict, horizon=horizon)
 
 

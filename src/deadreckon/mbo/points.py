@@ -17,7 +17,7 @@ class Points:
         more: further columns, a row a design.
     """
 
-    initial = None
+    initial: dict[str, np.ndarray] | None = None
     view: Any = None  # policies have one, designs have `spec`, their coordinates
 
     def __init__(self, designs: Designs, needs: Any, more: Mapping[str, np.ndarray] | None = None):

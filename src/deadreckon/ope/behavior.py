@@ -1,10 +1,10 @@
 """The policy that made the log, learned out of fold: propensities of rows come from models that have not seen their episode.
 
 A model that has seen a row takes its action for likelier than it is: weights shrink, and importance sampling with them. So each
-fold has a model of its own, which learns from the other folds and from all episodes that are not judged, and stops where its
-loss on a tenth of these, which do not teach it, is least. Its temperature is then set on that tenth too (Guo et al. 2017),
-shifts make each action as frequent as it is, and a few rows' worth of the actions' shares is mixed in.
-All folds are lanes of one program.
+fold has models of its own, a network and a linear one, which learn from the other folds and from all episodes that are not
+judged, and stop where their loss on a tenth of these, which do not teach them, is least; the one whose loss is less is taken,
+for a network needs more rows than a log often has. Its temperature is then set on that tenth too (Guo et al. 2017), shifts make
+each action as frequent as it is, and a few rows' worth of the actions' shares is mixed in. All folds are lanes of one program.
 """
 
 from typing import Any, NamedTuple
@@ -35,15 +35,15 @@ CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
 
 
 class State(NamedTuple):
-    """Models (folds, ...), their optimiser and the best copies so far."""
+    """Networks and linear models (folds, ...), their optimiser, and the best copies of either so far."""
 
-    nets: Any
+    nets: tuple[Any, ...]
     opt: Any
-    best: Best
+    best: tuple[Best, ...]
 
 
 class Folds(eqx.Module):
-    """What is trained: a model for each fold, by maximum likelihood."""
+    """What is trained: a network and a linear model for each fold, by maximum likelihood."""
 
     init_by_shape = True
 
@@ -60,8 +60,9 @@ class Folds(eqx.Module):
     def init(self, spec, key):
         """Fresh models."""
         make = models.Clipped.create if self.clipped else create_actor
-        nets = ensemble(lambda k: make(spec, self.hidden, k), self.folds, key)
-        return State(nets, begin(nets), Best.begin(nets, (self.folds,)))
+        shapes = dict.fromkeys((self.hidden, ()))
+        nets = tuple(ensemble(lambda k, hidden=hidden: make(spec, hidden, k), self.folds, key) for hidden in shapes)
+        return State(nets, begin(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of maximum likelihood for every fold, on the rows that are not its own."""
@@ -69,13 +70,14 @@ class Folds(eqx.Module):
         weight, check = batch.extra["weight"].T, batch.extra["check"].T
 
         def loss(nets):
-            nll = -jax.vmap(lambda net: models.log_prob(net, batch.observation, batch.action))(nets)
-            checked = (nll * check).sum(-1) / jnp.maximum(check.sum(-1), 1e-6)
-            return (nll * weight).mean(-1).sum(), (checked, {"behavior_nll": checked.mean()})
+            nll = [-jax.vmap(lambda net: models.log_prob(net, batch.observation, batch.action))(each) for each in nets]
+            checked = [(each * check).sum(-1) / jnp.maximum(check.sum(-1), 1e-6) for each in nll]
+            return sum((each * weight).mean(-1).sum() for each in nll), checked
 
-        grads, (checked, metrics) = jax.grad(loss, has_aux=True)(state.nets)
+        grads, checked = jax.grad(loss, has_aux=True)(state.nets)
         nets, opt = descend(state.nets, grads, state.opt, self.lr)
-        return State(nets, opt, state.best.look(nets, checked, step, 0.0)), metrics
+        best = tuple(best.look(own, seen, step, 0.0) for best, own, seen in zip(state.best, nets, checked))
+        return State(nets, opt, best), {"behavior_nll": jnp.stack(checked).min(0).mean()}
 
 
 class Behavior(NamedTuple):
@@ -125,14 +127,15 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     extra = {"weight": weight[data.episode_of], "check": check[data.episode_of]}
     rows = Rows(data, learner.needs(data.spec), extra)
     state = case.train(learner, rows, model.steps, "behaviour by folds")
-    nets, view, own = state.best.params, rows.view, case.data
+    nets, view, own = tuple(best.params for best in state.best), rows.view, case.data
+    which = jnp.stack([best.loss for best in state.best]).argmin(0)  # (folds,) of the models, the better
     of_row = fold[own.episode_of]
     observe = lambda seen: view.observe(np.asarray(seen))  # noqa: E731
     if not data.spec.discrete:
         unit = np.asarray(view.to_unit(np.asarray(own.actions)))
-        told = in_blocks(lambda seen, act: _densities(nets, observe(seen), act), own.observations, unit)
+        told = in_blocks(lambda seen, act: _densities(nets, which, observe(seen), act), own.observations, unit)
         return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - view.log_scale, None)
-    of_all = lambda seen: jnp.moveaxis(_logits(nets, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
+    of_all = lambda seen: jnp.moveaxis(_logits(nets, which, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
     logits = in_blocks(of_all, own.observations)
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
     actions = logits.shape[1]
@@ -162,14 +165,15 @@ def _some(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 @jax.jit
-def _densities(nets: Any, observation: Any, action: Any) -> Any:
-    return jax.vmap(lambda net: models.log_prob(net, observation, action))(nets)
+def _densities(nets: tuple[Any, ...], which: Any, observation: Any, action: Any) -> Any:
+    return _taken([jax.vmap(lambda net: models.log_prob(net, observation, action))(each) for each in nets], which)
 
 
 @jax.jit
-def _logits(nets: Any, observation: Any) -> Any:
-    return jax.vmap(lambda net: _chances(net, observation))(nets)
+def _logits(nets: tuple[Categorical, ...], which: Any, observation: Any) -> Any:
+    return _taken([jax.vmap(lambda net: net.log_chances(observation))(each) for each in nets], which)
 
 
-def _chances(net: Categorical, observation: Any) -> Any:
-    return net.log_chances(observation)
+def _taken(found: list[Any], which: Any) -> Any:
+    """(folds, *) what the better model of each fold says."""
+    return jnp.take_along_axis(jnp.stack(found), which.reshape(1, -1, *[1] * (found[0].ndim - 1)), 0)[0]

@@ -118,7 +118,7 @@ class DoublyRobust(Estimator):
             warnings.append("its interval knows the variance of the blended corrections and not the bias of what is left out")
         found = Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
-            corrected=case.beyond <= TAIL, warnings=tuple(warnings),
+            corrected=case.beyond <= TAIL, warnings=tuple(warnings), inflation=_beyond(case),
             diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, effective, average)
             | ({"normalising": np.array(shifts)} if shifts else {}),
         )  # fmt: skip
@@ -213,7 +213,7 @@ class DoublyRobust(Estimator):
         ]  # fmt: skip
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=case.beyond <= TAIL,
-            warnings=tuple(warnings),
+            warnings=tuple(warnings), inflation=_beyond(case),
             diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | {"untrusted": np.array(left)}
             | multiplied(case, effective, average),
         )  # fmt: skip
@@ -337,3 +337,13 @@ class DoublyRobust(Estimator):
         x /= x.sum()
         pulls = np.cumsum(sums.influence_steps(), 1)[:, ends] @ x[1:]
         return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(x[0])
+
+
+def _beyond(case: Case) -> np.ndarray | None:
+    """(policies,) by which errors are multiplied where the recording ends early; None: by one.
+
+    A share b of the discounted time lies beyond it, where the critics are believed. Their errors there are those of the same
+    critics that the recorded part shows, which the influence function of the corrections does not see: they add up, and
+    1 / (1 - b) times the error of the recorded part is that of the whole.
+    """
+    return np.full(case.count, 1.0 / max(1.0 - case.beyond, 1e-3)) if case.beyond > TAIL else None

@@ -48,8 +48,8 @@ class Estimator(eqx.Module):
         warnings = found.warnings
         if getattr(self, "members", None) == 1:
             warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
-        if case.crossed:
-            more, middle = case.inflation, found.value
+        if case.crossed or found.inflation is not None:
+            more, middle = case.inflation * (1.0 if found.inflation is None else found.inflation), found.value
             low, high = middle - more * (middle - found.low), middle + more * (found.high - middle)
             found = dataclasses.replace(found, low=low, high=high, inflation=more)
         return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,16 @@ class Fits:
         watch: called with what is fitted, the updates done and those in all.
     """
 
-    manner: str  # tells sets of policies apart
-
     def __init__(self, estimand: Estimand, seed: int, out: Path | str | None, watch: Watcher):
         self.estimand, self.seed, self.watch = estimand, seed, watch
         self.out = None if out is None else Path(out)
         self._kept: dict[Any, Any] = {}
         self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by updates done
+
+    @cached_property
+    def manner(self) -> str:
+        """Tells sets of policies apart."""
+        raise NotImplementedError
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
         """What `make` gives, made once."""

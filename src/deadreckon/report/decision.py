@@ -9,7 +9,7 @@ from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import colours, figure, note, tile
 from deadreckon.report.text import number, percent
-from deadreckon.runs.offline import checked
+from deadreckon.runs.offline import checked, grounds
 from deadreckon.stats.interval import Interval
 
 
@@ -43,12 +43,10 @@ def card(page: Page) -> Markup | None:
         tag("strong", "DEPLOY" if choice["deploy"] else "DO NOT DEPLOY", class_=f"stamp {kind}"),
         tag("span", candidate, class_="which" if choice["deploy"] else "which lesser"),
     )
-    facts = [
-        ("estimated", told["estimand"]["words"]),
-        ("judged on", told["judged"]["words"] + _clusters(told)),
-        ("level", _level(told)),
-        ("support", _support(told, chosen)),
-    ]
+    facts = [*grounds(told), ("support", _support(told, chosen))]
+    if choice["deploy"] and (file := told["policies"][chosen].get("file")):
+        how = "" if told["estimand"].get("greedy") else ", with sampled actions, which are what was judged"
+        facts.append(("its file", f"{file}{how}"))
     listed = tag("dl", [(tag("dt", name), tag("dd", text)) for name, text in facts], class_="grounds")
     because = tag("p", f"{choice['reason']}.", class_="because")
     left = tag("div", head, because, tag("div", _tiles(told, chosen), class_="tiles"), listed)
@@ -80,20 +78,6 @@ def _tiles(told: dict[str, Any], chosen: int) -> list[Markup]:
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-def _clusters(told: dict[str, Any]) -> str:
-    cluster = told["judged"]["cluster"]
-    count = told["judged"].get("clusters")
-    return "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
-
-
-def _level(told: dict[str, Any]) -> str:
-    looks, level = told["looks"], f"{100 * told['choice']['level']:.3g} %"
-    policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
-    if not looks["counted"]:
-        return f"{level} for all {policies} at once; looks at these episodes were not counted"
-    return f"{level} for all policies at once: look {looks['number']} at these episodes, {policies} so far in all looks"
 
 
 def _support(told: dict[str, Any], chosen: int) -> str:

@@ -14,6 +14,7 @@ from deadreckon.agents import AGENTS
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.online import Online
+from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.train import Run
 from deadreckon.tasks import registry
@@ -184,6 +185,8 @@ def read(runs: Sequence[Path | str | Run]) -> Page:
     paths = list(dict.fromkeys(run.path if isinstance(run, Run) else Path(run) for run in runs))
     if not paths:
         raise UserError("nothing to report: name at least one run folder")
+    # Of a cross-fit the runs of its folds are shown.
+    paths = [run for path in paths for run in (sorted(path.glob("fold*")) if (path / CROSS_FIT).exists() else [path])]
     raw = [(path, _config(path)) for path in paths]
     tasks = {config["task"]: path for path, config in reversed(raw)}
     if len(tasks) > 1:

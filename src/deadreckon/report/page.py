@@ -8,6 +8,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.report import curves, decision, provenance, simulated
 from deadreckon.report import estimates as estimated
@@ -35,8 +36,13 @@ def write(
     Raises:
         UserError: nothing to show, a path that is no run, runs of different tasks, or an output that cannot be written.
     """
-    told = None if estimates is None else read_estimates(estimates)
-    text = render(dataclasses.replace(read(runs), estimates=told), title)
+    page, told = read(runs), None if estimates is None else read_estimates(estimates)
+    if told is not None:
+        shown = {name for e in page.entries for folder, _ in e.folders for name in (folder.path.name, folder.path.parent.name)}
+        of = {each["name"]: each["run"] for each in told["policies"]}[told["choice"]["name"]]
+        if of not in shown:
+            raise UserError(f"{estimates} decides on {of}, which is not among these runs; name its folder too")
+    text = render(dataclasses.replace(page, estimates=told), title)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(out)

@@ -48,10 +48,7 @@ def tile(
     """A number with its interval, its name above and more below."""
     if value is None:
         return tag("div", tag("small", name), tag("b", shown(None)), class_="tile")
-    if shown is score:
-        ends = brackets(value, signed=signed)
-    else:
-        ends = f"[{shown(value.low, signed=signed)}, {shown(value.high, signed=signed)}]"
+    ends = brackets(value, signed=signed, shown=shown)
     small = tag("small", more) if more else None
     return tag("div", tag("small", name), tag("b", shown(value.value, signed=signed)), tag("span", ends), small, class_="tile")
 

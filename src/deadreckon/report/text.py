@@ -1,6 +1,7 @@
 """Numbers as people read them."""
 
 import math
+from collections.abc import Callable
 
 from deadreckon.stats.interval import Interval
 
@@ -30,11 +31,14 @@ def score(value: float | None, *, signed: bool = False) -> str:
     return (f"{value:+,.1f}" if signed else f"{value:,.1f}").replace("-", "\N{MINUS SIGN}")
 
 
-def brackets(interval: Interval | None, *, signed: bool = False) -> str:
-    """The two ends of an interval."""
-    if interval is None or not math.isfinite(interval.value):
+def brackets(interval: Interval | None, *, signed: bool = False, shown: Callable[..., str] = score) -> str:
+    """The two ends of an interval, infinite ones as such; nothing where there is none."""
+    if interval is None or not math.isfinite(interval.value) or math.isnan(interval.low):
         return ""
-    return f"[{score(interval.low, signed=signed)}, {score(interval.high, signed=signed)}]"
+    ends = (interval.low, interval.high)
+    endless = {-math.inf: "\N{MINUS SIGN}\N{INFINITY}", math.inf: "\N{INFINITY}"}
+    low, high = (endless.get(x) or shown(x, signed=signed) for x in ends)
+    return f"[{low}, {high}]"
 
 
 def percent(value: float | None) -> str:

@@ -16,7 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, home, read_json, write_json
 from deadreckon.stats.interval import ALPHA
 
-MOST = 10_000  # episodes by whose ids a set is known; of a larger one the least of them, and its size
+MOST = 10_000  # episodes by whose ids a set is known: the least ones of a larger set
 
 
 class Look(NamedTuple):
@@ -25,7 +25,7 @@ class Look(NamedTuple):
     Attributes:
         number: 1 for the first.
         alpha: share of logs for which one of its intervals may miss.
-        policies: that have been judged on these episodes by now, in all looks.
+        policies: that have been judged on some of these episodes by now, in all looks.
     """
 
     number: int
@@ -33,8 +33,23 @@ class Look(NamedTuple):
     policies: int
 
 
+class Note(NamedTuple):
+    """What is known of the looks at one set of episodes.
+
+    Attributes:
+        episodes: their ids, the least `MOST` of them.
+        looks: digest of what was judged -> how many policies, and the number of the look.
+    """
+
+    episodes: set[int]
+    looks: dict[str, tuple[int, int]]
+
+
 def look(episodes: np.ndarray, policies: str, count: int) -> Look:
     """Takes note of a look, in the folder of collected and downloaded logs.
+
+    Whoever has looked at some of the episodes has looked: looks at overlapping sets count together. Of sets of more than `MOST`
+    episodes the least ids stand for all, by which sets are found to overlap unless they share a few episodes alone.
 
     Args:
         episodes: (n,) uint64 ids of the episodes that policies are judged on.
@@ -42,29 +57,29 @@ def look(episodes: np.ndarray, policies: str, count: int) -> Look:
         count: of the policies.
 
     Raises:
-        UserError: the note cannot be read or written.
+        UserError: a note cannot be read or written.
     """
-    name = digest(np.sort(episodes).tolist() if len(episodes) <= MOST else _short(episodes), 12)
-    path = home() / "looks" / f"{name}.json"
-    with alone(path, "notes a look at these episodes"):
-        known = _read(path)
-        if policies not in known:
-            known[policies] = count
-            write_json(path, {"looks": known})
-    number = list(known).index(policies) + 1
-    return Look(number, ALPHA / 2.0 ** min(number, 40), sum(known.values()))
+    least = np.sort(episodes)[:MOST].tolist()
+    folder = home() / "looks"
+    path = folder / f"{digest(least if len(episodes) <= MOST else [len(episodes), *least], 12)}.json"
+    with alone(folder / "all", "notes a look"):
+        notes = {other: _read(other) for other in sorted(folder.glob("*.json"))}
+        own = notes.pop(path, Note(set(least), {}))
+        others = [note for note in notes.values() if not note.episodes.isdisjoint(least)]
+        if policies not in own.looks:
+            own.looks[policies] = count, 1 + len(own.looks) + sum(len(note.looks) for note in others)
+            write_json(path, {"episodes": least, "looks": own.looks})
+    number = own.looks[policies][1]
+    judged = sum(each for note in (own, *others) for each, _ in note.looks.values())
+    return Look(number, ALPHA / 2.0 ** min(number, 40), judged)
 
 
-def _short(episodes: np.ndarray) -> list[int]:
-    """What tells large sets of episodes apart: their number, and the least ids."""
-    return [len(episodes), *np.sort(episodes)[:MOST].tolist()]
-
-
-def _read(path: Path) -> dict[str, int]:
-    if not path.exists():
-        return {}
+def _read(path: Path) -> Note:
     told = read_json(path)
-    known = told.get("looks") if isinstance(told, dict) else None
-    if not isinstance(known, dict) or not all(isinstance(count, int) for count in known.values()):
-        raise UserError(f"{path} is not a note of looks; remove it if its counts do not matter")
-    return known
+    try:
+        # Notes of before knew exactly one set of episodes, by the file's name, and counts alone.
+        known = {what: (at, i) if isinstance(at, int) else at for i, (what, at) in enumerate(told["looks"].items(), 1)}
+        looks = {str(what): (int(count), int(number)) for what, (count, number) in known.items()}
+        return Note({int(each) for each in told.get("episodes", [])}, looks)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} is not a note of looks; remove it if its counts do not matter") from error

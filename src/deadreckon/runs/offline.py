@@ -26,6 +26,7 @@ from deadreckon.policies.dope import load_dope
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.folder import Folder
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
@@ -60,6 +61,7 @@ class Gathered(NamedTuple):
         seed: of the run's seeds; None where there is none.
         taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
         by: column whose values its run kept together when it held episodes out; None: none.
+        file: where it is saved; None: nowhere that is known.
     """
 
     policy: Any
@@ -67,6 +69,7 @@ class Gathered(NamedTuple):
     seed: int | None
     taught: np.ndarray | None
     by: str | None = None
+    file: Path | None = None
 
 
 def gather(given: Sequence[Any]) -> list[Gathered]:
@@ -84,17 +87,23 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            found += [Gathered((cross, seed), cross.path.name, seed, None, cross.config["by"]) for seed in cross.runs[0].seeds]
+            known = cross.path.name, cross.config["by"], cross.delivered
+            found += [Gathered((cross, seed), known[0], seed, None, *known[1:]) for seed in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout")
-            by = None if held is None else held["by"]
-            found += [Gathered(policy, run.path.name, seed, run.taught, by) for policy, seed in zip(run.policies, run.seeds)]
+            by, folder = None if held is None else held["by"], Folder(run.path)
+            found += [
+                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed))
+                for policy, seed in zip(run.policies, run.seeds)
+            ]
         elif path.exists() or path.suffix:
             pickled = path.suffix in (".pkl", ".pickle")
             policy = load_dope(path) if pickled else store.load(path)
-            found.append(Gathered(policy, path.stem, None, None if pickled else store.taught(path)))
+            found.append(Gathered(policy, path.stem, None, None if pickled else store.taught(path), None, path))
         else:
+            if len(path.parts) > 1:
+                raise UserError(f"no folder or file {path}")
             snapshots = [s for s in library.library(str(each)) if s.name.startswith("snapshot-")]
             found += [Gathered(s.policy(), f"{each} {s.name}", None, None) for s in snapshots]
     if not found:
@@ -260,7 +269,11 @@ def judge(
     shares = lambda x: [None if np.isnan(share) else float(share) for share in x]  # noqa: E731
     told = {
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": seed, "truth": truth,
-        "policies": [{"name": name, "run": g.run, "seed": g.seed} for name, g in zip(names, found)],
+        "policies": [
+            {"name": name, "run": g.run, "seed": g.seed, "file": None if g.file is None else str(g.file)}
+            for name, g in zip(names, found)
+        ],
+        "propensities": "logged" if "behavior_log_probs" in data.extras else "learned",
         "judged": {"words": rows.told, "episodes": len(rows.held), "of": data.episodes, "fresh": not any(rows.against),
                    "units": int(case.units.max()) + 1, "cluster": cluster,
                    "clusters": len(np.unique(case.clusters[case.held]))},
@@ -281,6 +294,24 @@ def judge(
     if out is not None:
         write_json(Path(out) / NAME, told)
     return Judged(results, choice, told)
+
+
+def grounds(told: dict[str, Any]) -> list[tuple[str, str]]:
+    """What a decision rests on, as pairs of a name and a text; of what `judge` found."""
+    judged, looks, level = told["judged"], told["looks"], f"{100 * told['choice']['level']:.3g} %"
+    cluster, count = judged["cluster"], judged.get("clusters")
+    of = "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
+    policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
+    looked = f"look {looks['number']} at these episodes or some of them, {policies} so far in all looks"
+    if not looks["counted"]:
+        looked = "looks at these episodes were not counted"
+    known = {"logged": "those that were logged", "learned": "a model's of the behaviour policy: none were logged"}
+    found = [
+        ("estimated", told["estimand"]["words"]),
+        ("judged on", judged["words"] + of),
+        ("level", f"{level} for all policies at once: {looked}"),
+    ]
+    return found + ([("propensities", known[told["propensities"]])] if "propensities" in told else [])
 
 
 def simulated(policies: Sequence[Any], task: Task, *, episodes: int, **options: Any) -> dict[str, Any]:
