@@ -92,7 +92,7 @@ def test_what_cannot_be_held_out():
         (lambda: Holdout(0.0).parts(log), "must lie between 0 and 1, got 0.0"),
         (lambda: Holdout(1.0).parts(log), "must lie between 0 and 1, got 1.0"),
         (lambda: Holdout(by="usr").parts(log), "unknown column 'usr': did you mean user?"),
-        (lambda: Holdout(by="x").parts(log), "known: random, time, user"),
+        (lambda: Holdout(by="x").parts(log), "known: user"),
         (lambda: Holdout(by="pair").parts(changing), "unknown column 'pair'"),
         (lambda: Holdout(by="site").parts(changing), r"site changes within episode 1 \(4 in row 2 and 5 in row 3\)"),
         (lambda: Holdout(by="flat").parts(changing), "1 values of flat, at least 2 are needed"),

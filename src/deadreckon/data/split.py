@@ -115,8 +115,8 @@ def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
     """The values of a column that has one an episode, and (episodes,) the number of each episode's; see `clusters`."""
     columns = {name: column for name, column in log.extras.items() if column.size == len(log)}
     if by not in columns:
-        known = unknown("column", by, [*columns, RANDOM, TIME])
-        raise UserError(f"{log.name}: {known}; of a table's columns those kept (keep, --keep) are known here")
+        known = unknown("column", by, columns) if columns else f"unknown column {by!r}"
+        raise UserError(f"{log.name}: {known}; columns of a table are known if it was read with --keep {by}")
     values, codes = np.unique(np.asarray(columns[by]).reshape(-1), return_inverse=True)
     first = codes[log.starts]
     changed = np.flatnonzero(codes != first[log.episode_of])

@@ -154,7 +154,7 @@ def _confounded(
     told["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
     undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
     if np.isnan(tipping):
-        undone = "its gain is not sure without any"
+        undone = "its gain is not above zero with confidence even where there is none"
     elif np.isinf(tipping):
         undone = f"its gain stays sure where odds of logged actions are off by {MOST:g}"
     choice = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {undone}"))

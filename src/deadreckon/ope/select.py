@@ -19,6 +19,7 @@ from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
 from deadreckon.stats.interval import ALPHA
 
 BOOTSTRAP = 100  # redraws from which their percentiles are an interval; fewer are members of an ensemble
+MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
 UNITS = 20  # episodes or clusters below which no interval is believed
 HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
 # Weights that are multiplied along an episode must amount to this share of the episodes, or to so many. With less, so much of
@@ -167,12 +168,13 @@ def select(
     elif low > 0:
         deploy, reason = True, f"{unit}; the lower end is above zero"
     else:
-        deploy, reason = False, f"{name} is best with {unit}, which may be chance"
+        deploy, reason = False, f"{name} has the highest lower end, with {unit}, which may be chance"
     evidence = []
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
-        agrees = "agrees that it is best" if chosen == best else f"would choose {names[chosen]}"
-        evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}], {agrees}")
+        agrees = ", agrees that it is best" if chosen == best else f", would choose {names[chosen]}"
+        agrees = agrees if len(names) > 1 else ""  # of one policy there is nothing to choose
+        evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}]{agrees}")
     warnings = list(first.warnings)
     which, moved = _moved(first, known)
     if moved > ALARMING * max(high - low, 0.0):
@@ -207,11 +209,11 @@ def _unreliable(found: Estimates, which: int) -> list[str]:
         )
     if not _overlaps(found, which):
         assert found.effective is not None
-        own.append(f"its weights rest on {found.effective[which]:.1f} episodes, {FEW:g} are needed")
+        own.append(f"its weights rest on {found.effective[which]:.1f} episodes, {FEW:g} are needed{MORE}")
     elif share is not None and found.effective is not None and share[which] < SHARE and found.effective[which] < MANY:
         own.append(
             f"its weights, which are multiplied along an episode, rest on {found.effective[which]:.1f} episodes, {MANY:g} or "
-            f"{100 * SHARE:g} % of all are needed"
+            f"{100 * SHARE:g} % of all are needed{MORE}"
         )
     high = found.diagnostics.get("mean weight high")
     if high is not None and high[which] < 1.0:

@@ -45,7 +45,8 @@ class Support(NamedTuple):
         if self.ratio_high[which] < SHORT:
             found.append(
                 f"its importance weights average {self.ratio[which]:.2f} a step instead of 1 (at most "
-                f"{self.ratio_high[which]:.2f} with 99 % confidence): it takes actions that the log does not show"
+                f"{self.ratio_high[which]:.2f} with 99 % confidence): it takes actions that the log does not show, or "
+                "propensities are wrong"
             )
         return found
 

@@ -36,7 +36,8 @@ def write(
     Raises:
         UserError: nothing to show, a path that is no run, runs of different tasks, or an output that cannot be written.
     """
-    page, told = read(runs), None if estimates is None else read_estimates(estimates)
+    told = None if estimates is None else read_estimates(estimates)
+    page = read(runs)
     if told is not None:
         shown = {name for e in page.entries for folder, _ in e.folders for name in (folder.path.name, folder.path.parent.name)}
         of = {each["name"]: each["run"] for each in told["policies"]}[told["choice"]["name"]]
