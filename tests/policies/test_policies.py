@@ -17,6 +17,7 @@ from deadreckon.nets.vae import VAE
 from deadreckon.policies import BlackBoxPolicy, Deployed, Policy, Step, portable, store
 from deadreckon.policies.deployed import Mixture
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, GreedyQ, Moved, TanhGaussian, VAEDecoder
+from deadreckon.policies.policy import KINDS, Inner
 
 KEY = jax.random.key(0)
 VIEW = View(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
@@ -222,3 +223,20 @@ def test_files_of_other_kinds_are_told_apart(content, tmp_path):
     np.savez(tmp_path / "log.npz", observations=np.zeros(1))
     with pytest.raises(ValueError, match=r"not a whole policy file: no policy.json in it"):
         portable.read(tmp_path / "log.npz")
+
+
+def test_a_kind_of_policy_of_ones_own_is_saved_and_read_and_takes_no_name_that_there_is(tmp_path):
+    class Constant(Inner):
+        level: jnp.ndarray
+
+        def pre_actions(self, observation, key, *, greedy, count=()):
+            return jnp.broadcast_to(self.level, (*count, len(observation), 1))
+
+    policy = Deployed(Constant(jnp.ones(1)), None, None, None, None)
+    store.save(tmp_path / "p.npz", policy)
+    found = store.load(tmp_path / "p.npz")
+    assert type(found.inner) is Constant
+    np.testing.assert_array_equal(found(np.zeros((2, 3))), policy(np.zeros((2, 3))))
+    with pytest.raises(TypeError, match="deadreckon.policies.kinds has a kind of policy called Gaussian already"):
+        type("Gaussian", (Inner,), {})
+    assert KINDS["Gaussian"].__module__ == "deadreckon.policies.kinds"

@@ -41,6 +41,11 @@ class Inner(eqx.Module):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
+        if cls.__name__.startswith("_"):
+            return
+        known = KINDS.setdefault(cls.__name__, cls)
+        if known.__module__ != cls.__module__:  # files name kinds, and one name must not come to mean another
+            raise TypeError(f"{known.__module__} has a kind of policy called {cls.__name__} already; choose another name")
         KINDS[cls.__name__] = cls
 
     def start(self, n: int) -> Any:
