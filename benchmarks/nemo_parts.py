@@ -19,7 +19,7 @@ from deadreckon.mbo.designer import Setting
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO, STACKS, quantise
 from deadreckon.nets.mlp import split
-from deadreckon.nets.optim import descend, track
+from deadreckon.nets.optim import apply_gradients, polyak_update
 
 SHARE, PROMISE, TURNS, REPEATS = 0.6, 1.3, 9, 10
 BINS, WIDTH, SIZE, BATCH = (protocol.NEMO[key] for key in ("bins", "width", "size", "batch"))
@@ -68,8 +68,8 @@ def parts() -> dict[str, Callable[[], Any]]:
         return (jax.tree.map(lambda p, g: p - 1e-9 * g, nets, grads),)  # so that nothing of it can be left out
 
     def optimiser(nets: Any, opt: Any, targets: Any) -> Any:
-        nets, opt = descend(nets, targets, opt, 1e-3)  # any gradients
-        return nets, opt, track(targets, nets, 0.05)
+        nets, opt = apply_gradients(nets, targets, opt, 1e-3)  # any gradients
+        return nets, opt, polyak_update(targets, nets, 0.05)
 
     def rise(search: Any) -> Any:
         return (search.ascend(lambda z: learner.worth(state.targets, z), 0.01, *learner.bounds),)

@@ -19,7 +19,7 @@ from deadreckon.data.batch import redrawn
 from deadreckon.files import replacing
 from deadreckon.mbo.nemo import Net, nll, quantise
 from deadreckon.nets.mlp import ensemble
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.report.markup import Markup, tag
 
 SEEN = (-4.0, -1.0), (1.5, 3.0)  # where there is data
@@ -48,9 +48,9 @@ def fit(x, label, weight, key, lr, *, bins: int, hidden: tuple[int, ...], steps:
     def update(_, carry):
         nets, opt = carry
         loss = lambda nets: (jax.vmap(nll)(nets, x, label) * weight).sum(1).sum()  # noqa: E731
-        return descend(nets, jax.grad(loss)(nets), opt, lr)
+        return apply_gradients(nets, jax.grad(loss)(nets), opt, lr)
 
-    return jax.lax.fori_loop(0, steps, update, (nets, begin(nets)))[0]
+    return jax.lax.fori_loop(0, steps, update, (nets, init_opt(nets)))[0]
 
 
 def beliefs(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

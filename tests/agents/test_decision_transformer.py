@@ -11,7 +11,7 @@ from deadreckon.data.batch import Batch, Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.nets.optim import clipped
+from deadreckon.nets.optim import clip_by_norm
 from deadreckon.nets.transformer import Block, Transformer, dropped
 from deadreckon.policies import Deployed
 from deadreckon.training.fit import fit
@@ -74,8 +74,8 @@ def test_dropping_keeps_the_mean_and_nothing_is_dropped_without_a_key():
 
 def test_gradients_are_made_shorter_together():
     grads = {"a": jnp.asarray([3.0]), "b": jnp.asarray([4.0])}
-    np.testing.assert_allclose(clipped(grads, 1.0)["b"], [0.8], rtol=1e-5)
-    np.testing.assert_allclose(clipped(grads, 10.0)["b"], [4.0], rtol=1e-5)
+    np.testing.assert_allclose(clip_by_norm(grads, 1.0)["b"], [0.8], rtol=1e-5)
+    np.testing.assert_allclose(clip_by_norm(grads, 10.0)["b"], [4.0], rtol=1e-5)
 
 
 def test_an_action_sees_its_return_and_observation_and_all_before_but_not_itself():

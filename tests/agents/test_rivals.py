@@ -137,7 +137,7 @@ def test_kl_control_may_pay_in_the_actor_alone_and_be_changed_when_resolved(batc
     action = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (6, 1))))
     expected = future(batch, least_q(state.target_critics, batch.next_observation, action))
     np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-4)
-    assert agent.replace(target_kl=2.0).resolve(SPEC, 10).held_entropy == -2.0
+    assert agent.replace(target_kl=2.0).resolve(SPEC, 10).entropy_target == -2.0
 
 
 def test_kl_control_has_no_entropy_to_hold():

@@ -17,7 +17,7 @@ from deadreckon.dynamics import model as models
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
 from deadreckon.dynamics.model import bernoulli_nll, gaussian_nll, soft_bounds
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.nets.optim import begin
+from deadreckon.nets.optim import init_opt
 from deadreckon.training.fit import fit
 
 SPEC = Spec.empty((2,), Box((-1.0,), (1.0,)), "linear")
@@ -103,7 +103,7 @@ def test_stacks_of_members_learn_what_one_stack_does(parts, monkeypatch):
     net = Gaussian(members=3, hidden=(8,), layer_decay=(0.1, 0.2))
     params, rng = net.create(SPEC, jax.random.key(0)), np.random.default_rng(0)
     rows, target = rng.standard_normal((3, 16, 3)), rng.standard_normal((3, 16, 3))
-    given = params, begin(params), rows, target, rng.random((3, 16)), rng.random((3, 16)), jax.random.key(0)
+    given = params, init_opt(params), rows, target, rng.random((3, 16)), rng.random((3, 16)), jax.random.key(0)
     monkeypatch.setattr(models, "stacks", lambda: 1)
     new, _, told = net.step(*given)
     monkeypatch.setattr(models, "stacks", lambda: parts)
@@ -119,7 +119,7 @@ def test_decay_of_layers_by_hand():
     rows = jnp.ones((2, 3, 3))
     target, logit = model.sample(params, rows, None)
     chance = jax.nn.sigmoid(logit)  # a terminal of this much has no gradient either
-    new, _, _ = model.step(params, begin(params), rows, target, chance, 1.0, jax.random.key(0))
+    new, _, _ = model.step(params, init_opt(params), rows, target, chance, 1.0, jax.random.key(0))
     for before, after in zip(params["nets"].weights, new["nets"].weights):
         np.testing.assert_allclose(after - before, -1e-3 * np.sign(before), rtol=1e-2)
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.nets.mlp import MLP, ensemble, joined, least, q_values, softplus, split
-from deadreckon.nets.optim import ADAM, copy, descend, track
+from deadreckon.nets.optim import ADAM, apply_gradients, copy, polyak_update
 from deadreckon.nets.vae import VAE
 
 NUMPY = {
@@ -61,12 +61,12 @@ def test_adam_step_and_target_tracking_equal_the_formulas():
     m = v = np.zeros(2)
     p = np.array([1.0, -2.0])
     for t in range(1, 4):
-        params, opt = descend(params, grads, opt, 0.01)
+        params, opt = apply_gradients(params, grads, opt, 0.01)
         g = np.array([0.5, -0.1])
         m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g**2
         p = p - 0.01 * (m / (1 - 0.9**t)) / (np.sqrt(v / (1 - 0.999**t)) + 1e-8)
     np.testing.assert_allclose(params["w"], p, rtol=1e-5)
-    np.testing.assert_allclose(track({"w": jnp.zeros(2)}, params, 0.25)["w"], 0.25 * p, rtol=1e-5)
+    np.testing.assert_allclose(polyak_update({"w": jnp.zeros(2)}, params, 0.25)["w"], 0.25 * p, rtol=1e-5)
     assert copy(params)["w"] is not params["w"]
 
 

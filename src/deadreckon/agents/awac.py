@@ -11,7 +11,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, cre
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
@@ -48,7 +48,7 @@ class AWAC(Agent):
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, 2, kc)
-        return State(actor, critics, copy(critics), begin(actor), begin(critics))
+        return State(actor, critics, copy(critics), init_opt(actor), init_opt(critics))
 
     def target(self, state, batch: Batch, key: PRNGKeyArray) -> Array:
         """r + discount min_j Q'_j(s', a'), a' from the present actor."""
@@ -70,12 +70,12 @@ class AWAC(Agent):
         k_target, k_actor = jax.random.split(key)
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
         weight = self.weights(self.advantage(state, batch, k_actor))
         loss, grads = jax.value_and_grad(imitation_loss)(state.actor, batch, weight)
-        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
-        targets = track(state.target_critics, critics, self.target_rate)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
+        targets = polyak_update(state.target_critics, critics, self.target_rate)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
         return state, metrics | {"actor_loss": loss, "weight": weight.mean()}
 

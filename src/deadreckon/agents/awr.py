@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent, backup, capped_exp, imitation_loss, traced_advantage
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
@@ -52,7 +52,7 @@ class AWR(Agent):
         ka, kv = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
-        return State(actor, value, begin(actor), begin(value))
+        return State(actor, value, init_opt(actor), init_opt(value))
 
     def returns(self, value: MLP, batch: Batch) -> tuple[Float[Array, "b w"], Float[Array, "b w"]]:
         """TD(lambda) returns of all rows of the windows, and their advantages over the values as they are."""
@@ -73,11 +73,11 @@ class AWR(Agent):
         value_loss, grads = jax.value_and_grad(
             lambda value: (mask * jnp.square(value(batch.observation)[..., 0] - target)).mean()
         )(state.value)
-        value, value_opt = descend(state.value, grads, state.value_opt, self.critic_lr)
+        value, value_opt = apply_gradients(state.value, grads, state.value_opt, self.critic_lr)
         _, advantage = self.returns(value, batch)
         weight = self.weights(advantage, mask)
         actor_loss, grads = jax.value_and_grad(imitation_loss)(state.actor, batch, mask * weight)
-        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
         metrics = {"actor_loss": actor_loss, "value_loss": value_loss, "weight": (mask * weight).mean()}
         return State(actor, value, actor_opt, value_opt), metrics
 

@@ -10,7 +10,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Needs
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
 from deadreckon.policies.kinds import Categorical, create_actor
@@ -53,13 +53,13 @@ class BC(Agent):
             model = behavior.Clipped.create(spec, self.hidden, key)
         else:
             model = behavior.create(self.model, spec, self.hidden, key)
-        return State(model, begin(model))
+        return State(model, init_opt(model))
 
     def update(self, state, batch, *, step, key):
         """One step on the negative log-likelihood (or the VAE's bound)."""
         grad = jax.grad(behavior.loss, has_aux=True)
         grads, metrics = grad(state.model, batch.observation, batch.action, key)
-        model, opt = descend(state.model, grads, state.opt, self.lr)
+        model, opt = apply_gradients(state.model, grads, state.opt, self.lr)
         return State(model, opt), metrics
 
     def policy(self, state):

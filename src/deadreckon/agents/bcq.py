@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, GreedyQ, Moved, Supported, moved, supported
@@ -67,7 +67,7 @@ class BCQ(Agent):
             behavior = VAE.create(spec.observation_size, spec.action_size, self.behavior_hidden, kb)
             mover = MLP.create(spec.observation_size + spec.action_size, self.hidden, spec.action_size, km)
         critics = create_critics(spec, self.hidden, 2, kc)
-        opts = begin(behavior), begin(mover), begin(critics)
+        opts = init_opt(behavior), init_opt(mover), init_opt(critics)
         return State(behavior, mover, critics, copy(mover), copy(critics), *opts)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
@@ -99,17 +99,18 @@ class BCQ(Agent):
         k_behavior, k_target, k_mover = jax.random.split(key, 3)
         fit = jax.grad(models.loss, has_aux=True)
         grads, of_behavior = fit(state.behavior, batch.observation, batch.action, k_behavior)
-        behavior, behavior_opt = descend(state.behavior, grads, state.behavior_opt, self.behavior_lr)
+        behavior, behavior_opt = apply_gradients(state.behavior, grads, state.behavior_opt, self.behavior_lr)
         state = state._replace(behavior=behavior, behavior_opt=behavior_opt)
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
         if state.mover is None:
-            return state._replace(target_critics=track(state.target_critics, critics, self.target_rate)), metrics | of_behavior
+            target_critics = polyak_update(state.target_critics, critics, self.target_rate)
+            return state._replace(target_critics=target_critics), metrics | of_behavior
         loss, grads = jax.value_and_grad(self.mover_loss)(state.mover, state, batch, k_mover)
-        mover, mover_opt = descend(state.mover, grads, state.mover_opt, self.actor_lr)
-        targets = track((state.target_mover, state.target_critics), (mover, critics), self.target_rate)
+        mover, mover_opt = apply_gradients(state.mover, grads, state.mover_opt, self.actor_lr)
+        targets = polyak_update((state.target_mover, state.target_critics), (mover, critics), self.target_rate)
         state = state._replace(mover=mover, mover_opt=mover_opt, target_mover=targets[0], target_critics=targets[1])
         return state, metrics | of_behavior | {"actor_loss": loss}
 

@@ -18,7 +18,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.mmd import Kernel, mmd
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import GreedyQ, TanhGaussian
@@ -112,7 +112,7 @@ class BEAR(Agent):
         log_temperature = jnp.log(jnp.asarray(self.temperature))
         trained = {"actor": actor, "critics": critics, "behavior": model, "multiplier": log_multiplier,
                    "temperature": log_temperature}  # fmt: skip
-        opts = {name: begin(part) for name, part in trained.items()}
+        opts = {name: init_opt(part) for name, part in trained.items()}
         return State(actor, critics, model, log_multiplier, log_temperature, copy(actor), copy(critics), opts)
 
     # ---- losses -----------------------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ class BEAR(Agent):
         if not self.dual:
             return state.log_multiplier, state.opts["multiplier"]
         slope = -jnp.exp(state.log_multiplier) * (divergence - self.threshold)
-        value, opt = descend(state.log_multiplier, slope, state.opts["multiplier"], self.multiplier_lr)
+        value, opt = apply_gradients(state.log_multiplier, slope, state.opts["multiplier"], self.multiplier_lr)
         value = jnp.clip(value, self.multiplier_min, self.multiplier_max)
         return self.after_warm_start((value, opt), (state.log_multiplier, state.opts["multiplier"]), step)
 
@@ -197,11 +197,11 @@ class BEAR(Agent):
         grads, model_metrics = jax.grad(models.loss, has_aux=True)(
             state.behavior, batch.observation, batch.action, k_model
         )
-        model, opts["behavior"] = descend(state.behavior, grads, opts["behavior"], self.behavior_lr)
+        model, opts["behavior"] = apply_gradients(state.behavior, grads, opts["behavior"], self.behavior_lr)
         target = backup(batch, self.discount, self.future(state, batch, k_future))
         weight = self.bellman_weight(state, batch)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target, weight)
-        critics, opts["critics"] = descend(state.critics, grads, opts["critics"], self.critic_lr)
+        critics, opts["critics"] = apply_gradients(state.critics, grads, opts["critics"], self.critic_lr)
         return state._replace(critics=critics, behavior=model, opts=opts), metrics | model_metrics
 
     def update(self, state, batch, *, step, key) -> tuple[Any, Metrics]:
@@ -212,17 +212,17 @@ class BEAR(Agent):
 
         grad = jax.value_and_grad(self.actor_loss, has_aux=True)
         (loss, (divergence, log_prob, value)), grads = grad(state.actor, state, batch, step, k_actor)
-        actor, opts["actor"] = descend(state.actor, grads, opts["actor"], self.actor_lr)
+        actor, opts["actor"] = apply_gradients(state.actor, grads, opts["actor"], self.actor_lr)
         log_multiplier, opts["multiplier"] = self.dual_step(state, divergence, step)
         log_temperature = state.log_temperature
         if self.base == "sac":  # entropy held at minus the number of action dimensions, as in SAC
             slope = -(log_prob - batch.action.shape[-1])
-            stepped = descend(log_temperature, slope, opts["temperature"], self.temperature_lr)
+            stepped = apply_gradients(log_temperature, slope, opts["temperature"], self.temperature_lr)
             # It rests with the multiplier: in the warm start the actor follows the constraint and cannot answer it.
             rested = (log_temperature, opts["temperature"])
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, rested, step)
 
-        targets = track((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+        targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
         metrics |= {
             "actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_multiplier),
         }  # fmt: skip

@@ -11,7 +11,7 @@ from deadreckon.agents import bear
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, static
 
@@ -56,7 +56,7 @@ class ISBEAR(bear.BEAR):
         set_policy = copy(first.actor)
         return State(
             first.actor, set_policy, first.critics, first.behavior, first.log_multiplier, first.target_actor,
-            first.target_critics, opts | {"set_policy": begin(set_policy)},
+            first.target_critics, opts | {"set_policy": init_opt(set_policy)},
         )  # fmt: skip
 
     def future(self, state, batch, key):
@@ -97,13 +97,13 @@ class ISBEAR(bear.BEAR):
         opts = dict(state.opts)
 
         grads, (divergence, spread) = jax.grad(self.set_loss, has_aux=True)(state.set_policy, state, batch, step, k_set)
-        set_policy, opts["set_policy"] = descend(state.set_policy, grads, opts["set_policy"], self.actor_lr)
+        set_policy, opts["set_policy"] = apply_gradients(state.set_policy, grads, opts["set_policy"], self.actor_lr)
         log_multiplier, opts["multiplier"] = self.dual_step(state, divergence, step)
         state = state._replace(set_policy=set_policy)
         loss, grads = jax.value_and_grad(self.weighted_loss)(state.actor, state, batch, step, k_actor)
-        actor, opts["actor"] = descend(state.actor, grads, opts["actor"], self.actor_lr)
+        actor, opts["actor"] = apply_gradients(state.actor, grads, opts["actor"], self.actor_lr)
 
-        targets = track((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+        targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
         metrics |= {
             "actor_loss": loss, "critic_spread": spread, self.constraint: divergence,
             "multiplier": jnp.exp(log_multiplier),

@@ -20,7 +20,7 @@ from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.mmd import mmd
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
@@ -62,7 +62,7 @@ class BRAC(Agent):
         ka, kc, kb = jax.random.split(key, 3)
         make = lambda k: MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, k)  # noqa: E731
         actor, critics, behavior = make(ka), create_critics(spec, self.hidden, 2, kc), make(kb)
-        return State(actor, critics, copy(critics), behavior, begin(actor), begin(critics))
+        return State(actor, critics, copy(critics), behavior, init_opt(actor), init_opt(critics))
 
     def prepare(self, state, rows, key, fit):
         """Fits the behaviour model, by maximum likelihood; the actor begins as it."""
@@ -100,11 +100,11 @@ class BRAC(Agent):
         k_target, k_actor = jax.random.split(key)
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
         (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
-        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
-        targets = track(state.target_critics, critics, self.target_rate)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
+        targets = polyak_update(state.target_critics, critics, self.target_rate)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
         return state, metrics | {"actor_loss": loss, "divergence": away}
 

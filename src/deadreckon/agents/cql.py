@@ -21,7 +21,7 @@ from deadreckon.agents.sac import SAC
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Categorical
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
@@ -54,7 +54,7 @@ class CQL(SAC):
     def init(self, spec, key) -> Any:
         """SAC's state and the multiplier."""
         log_weight = jnp.log(jnp.maximum(jnp.asarray(self.conservatism), 1e-6))
-        held = Held(log_weight, begin(log_weight), jnp.asarray(self.warm_start > 0))
+        held = Held(log_weight, init_opt(log_weight), jnp.asarray(self.warm_start > 0))
         return super().init(spec, key)._replace(model=held)
 
     def critic_loss(self, critics, state, batch, target, key):
@@ -81,7 +81,7 @@ class CQL(SAC):
         if not self.lagrange:
             return state, metrics
         slope = self.threshold - metrics["gap"]  # d/dlog w of -w (gap - threshold), without the factor w > 0
-        log_weight, opt = descend(held.log_weight, slope, held.weight_opt, self.weight_lr)
+        log_weight, opt = apply_gradients(held.log_weight, slope, held.weight_opt, self.weight_lr)
         log_weight = jnp.minimum(log_weight, jnp.log(1e6))
         held = held._replace(log_weight=log_weight, weight_opt=opt)
         return state._replace(model=held), metrics | {"weight": jnp.exp(log_weight)}

@@ -24,7 +24,7 @@ from deadreckon.agents.on_policy import Moments, advantages, folded, scaled_valu
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Gaussian
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
 
@@ -84,7 +84,7 @@ class DAPG(Agent):
         critic = MLP.create(spec.observation_size, self.critic_hidden, 1, kc)
         told: dict[str, Array] = {name: jnp.zeros(()) for name in TOLD}
         seen = Moments.none(spec.observation_size)
-        return State(actor, critic, begin(critic), seen, Moments.none(), jnp.float32(0.0), told)
+        return State(actor, critic, init_opt(critic), seen, Moments.none(), jnp.float32(0.0), told)
 
     def observing(self, state: State, observation: Float[Array, "n o"]) -> State:
         """The state that standardises observations by these from now on."""
@@ -149,7 +149,7 @@ class DAPG(Agent):
             return jnp.square(error / state.returns.deviation).mean()
 
         value, grads = jax.value_and_grad(loss)(state.critic)
-        critic, opt = descend(state.critic, grads, state.opt, self.lr)
+        critic, opt = apply_gradients(state.critic, grads, state.opt, self.lr)
         return state._replace(critic=critic, opt=opt), {"critic_loss": value, **state.told}
 
     def value(self, state: State, observation: Float[Array, "*b o"]) -> Float[Array, "*b"]:
@@ -189,14 +189,14 @@ class Cloning(eqx.Module):
     def init(self, spec, key):
         """A fresh network."""
         net = policy_network(spec, self.hidden, key)
-        return Clone(net, begin(net))
+        return Clone(net, init_opt(net))
 
     def update(self, state, batch, *, step, key):
         """One step on the mean squared error."""
         wanted = (batch.action - self.center) / self.spread
         error = lambda net: jnp.square(net(batch.observation) - wanted).mean()  # noqa: E731
         value, grads = jax.value_and_grad(error)(state.net)
-        return Clone(*descend(state.net, grads, state.opt, self.lr)), {"behavior_error": value}
+        return Clone(*apply_gradients(state.net, grads, state.opt, self.lr)), {"behavior_error": value}
 
     def means(self, state: Clone) -> MLP:
         """The network to actions as they were demonstrated."""

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Needs
 from deadreckon.errors import UserError
-from deadreckon.nets.optim import begin, clipped, descend
+from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
 from deadreckon.policies.sequence import Asking, Sequence
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Range, Sizes, static
 
@@ -63,7 +63,7 @@ class DecisionTransformer(Agent):
     def init(self, spec, key) -> Any:
         """A fresh network; what the log's returns are is not known yet."""
         net = Sequence.create(spec, self.layers, self.hidden[0], self.heads, key)
-        return State(net, begin(net), jnp.ones(()), jnp.zeros(()), jnp.ones(()))
+        return State(net, init_opt(net), jnp.ones(()), jnp.zeros(()), jnp.ones(()))
 
     def prepare(self, state, rows, key, fit):
         """Looks at the log's returns."""
@@ -81,8 +81,7 @@ class DecisionTransformer(Agent):
         """One step of Adam with decoupled weight decay."""
         loss, grads = jax.value_and_grad(self.loss)(state.net, state.scale, batch, key)
         lr = self.lr * jnp.minimum((step + 1) / self.warm_up, 1.0)
-        net, opt = descend(state.net, clipped(grads, self.gradient_norm), state.opt, lr)
-        net = jax.tree.map(lambda new, old: new - lr * self.decay * old, net, state.net)
+        net, opt = apply_gradients(state.net, clip_by_norm(grads, self.gradient_norm), state.opt, lr, self.decay)
         return state._replace(net=net, opt=opt), {"loss": loss}
 
     def policy(self, state):

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import OneStep
 from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
@@ -60,7 +60,7 @@ class FQL(Agent):
         flow = MLP.create(inputs + 1, self.hidden, spec.action_size, kf, activation="gelu")
         actor = MLP.create(inputs, self.hidden, spec.action_size, ka, activation="gelu")
         critics = create_critics(spec, self.hidden, 2, kc, activation="gelu", normalise=True)
-        return State(flow, actor, critics, copy(critics), begin(flow), begin(actor), begin(critics))
+        return State(flow, actor, critics, copy(critics), init_opt(flow), init_opt(actor), init_opt(critics))
 
     def flow_loss(self, flow: MLP, batch, key) -> Array:
         """Squared error of the field on straight lines from noise to logged actions, at uniform times."""
@@ -98,14 +98,14 @@ class FQL(Agent):
         """Flow, critics, actor, targets."""
         k_flow, k_target, k_actor = jax.random.split(key, 3)
         flow_loss, grads = jax.value_and_grad(self.flow_loss)(state.flow, batch, k_flow)
-        flow, flow_opt = descend(state.flow, grads, state.flow_opt, self.behavior_lr)
+        flow, flow_opt = apply_gradients(state.flow, grads, state.flow_opt, self.behavior_lr)
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(flow=flow, flow_opt=flow_opt, critics=critics, critics_opt=critics_opt)
         (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
-        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
-        targets = track(state.target_critics, critics, self.target_rate)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
+        targets = polyak_update(state.target_critics, critics, self.target_rate)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
         return state, metrics | {"actor_loss": loss, "flow_loss": flow_loss, "distance": away}
 

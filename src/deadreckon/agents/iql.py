@@ -14,7 +14,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Share, Sizes, static
 
@@ -56,7 +56,7 @@ class IQL(Agent):
         actor = create_actor(spec, self.hidden, ka)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
         critics = create_critics(spec, self.hidden, 2, kc)
-        return State(actor, value, critics, copy(critics), begin(actor), begin(value), begin(critics))
+        return State(actor, value, critics, copy(critics), init_opt(actor), init_opt(value), init_opt(critics))
 
     def value_loss(self, value: MLP, batch, q: Array) -> Array:
         """E[ |tau - 1(q < V)| (q - V)^2 ], q the smaller target critic of the logged action (eq. 5)."""
@@ -71,16 +71,16 @@ class IQL(Agent):
         """Values, actor, critics, targets, each by what those before it have become."""
         q = least(q_values(state.target_critics, batch.observation, batch.action))
         value_loss, grads = jax.value_and_grad(self.value_loss)(state.value, batch, q)
-        value, value_opt = descend(state.value, grads, state.value_opt, self.critic_lr)
+        value, value_opt = apply_gradients(state.value, grads, state.value_opt, self.critic_lr)
 
         advantage = q - value(batch.observation)[..., 0]
         actor_loss, grads = jax.value_and_grad(self.actor_loss)(state.actor, batch, advantage)
-        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
 
         target = backup(batch, self.discount, value(batch.next_observation)[..., 0])  # eq. 6
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
-        targets = track(state.target_critics, critics, self.target_rate)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
+        targets = polyak_update(state.target_critics, critics, self.target_rate)
         state = State(actor, value, critics, targets, actor_opt, value_opt, critics_opt)
         return state, metrics | {"actor_loss": actor_loss, "value_loss": value_loss, "advantage": advantage.mean()}
 

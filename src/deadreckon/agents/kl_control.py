@@ -34,7 +34,7 @@ class KLControl(SAC):
         return SAC.resolve(self.replace(target_entropy=0.0), spec, steps)
 
     @property
-    def held_entropy(self):
+    def entropy_target(self):
         """Minus the divergence is in the place of the entropy."""
         return -self.target_kl
 
@@ -48,9 +48,10 @@ class KLControl(SAC):
         model = cloned(self, fit, key)
         return state._replace(model=model, actor=copy(model))
 
-    def paid(self, state, d, pre, observation):
+    def entropy_cost(self, state, d, pre, observation):
         """log pi(a|s) - log model(a|s): one draw's estimate of the KL divergence, (b,)."""
-        return super().paid(state, d, pre, observation) - dist.log_prob(dist.gaussian_head(state.model(observation)), pre)
+        model = dist.gaussian_head(state.model(observation))
+        return super().entropy_cost(state, d, pre, observation) - dist.log_prob(model, pre)
 
     def update(self, state, batch, *, step, key):
         """SAC's, whose entropy is minus the divergence."""

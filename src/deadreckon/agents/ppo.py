@@ -18,7 +18,7 @@ from deadreckon.agents.on_policy import Moments, advantages, folded, scaled_valu
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, clipped, descend
+from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
 
@@ -68,7 +68,7 @@ class PPO(Agent):
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka, activation="tanh")
         actor = MLP((*actor.weights[:-1], 0.01 * actor.weights[-1]), (*actor.biases[:-1], 0.0 * actor.biases[-1]), "tanh")
         critic = MLP.create(spec.observation_size, self.hidden, 1, kc, activation="tanh")
-        return State(actor, critic, begin((actor, critic)), Moments.none(spec.observation_size), Moments.none())
+        return State(actor, critic, init_opt((actor, critic)), Moments.none(spec.observation_size), Moments.none())
 
     def observing(self, state: State, observation: Float[Array, "n o"]) -> State:
         """The state before it acts again, which has seen some more observations."""
@@ -96,7 +96,7 @@ class PPO(Agent):
         """Actor and critic."""
         nets = state.actor, state.critic
         grads, metrics = jax.grad(self.loss, has_aux=True)(nets, state, batch, key)
-        (actor, critic), opt = descend(nets, clipped(grads, self.gradient_norm), state.opt, self.lr)
+        (actor, critic), opt = apply_gradients(nets, clip_by_norm(grads, self.gradient_norm), state.opt, self.lr)
         return state._replace(actor=actor, critic=critic, opt=opt), metrics
 
     def loss(self, nets, state, batch, key):

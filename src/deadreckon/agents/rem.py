@@ -26,11 +26,11 @@ class REM(SAC):
 
     critics: Count = static(10)  # Q-networks (published, as heads of one network: 200)
 
-    def believed(self, values):
+    def min_q(self, values):
         """The mean."""
         return values.mean(0)
 
-    def ahead(self, values):
+    def target_q(self, values):
         """All of them: what is linear can be mixed later."""
         return values
 

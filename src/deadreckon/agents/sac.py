@@ -12,7 +12,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Share, Sizes, static
 
@@ -65,23 +65,23 @@ class SAC(Agent):
         actor = create_actor(spec, self.hidden, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
-        opts = begin(actor), begin(critics), begin(log_temperature)
+        opts = init_opt(actor), init_opt(critics), init_opt(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
 
-    def believed(self, values):
+    def min_q(self, values):
         """What of the critics' values counts: the least."""
         return least(values)
 
-    def ahead(self, values):
+    def target_q(self, values):
         """What of the target critics' values backups look forward to."""
-        return self.believed(values)
+        return self.min_q(values)
 
     @property
-    def held_entropy(self):
+    def entropy_target(self):
         """What the temperature holds the mean of -log pi at."""
         return self.target_entropy
 
-    def paid(self, state, d, pre, observation):
+    def entropy_cost(self, state, d, pre, observation):
         """What costs the temperature's worth, of actions `pre` before the tanh: their log-probability."""
         return dist.log_prob(d, pre)
 
@@ -91,15 +91,15 @@ class SAC(Agent):
         pre = d.mean + jnp.exp(d.log_std) * noise
         if not self.entropy_backup:
             return jnp.tanh(pre), jnp.zeros(pre.shape[:-1])
-        return jnp.tanh(pre), -jnp.exp(state.log_temperature) * self.paid(state, d, pre, observation)
+        return jnp.tanh(pre), -jnp.exp(state.log_temperature) * self.entropy_cost(state, d, pre, observation)
 
     def value(self, state, observation, noise):
         """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor; of discrete actions the mean over all."""
         if isinstance(state.actor, Categorical):
-            q = self.ahead(all_q_values(state.target_critics, observation))
+            q = self.target_q(all_q_values(state.target_critics, observation))
             return self.over_choices(state.actor, q, observation, state.log_temperature)
         action, bonus = self.act(state, observation, noise)
-        return self.ahead(q_values(state.target_critics, observation, action)) + bonus
+        return self.target_q(q_values(state.target_critics, observation, action)) + bonus
 
     def over_choices(self, actor: Categorical, q: Array, observation: Array, log_temperature: Array) -> Array:
         """sum_a pi(a|s) (Q(s, a) - temperature log pi(a|s)) of values (..., b, n), the bonus only where targets hold it."""
@@ -123,13 +123,13 @@ class SAC(Agent):
         """
         if isinstance(actor, Categorical):
             log_prob = actor.log_chances(batch.observation)
-            q = self.believed(all_q_values(state.critics, batch.observation))
+            q = self.min_q(all_q_values(state.critics, batch.observation))
             loss = (jnp.exp(log_prob) * (jnp.exp(state.log_temperature) * log_prob - q)).sum(-1).mean()
             return loss, (jnp.exp(log_prob) * log_prob).sum(-1).mean()
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, key)
-        log_prob = self.paid(state, d, pre, batch.observation)
-        q = self.believed(q_values(state.critics, batch.observation, jnp.tanh(pre)))
+        log_prob = self.entropy_cost(state, d, pre, batch.observation)
+        q = self.min_q(q_values(state.critics, batch.observation, jnp.tanh(pre)))
         return (jnp.exp(state.log_temperature) * log_prob - q).mean(), log_prob.mean()
 
     def update(self, state, batch, *, step, key):
@@ -137,20 +137,20 @@ class SAC(Agent):
         k_target, k_actor = jax.random.split(key)
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
 
         (loss, log_prob), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
-        actor, actor_opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
 
         # Falls where the policy is more random than asked for: d/dlog T of -log T (log pi + target entropy).
-        slope = -(log_prob + self.held_entropy)
-        log_temperature, temperature_opt = descend(
+        slope = -(log_prob + self.entropy_target)
+        log_temperature, temperature_opt = apply_gradients(
             state.log_temperature, slope, state.temperature_opt, self.temperature_lr
         )
         state = state._replace(
-            actor=actor, target_critics=track(state.target_critics, critics, self.target_rate), log_temperature=log_temperature,
-            actor_opt=actor_opt, temperature_opt=temperature_opt,
+            actor=actor, target_critics=polyak_update(state.target_critics, critics, self.target_rate),
+            log_temperature=log_temperature, actor_opt=actor_opt, temperature_opt=temperature_opt,
         )  # fmt: skip
         return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}
 
@@ -160,4 +160,4 @@ class SAC(Agent):
 
     def q_value(self, state, observation, action):
         """What the critics are believed to say; it holds the entropy bonus too."""
-        return self.believed(q_values(state.critics, observation, action))
+        return self.min_q(q_values(state.critics, observation, action))

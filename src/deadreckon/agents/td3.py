@@ -9,7 +9,7 @@ import optax
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import Needs
 from deadreckon.nets.mlp import MLP, least, q_values
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
 
@@ -49,7 +49,7 @@ class TD3(Agent):
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
         critics = create_critics(spec, self.hidden, 2, kc, normalise=self.normalise)
-        return State(actor, critics, copy(actor), copy(critics), begin(actor), begin(critics))
+        return State(actor, critics, copy(actor), copy(critics), init_opt(actor), init_opt(critics))
 
     def next_action(self, state, batch, key):
         """The target actor's action at s', plus clipped noise (TD3 eq. 14)."""
@@ -75,13 +75,13 @@ class TD3(Agent):
         """Critics always; every `actor_every` updates the actor and all targets."""
         target = self.target(state, batch, key)
         grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
-        critics, critics_opt = descend(state.critics, grads, state.critics_opt, self.critic_lr)
+        critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
 
         def improve(state):
             loss, grads = jax.value_and_grad(self.actor_loss)(state.actor, state, batch)
-            actor, opt = descend(state.actor, grads, state.actor_opt, self.actor_lr)
-            targets = track((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+            actor, opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
+            targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
             state = state._replace(actor=actor, actor_opt=opt, target_actor=targets[0], target_critics=targets[1])
             return state, loss * self.actor_every  # so that the mean over a chunk is the mean over actor updates
 

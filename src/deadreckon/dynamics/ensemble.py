@@ -18,7 +18,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.view import STD_FLOOR
 from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.nets.optim import begin
+from deadreckon.nets.optim import init_opt
 from deadreckon.training.hyperparameters import Count, Range, Share, static
 from deadreckon.training.program import choose
 
@@ -44,7 +44,7 @@ class Ensemble(NamedTuple):
     def unfitted(cls, model: Model, spec: Spec, elites: int, key: PRNGKeyArray) -> "Ensemble":
         """Fresh networks, of which the first are called elites."""
         params, size = model.create(spec, key), spec.observation_size + spec.action_size
-        return cls(params, begin(params), jnp.zeros(size), jnp.ones(size), jnp.arange(elites, dtype=jnp.int32))
+        return cls(params, init_opt(params), jnp.zeros(size), jnp.ones(size), jnp.arange(elites, dtype=jnp.int32))
 
     def standardise(self, inputs: Array) -> Array:
         """Inputs as the networks see them."""
@@ -111,7 +111,7 @@ class Trainer(eqx.Module):
         key = jax.random.key(seed)
         if start is None:
             params = model.create(spec, key)
-            opt = begin(params)
+            opt = init_opt(params)
         else:
             params, opt = start.params, start.opt
         data = tuple(_padded(part, room(n)) for part in (inputs, target, terminal))

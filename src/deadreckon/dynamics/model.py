@@ -14,7 +14,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.data.spec import Spec
 from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets.mlp import joined, split, stacks
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
 from deadreckon.training.learner import Metrics
 
@@ -105,7 +105,7 @@ class Model(eqx.Module):
     def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
         """Parameters and optimiser, and the reward's unit."""
         params = self.create(spec, key)
-        return params, begin(params), jnp.float32(reward_unit(spec))
+        return params, init_opt(params), jnp.float32(reward_unit(spec))
 
     def update(self, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> tuple[Any, Metrics]:
         """One step of maximum likelihood."""
@@ -128,8 +128,7 @@ class Model(eqx.Module):
         parts = split((params, inputs, target, terminal, jnp.broadcast_to(weight, terminal.shape)), stacks())
         keys = jax.random.split(key, len(parts))
         grads, each = joined([jax.grad(loss, has_aux=True)(*part, k) for part, k in zip(parts, keys)])
-        new, opt = descend(params, grads, opt, self.lr)
-        new = jax.tree.map(lambda n, p: n - self.lr * self.weight_decay * p, new, params)
+        new, opt = apply_gradients(params, grads, opt, self.lr, self.weight_decay)
         return new, opt, {"model_nll": each.mean()}
 
     def _choices(self, params: Any) -> int:

@@ -23,7 +23,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.designs import Coordinates
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, static
 
 LOG_RATIO = 10.0  # log-ratios of densities beyond this decide alone, and are cut
@@ -120,7 +120,7 @@ class Autoencoding(eqx.Module):
         ke, kd = jax.random.split(key)
         encoder = MLP.create(spec.size, self.hidden, 2 * self.latent, ke)
         made = Generator(encoder, MLP.create(self.latent, self.hidden, self.layout.outputs, kd))
-        return made, begin(made)
+        return made, init_opt(made)
 
     def update(self, state, batch: Batch, *, step, key):
         """One step."""
@@ -139,7 +139,7 @@ def learn(generator: Generator, opt: Any, layout: Layout, x: Array, weight: Arra
         return -(weight * bound).mean(), bound.mean()
 
     grads, bound = jax.grad(loss, has_aux=True)(generator)
-    return *descend(generator, grads, opt, lr), bound
+    return *apply_gradients(generator, grads, opt, lr), bound
 
 
 class Rounds(NamedTuple):
@@ -188,7 +188,7 @@ class CbAS(Designer):
         found = []
         for seed, (nets, nets_opt), (prior, _) in zip(setting.seeds, proxies, priors):
             key = jax.random.fold_in(jax.random.key(seed), 2)
-            state = Rounds(prior, begin(prior), nets, nets_opt, jnp.float32(-jnp.inf))
+            state = Rounds(prior, init_opt(prior), nets, nets_opt, jnp.float32(-jnp.inf))
             for i in range(self.rounds):
                 state = _round(self, layout, prior, state, *fixed, jax.random.fold_in(key, i), *setting.bounds)
                 setting.watch(f"{self.label.lower()} seed {seed}", i + 1, self.rounds)
@@ -236,7 +236,7 @@ def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weig
             rows = jax.random.randint(jax.random.fold_in(kn, i), (of.batch_size,), 0, len(x))
             each = lambda net, w: loss(net, x[rows], y[rows], w * focus[rows], ke)[0]  # noqa: E731
             grads = jax.grad(lambda nets: jax.vmap(each)(nets, weight[rows].T).sum())(nets)
-            return descend(nets, grads, opt, of.lr)
+            return apply_gradients(nets, grads, opt, of.lr)
 
         nets, nets_opt = jax.lax.fori_loop(0, of.updates, refocus, (nets, nets_opt))
     return Rounds(q, opt, nets, nets_opt, threshold)

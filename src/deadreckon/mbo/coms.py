@@ -16,7 +16,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import climb
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 # Margin in deviations of the score, and learning rate of the designs, of the public code (2.0 there for standardised logits,
@@ -53,7 +53,7 @@ class Conservative(eqx.Module):
         """A fresh model, and little penalty."""
         net = MLP.create(spec.size, self.hidden, 1, key, activation="relu")
         log_alpha = jnp.log(jnp.float32(FIRST))
-        return State(net, begin(net), log_alpha, begin(log_alpha))
+        return State(net, init_opt(net), log_alpha, init_opt(log_alpha))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of the model and one of the penalty's weight, which grows while the difference is above the margin."""
@@ -62,9 +62,9 @@ class Conservative(eqx.Module):
         beyond = jax.lax.stop_gradient(self.adversaries(state.net, x))
         alpha = jnp.exp(state.log_alpha)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.net, x, y, beyond, alpha)
-        net, opt = descend(state.net, grads, state.opt, self.lr)
+        net, opt = apply_gradients(state.net, grads, state.opt, self.lr)
         slack = self.margin - metrics["overestimation"]
-        log_alpha, alpha_opt = descend(state.log_alpha, slack, state.alpha_opt, self.alpha_lr)
+        log_alpha, alpha_opt = apply_gradients(state.log_alpha, slack, state.alpha_opt, self.alpha_lr)
         return State(net, opt, log_alpha, alpha_opt), metrics | {"alpha": alpha}
 
     def adversaries(self, net: MLP, x: Array) -> Array:

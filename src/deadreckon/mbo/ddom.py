@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.surrogate import Surrogate, counts
 from deadreckon.nets.mlp import MLP, ensemble
-from deadreckon.nets.optim import begin
+from deadreckon.nets.optim import init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, static
 
 WAVES = 8  # pairs of a sine and a cosine that tell the time
@@ -46,7 +46,7 @@ class Denoiser(Surrogate):
         size = spec.size + 2 * WAVES + 2
         make = lambda k: MLP.create(size, self.hidden, spec.size, k, activation=self.activation)  # noqa: E731
         nets = ensemble(make, 1, key)
-        return nets, begin(nets)
+        return nets, init_opt(nets)
 
     def loss(self, net: MLP, x, y, weight, key):
         """Squared error of the noise, at times drawn evenly."""

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from deadreckon.errors import UserError
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.points import Points
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.hyperparameters import check_fields, described
@@ -195,10 +195,10 @@ class Search(NamedTuple):
         away = np.random.default_rng(0).standard_normal(x[len(rows) :].shape)
         x[len(rows) :] = np.clip(x[len(rows) :] + AROUND * away, view.low, view.high)
         x = jnp.asarray(x)
-        return cls(x, begin(x))
+        return cls(x, init_opt(x))
 
     def ascend(self, value: Callable[[Array], Array], lr: Any, low: Array, high: Array) -> "Search":
         """One step of Adam up the gradient of `value` ((m, size) -> (m,)), each design for itself, kept within bounds."""
         grads = jax.grad(lambda x: -value(x).sum())(self.x)
-        x, opt = descend(self.x, grads, self.opt, lr)
+        x, opt = apply_gradients(self.x, grads, self.opt, lr)
         return Search(jnp.clip(x, low, high), opt)

@@ -21,7 +21,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, static
 
 PENALTY = 10.0  # of the gradient's norm
@@ -59,7 +59,7 @@ class Inversion(eqx.Module):
         kg, kc = jax.random.split(key)
         generator = MLP.create(self.latent + 1, self.hidden, spec.size, kg)
         critic = MLP.create(spec.size + 1, self.hidden, 1, kc)
-        return Pair(generator, critic, begin(generator), begin(critic))
+        return Pair(generator, critic, init_opt(generator), init_opt(critic))
 
     def update(self, state: Pair, batch: Batch, *, step, key):
         """One step of the critic, and every `turns` of them one of the generator."""
@@ -81,11 +81,11 @@ class Inversion(eqx.Module):
             return (weight * (gap + PENALTY * penalty)).mean(), -(weight * gap).mean()
 
         grads, distance = jax.grad(critic_loss, has_aux=True)(state.critic)
-        critic, critic_opt = descend(state.critic, grads, state.critic_opt, self.lr)
+        critic, critic_opt = apply_gradients(state.critic, grads, state.critic_opt, self.lr)
 
         def turn(_: Any) -> tuple[MLP, optax.OptState]:
             loss = lambda generator: -(weight * judge(critic, made(generator, z, y))).mean()  # noqa: E731
-            return descend(state.generator, jax.grad(loss)(state.generator), state.generator_opt, self.lr)
+            return apply_gradients(state.generator, jax.grad(loss)(state.generator), state.generator_opt, self.lr)
 
         keep = lambda _: (state.generator, state.generator_opt)  # noqa: E731
         generator, generator_opt = jax.lax.cond(step % self.turns == self.turns - 1, turn, keep, None)
@@ -142,8 +142,8 @@ def _ask(
 
     def step(_: Any, carry: Any) -> Any:
         asked, opt = carry
-        return descend(asked, jax.grad(loss)(asked), opt, lr)
+        return apply_gradients(asked, jax.grad(loss)(asked), opt, lr)
 
     first = z, jnp.full(len(z), best)
-    (z, y), _ = jax.lax.fori_loop(0, steps, step, (first, begin(first)))
+    (z, y), _ = jax.lax.fori_loop(0, steps, step, (first, init_opt(first)))
     return jnp.clip(made(generator, z, y), low, high)

@@ -30,7 +30,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.designs import Designs
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Share, Sizes, static
 
 
@@ -167,7 +167,7 @@ class Training(eqx.Module):
         """Fresh models; targets are copies."""
         make = lambda k: Net.create(spec.size, self.hidden, self.bins, self.logistic, k)  # noqa: E731
         nets = split(ensemble(make, self.bins, key), STACKS)
-        return State(nets, copy(nets), begin(nets), Search.start(spec.designs, self.designs, self.worst))
+        return State(nets, copy(nets), init_opt(nets), Search.start(spec.designs, self.designs, self.worst))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of all models; after pretraining, and every `ratio` of them, one of all designs."""
@@ -180,10 +180,10 @@ class Training(eqx.Module):
         weight = jnp.where(step < self.pretrain, 0.0, self.weight)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
         lr = jnp.where(step < self.pretrain, self.lr, self.search_lr)
-        nets, opt = descend(state.nets, grads, state.opt, lr)
+        nets, opt = apply_gradients(state.nets, grads, state.opt, lr)
         # Targets do not lag behind pretraining: they are copies where it ends.
         rate = jnp.where(step < self.pretrain, 1.0, self.target_rate)
-        targets = track(state.targets, nets, rate)
+        targets = polyak_update(state.targets, nets, rate)
         turn = (step >= self.pretrain) & ((step - self.pretrain) % self.ratio == self.ratio - 1)
         rise = lambda search: search.ascend(lambda z: self.worth(targets, z), self.design_lr, *self.bounds)  # noqa: E731
         search = jax.lax.cond(turn, rise, lambda search: search, state.search)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.mbo.designer import Search
 from deadreckon.nets.mlp import MLP, ensemble
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 
 MOST = 5.0  # that one design counts
 
@@ -38,7 +38,7 @@ class Surrogate(eqx.Module):
         """Fresh networks and their optimiser."""
         make = lambda k: MLP.create(spec.size, self.hidden, self.outputs, k, activation=self.activation)  # noqa: E731
         nets = ensemble(make, self.members, key)
-        return nets, begin(nets)
+        return nets, init_opt(nets)
 
     def update(self, state, batch: Batch, *, step, key):
         """One step of every network."""
@@ -52,7 +52,7 @@ class Surrogate(eqx.Module):
             return losses.sum(), jax.tree.map(jnp.mean, metrics)
 
         grads, metrics = jax.grad(total, has_aux=True)(nets)
-        nets, opt = descend(nets, grads, opt, self.lr)
+        nets, opt = apply_gradients(nets, grads, opt, self.lr)
         return (nets, opt), metrics
 
     def loss(self, net: MLP, x: Array, y: Array, weight: Array, key: Any) -> tuple[Array, dict[str, Array]]:

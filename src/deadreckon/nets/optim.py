@@ -9,24 +9,37 @@ import optax
 ADAM = optax.scale_by_adam()
 
 
-def begin(params: Any) -> optax.OptState:
+def init_opt(params: Any) -> optax.OptState:
     """Adam's state before the first step."""
     return ADAM.init(params)
 
 
-def descend(params: Any, grads: Any, opt: optax.OptState, lr: Any) -> tuple[Any, optax.OptState]:
-    """One Adam step (beta 0.9 and 0.999, epsilon 1e-8). `lr` may differ along a vmapped axis."""
+def apply_gradients(
+    params: Any, grads: Any, opt: optax.OptState, lr: Any, weight_decay: Any = None
+) -> tuple[Any, optax.OptState]:
+    """One step of Adam (beta 0.9 and 0.999, epsilon 1e-8), or of AdamW with a decoupled decay of the parameters.
+
+    Args:
+        params: before the step.
+        grads: of the loss.
+        opt: state of the optimiser.
+        lr: learning rate; may differ along a vmapped axis.
+        weight_decay: share of the parameters, in learning rates, that a step takes away; None: nothing.
+    """
     updates, opt = ADAM.update(grads, opt)
-    return jax.tree.map(lambda p, u: p - lr * u, params, updates), opt
+    new = jax.tree.map(lambda p, u: p - lr * u, params, updates)
+    if weight_decay is not None:
+        new = jax.tree.map(lambda n, p: n - lr * weight_decay * p, new, params)
+    return new, opt
 
 
-def clipped(grads: Any, norm: Any) -> Any:
+def clip_by_norm(grads: Any, norm: Any) -> Any:
     """Gradients, all made shorter by one factor where together they are longer than `norm`."""
     length = optax.tree.norm(grads)
     return jax.tree.map(lambda g: g * jnp.minimum(1.0, norm / (length + 1e-12)), grads)
 
 
-def track(target: Any, online: Any, rate: Any) -> Any:
+def polyak_update(target: Any, online: Any, rate: Any) -> Any:
     """Polyak averaging: target <- (1 - rate) target + rate online."""
     return jax.tree.map(lambda t, o: t + rate * (o - t), target, online)
 

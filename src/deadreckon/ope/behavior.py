@@ -17,7 +17,7 @@ from scipy.special import softmax
 
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import ensemble
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Best, in_blocks
@@ -62,7 +62,7 @@ class Folds(eqx.Module):
         make = models.Clipped.create if self.clipped else create_actor
         shapes = dict.fromkeys((self.hidden, ()))
         nets = tuple(ensemble(lambda k, hidden=hidden: make(spec, hidden, k), self.folds, key) for hidden in shapes)
-        return State(nets, begin(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
+        return State(nets, init_opt(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of maximum likelihood for every fold, on the rows that are not its own."""
@@ -75,7 +75,7 @@ class Folds(eqx.Module):
             return sum((each * weight).mean(-1).sum() for each in nll), checked
 
         grads, checked = jax.grad(loss, has_aux=True)(state.nets)
-        nets, opt = descend(state.nets, grads, state.opt, self.lr)
+        nets, opt = apply_gradients(state.nets, grads, state.opt, self.lr)
         best = tuple(best.look(own, seen, step, 0.0) for best, own, seen in zip(state.best, nets, checked))
         return State(nets, opt, best), {"behavior_nll": jnp.stack(checked).min(0).mean()}
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 
 from deadreckon.data.batch import Batch, Needs
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import create_actor
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
@@ -31,12 +31,12 @@ class BehaviorModel(eqx.Module):
         """Network and optimiser."""
         make = models.Clipped.create if self.clipped else create_actor
         model = make(spec, self.hidden, key)
-        return model, begin(model)
+        return model, init_opt(model)
 
     def update(self, state, batch: Batch, *, step, key):
         """One step of maximum likelihood."""
         model, opt = state
         loss = models.censored if self.clipped else models.loss
         grads, metrics = jax.grad(loss, has_aux=True)(model, batch.observation, batch.action, key)
-        model, opt = descend(model, grads, opt, self.lr)
+        model, opt = apply_gradients(model, grads, opt, self.lr)
         return (model, opt), metrics

@@ -22,7 +22,7 @@ from jaxtyping import Array
 
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.estimates import Estimates
@@ -82,19 +82,19 @@ class Saddle(eqx.Module):
         kq, kz = jax.random.split(key)
         q, zeta = (create(spec, self.hidden, self.members, self.policies, k) for k in (kq, kz))
         multiplier = jnp.zeros((self.members, self.policies))
-        return State(q, zeta, multiplier, copy(zeta), begin(q), begin(zeta), begin(multiplier))
+        return State(q, zeta, multiplier, copy(zeta), init_opt(q), init_opt(zeta), init_opt(multiplier))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step down for Q and lambda, one up for zeta, from the same point."""
         arguments = (state.q, state.multiplier), state.zeta
         (down, up), metrics = jax.grad(self.lagrangian, (0, 1), has_aux=True)(*arguments, batch)
-        q, q_opt = descend(state.q, down[0], state.q_opt, self.lr)
+        q, q_opt = apply_gradients(state.q, down[0], state.q_opt, self.lr)
         multiplier, multiplier_opt = state.multiplier, state.multiplier_opt
         if self.norm:
-            multiplier, multiplier_opt = descend(multiplier, down[1], multiplier_opt, self.lr)
-        zeta, zeta_opt = descend(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, self.lr)
+            multiplier, multiplier_opt = apply_gradients(multiplier, down[1], multiplier_opt, self.lr)
+        zeta, zeta_opt = apply_gradients(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, self.lr)
         # Descent against ascent circles around the saddle point; the mean of its way is nearer than where it happens to stop.
-        mean = track(state.mean, zeta, jnp.maximum(self.average, 1.0 / (step + 1)))
+        mean = polyak_update(state.mean, zeta, jnp.maximum(self.average, 1.0 / (step + 1)))
         return State(q, zeta, multiplier, mean, q_opt, zeta_opt, multiplier_opt), metrics
 
     def lagrangian(self, primal: tuple[MLP, Array], dual: MLP, batch: Batch):

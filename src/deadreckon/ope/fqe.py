@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.behavior import masks
 from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
@@ -101,7 +101,7 @@ class Critics(eqx.Module):
         """Fresh critics; targets are copies."""
         critics = create(spec, self.hidden, self.members, self.policies, key)
         best = Best.begin(critics, (self.members, self.policies)) if self.stops else None
-        return State(critics, copy(critics), begin(critics), best)
+        return State(critics, copy(critics), init_opt(critics), best)
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of every critic towards r + discount (1 - terminal) V_target(s'), clipped to what a value can be."""
@@ -110,10 +110,8 @@ class Critics(eqx.Module):
         reward = self.share * batch.reward / self.reward_std
         target = jnp.clip(reward + self.discount * (1.0 - batch.terminal) * future, self.low, self.high)
         grads, (metrics, checked) = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
-        critics, opt = descend(state.critics, grads, state.opt, self.lr)
-        # Decoupled weight decay (AdamW).
-        critics = jax.tree.map(lambda new, old: new - self.lr * self.decay * old, critics, state.critics)
-        targets = track(state.targets, critics, self.target_rate)
+        critics, opt = apply_gradients(state.critics, grads, state.opt, self.lr, self.decay)
+        targets = polyak_update(state.targets, critics, self.target_rate)
         best = None if state.best is None else state.best.look(targets, checked, step, self.first)
         return State(critics, targets, opt, best), metrics
 

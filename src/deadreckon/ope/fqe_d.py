@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.data.batch import Batch, Needs, Rows
 from deadreckon.nets.mlp import ensemble
-from deadreckon.nets.optim import begin, copy, descend
+from deadreckon.nets.optim import apply_gradients, copy, init_opt
 from deadreckon.ope.case import Case
 from deadreckon.ope.critics import in_blocks
 from deadreckon.ope.estimates import Estimates
@@ -105,7 +105,7 @@ class Distributions(eqx.Module):
         inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
         sizes = (inputs, *self.hidden, self.atoms * (spec.action_size if spec.discrete else 1))
         critics = ensemble(lambda k: ensemble(lambda key: NormMLP.create(sizes, key), self.policies, k), self.members, key)
-        return State(critics, copy(critics), begin(critics))
+        return State(critics, copy(critics), init_opt(critics))
 
     def logits(self, critics: NormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
         """Of the returns after one action a row, the same for all critics."""
@@ -141,7 +141,7 @@ class Distributions(eqx.Module):
         square = sum(jnp.square(g).sum(tuple(range(2, g.ndim))) for g in jax.tree.leaves(grads))
         scale = jnp.minimum(1.0, self.clip / jnp.sqrt(jnp.maximum(square, 1e-12)))
         grads = jax.tree.map(lambda g: g * scale.reshape(*scale.shape, *[1] * (g.ndim - 2)), grads)
-        critics, opt = descend(state.critics, grads, state.opt, self.lr)
+        critics, opt = apply_gradients(state.critics, grads, state.opt, self.lr)
         over = (step + 1) % self.renew == 0
         targets = jax.tree.map(lambda new, old: jnp.where(over, new, old), critics, state.targets)
         return State(critics, targets, opt), metrics

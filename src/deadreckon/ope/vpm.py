@@ -22,7 +22,7 @@ from jaxtyping import Array
 
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.mlp import MLP
-from deadreckon.nets.optim import begin, copy, descend, track
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.case import Case
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.dice import estimates, mass, occupancy_rows, weighted
@@ -61,17 +61,17 @@ class Power(eqx.Module):
     def init(self, spec, key):
         """Fresh networks."""
         tau = create(spec, self.hidden, self.members, self.policies, key)
-        return State(tau, copy(tau), jnp.zeros((self.members, self.policies)), begin(tau))
+        return State(tau, copy(tau), jnp.zeros((self.members, self.policies)), init_opt(tau))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of the fit; every `inner` steps an iteration is over and the next begins."""
         grads, (whole, metrics) = jax.grad(self.loss, has_aux=True)(state.tau, state.before, state.excess, batch)
-        tau, opt = descend(state.tau, grads, state.opt, self.lr)
+        tau, opt = apply_gradients(state.tau, grads, state.opt, self.lr)
         over = (step + 1) % self.inner == 0
         before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
         # The square of one batch's mass would be penalised for its variance, which a terminal's mass of 1 / (1 - discount)
         # makes huge; the slope of the square at the running mean is right, and quiet once the mass is.
-        return State(tau, before, track(state.excess, whole - 1.0, EXCESS_RATE), opt), metrics
+        return State(tau, before, polyak_update(state.excess, whole - 1.0, EXCESS_RATE), opt), metrics
 
     def loss(self, tau_net: MLP, before_net: MLP, excess: Array, batch: Batch):
         """The objective above, summed over members and policies."""

@@ -22,7 +22,7 @@ from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.oracle import Kept, kept, split
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 from deadreckon.nets.mlp import MLP, ensemble
-from deadreckon.nets.optim import begin, descend
+from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.metrics import rank_correlation
 
 FILE = "avgfp.tsv"
@@ -159,6 +159,6 @@ def _fit(models: Traits, codes: Array, y: Array) -> Traits:
         error = lambda model, rows: jnp.square(model(codes[rows].astype(jnp.int32)) - y[rows]).mean()  # noqa: E731
         grads = jax.grad(lambda models: jax.vmap(error)(models, rows).sum())(models)
         lr = LR * (1 + jnp.cos(jnp.pi * step / STEPS)) / 2
-        return descend(models, grads, opt, lr), None
+        return apply_gradients(models, grads, opt, lr), None
 
-    return jax.lax.scan(update, (models, begin(models)), jnp.arange(STEPS))[0][0]
+    return jax.lax.scan(update, (models, init_opt(models)), jnp.arange(STEPS))[0][0]
