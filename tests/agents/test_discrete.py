@@ -129,7 +129,7 @@ def test_bcq_takes_the_best_of_what_is_likely_enough(batch):
     seen = batch.observation
     best = np.where(supported(state.behavior, 0.98, seen), values(state.critics, seen)[0], -np.inf).argmax(-1)
     assert isinstance(policy, Supported)
-    np.testing.assert_array_equal(policy.chances(seen).argmax(-1), best)
+    np.testing.assert_array_equal(policy.probs(seen).argmax(-1), best)
 
 
 def test_what_is_not_for_choices_says_so():

@@ -109,7 +109,7 @@ def weighted_mean(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: i
     """Mean of Q(s, a) over actions of the policy, weighted by exp Q: under the distribution that CQL(rho) holds down."""
     if isinstance(actor, Categorical):
         q = all_q_values(critics, batch.observation)
-        weight = jax.nn.softmax(jax.lax.stop_gradient(q + actor.log_chances(batch.observation)))
+        weight = jax.nn.softmax(jax.lax.stop_gradient(q + actor.log_probs(batch.observation)))
         return (weight * q).sum(-1)
     drawn = jnp.tanh(dist.sample(dist.gaussian_head(actor(batch.observation)), key, (draws,)))
     q = q_values(critics, batch.observation, drawn)

@@ -103,7 +103,7 @@ class SAC(Agent):
 
     def over_choices(self, actor: Categorical, q: Array, observation: Array, log_temperature: Array) -> Array:
         """sum_a pi(a|s) (Q(s, a) - temperature log pi(a|s)) of values (..., b, n), the bonus only where targets hold it."""
-        log_prob = actor.log_chances(observation)
+        log_prob = actor.log_probs(observation)
         bonus = -jnp.exp(log_temperature) * log_prob if self.entropy_backup else 0.0
         return (jnp.exp(log_prob) * (q + bonus)).sum(-1)
 
@@ -122,7 +122,7 @@ class SAC(Agent):
         Of discrete actions it is the mean over all, by their probabilities.
         """
         if isinstance(actor, Categorical):
-            log_prob = actor.log_chances(batch.observation)
+            log_prob = actor.log_probs(batch.observation)
             q = self.min_q(all_q_values(state.critics, batch.observation))
             loss = (jnp.exp(log_prob) * (jnp.exp(state.log_temperature) * log_prob - q)).sum(-1).mean()
             return loss, (jnp.exp(log_prob) * log_prob).sum(-1).mean()

@@ -171,7 +171,7 @@ def _densities(nets: tuple[Any, ...], which: Any, observation: Any, action: Any)
 
 @jax.jit
 def _logits(nets: tuple[Categorical, ...], which: Any, observation: Any) -> Any:
-    return _taken([jax.vmap(lambda net: net.log_chances(observation))(each) for each in nets], which)
+    return _taken([jax.vmap(lambda net: net.log_probs(observation))(each) for each in nets], which)
 
 
 def _taken(found: list[Any], which: Any) -> Any:

@@ -85,7 +85,7 @@ class Deployed(eqx.Module):
             return lambda observations: np.mean([tells(observations) for tells in told], 0)
         if not isinstance(self.inner, Categorical | Supported):
             return None
-        return lambda observations: np.asarray(_chances(self, jnp.asarray(observations)))
+        return lambda observations: np.asarray(_probs(self, jnp.asarray(observations)))
 
     def __call__(self, observations: Any) -> np.ndarray:
         """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
@@ -136,6 +136,6 @@ def first_actions(policy: Deployed, observations: Array, key: PRNGKeyArray, gree
 
 
 @eqx.filter_jit
-def _chances(policy: Deployed, observations: Array) -> Array:
+def _probs(policy: Deployed, observations: Array) -> Array:
     assert isinstance(policy.inner, Categorical | Supported)
-    return policy.inner.chances(policy.view.observe(observations))
+    return policy.inner.probs(policy.view.observe(observations))

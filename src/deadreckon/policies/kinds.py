@@ -168,17 +168,17 @@ class Categorical(Inner):
         """A fresh network."""
         return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key))
 
-    def chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+    def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
         """The probability of every action."""
         return jax.nn.softmax(self.net(observation))
 
-    def log_chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+    def log_probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
         """Its logarithm."""
         return jax.nn.log_softmax(self.net(observation))
 
     def log_prob(self, observation: Float[Array, "n o"], action: Int[Array, "n"]) -> Float[Array, "n"]:
         """Log-probability of one action each."""
-        return jnp.take_along_axis(self.log_chances(observation), action[:, None], -1)[:, 0]
+        return jnp.take_along_axis(self.log_probs(observation), action[:, None], -1)[:, 0]
 
     def act(self, step, carry, key, *, greedy):
         """See `Inner`."""
@@ -216,7 +216,7 @@ class Supported(Inner):
         values = jnp.where(supported(self.behavior, self.share, step.observation), self.critic(step.observation), -jnp.inf)
         return values.argmax(-1).astype(jnp.int32), carry
 
-    def chances(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+    def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
         """The probability of every action: all of it on one."""
         step = Step(observation, None, None)
         chosen, _ = self.act(step, (), jax.random.key(0), greedy=True)
@@ -225,8 +225,8 @@ class Supported(Inner):
 
 def supported(behavior: Categorical, share: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:
     """Which actions have at least this share of the likeliest one's probability."""
-    log_chances = behavior.log_chances(observation)
-    return log_chances >= log_chances.max(-1, keepdims=True) + jnp.log(share)
+    log_probs = behavior.log_probs(observation)
+    return log_probs >= log_probs.max(-1, keepdims=True) + jnp.log(share)
 
 
 class GreedyQ(Inner):
