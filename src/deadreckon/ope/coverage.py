@@ -78,7 +78,7 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
         part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -EDGE, EDGE)))
     learned = Rows(part, model.needs(data.spec))
     fitted, _ = case.train(model, learned, model.steps, "coverage")
-    net = fitted.log_chances if isinstance(fitted, Categorical) else fitted
+    net = fitted.log_probs if isinstance(fitted, Categorical) else fitted
 
     pick = np.sort(rng.choice(len(kept), min(len(kept), MOST), replace=False))
     seen, taken = np.asarray(kept.observations[pick]), np.asarray(kept.actions[pick])
