@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 ALPHA = 0.05  # share of cases in which an interval misses
 LEVEL = 1.0 - ALPHA
-NORMAL = 1.959964  # half of a normal's interval at `LEVEL`, in standard deviations
+NORMAL = NormalDist().inv_cdf(1.0 - ALPHA / 2)  # half of a normal's interval at `LEVEL`, in standard deviations
 PERCENT = f"{100 * LEVEL:g} %"  # the level in words
 
 
