@@ -12,36 +12,14 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import AGENTS, agent_class
-from deadreckon.agents.dreaming import Dreaming
-from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import Deployed, store
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
-from tests.agents.worlds import corridor
-
-LOG = corridor()
-STEPS, CHUNK = 150, 50
-
-
-MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "rollouts": 40, "model_epochs": 2, "length": 2,
-         "logged_rows": 20}  # fmt: skip
-
-OWN = {"bcq": {"behavior_hidden": (16, 16), "test_draws": 10}, "brac": {"behavior_steps": 20},
-       "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
-       "decision_transformer": {"window": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
-
-
-def small(name, **fields):
-    kind = agent_class(name)
-    fields = {"hidden": (16, 16), "batch_size": 64} | OWN.get(name, {}) | (MODEL if issubclass(kind, Dreaming) else {}) | fields
-    return kind(**fields).resolve(LOG.spec, STEPS)
-
-
-def rows_of(agent, log=LOG):
-    return Rows(log, agent.needs(log.spec))
+from tests import golden
+from tests.agents.tiny import CHUNK, LOG, STEPS, rows_of, small
 
 
 def same(a, b):
@@ -56,6 +34,12 @@ SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "bcq", "brac", "re
 PARAMS = [
     pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
 ]
+
+
+@pytest.mark.parametrize("name", golden.OFFLINE)
+def test_numbers_are_as_before(name):
+    told = golden.problem_of(f"agents/{name}")
+    assert told is None, told
 
 
 @pytest.fixture(scope="session", params=PARAMS)

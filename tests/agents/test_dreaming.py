@@ -18,7 +18,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.training.fit import fit
-from tests.agents.test_conformance import MODEL
+from tests.agents.tiny import MODEL
 
 TINY = MODEL | {"hidden": (8,), "batch_size": 16, "logged_rows": 6, "rollouts": 8, "keep": 2}
 
