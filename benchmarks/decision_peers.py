@@ -29,7 +29,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 HOMES = {"obp": ROOT / ".cache" / "peer-obp", "scope": ROOT / ".cache" / "peer-scope"}
-TORCH = ["torch==2.13.0", "--extra-index-url", "https://download.pytorch.org/whl/cpu"]
+TORCH = ["torch==2.13.0"]  # from the index of all packages; the one of CPU builds (download.pytorch.org/whl/cpu) is smaller
 STEPS = {
     "obp": [
         [*TORCH, "numpy<2", "pandas<2.3", "scikit-learn<1.6", "pingouin<0.6", "matplotlib", "seaborn", "tqdm", "pyyaml"],
