@@ -4,6 +4,7 @@ import dataclasses
 import math
 import typing
 
+import jax
 import numpy as np
 import pytest
 
@@ -73,3 +74,23 @@ def test_ranges_in_words():
     assert 0.0 in Range(ge=0)
     assert 0.0 not in Range(gt=0)
     assert np.inf not in Range(lt=1)
+
+
+def test_what_the_host_alone_reads_shapes_no_program_and_cannot_be_used_in_one():
+    from deadreckon.ope.fqe import FQE
+    from deadreckon.training.learner import lift
+
+    few, many = (lift([FQE(steps=steps, initial_samples=steps)]) for steps in (3, 5))
+    assert jax.tree.structure(few) == jax.tree.structure(many)
+    assert jax.tree.structure(few) != jax.tree.structure(lift([FQE(steps=3, hidden=(8,))]))
+    with pytest.raises(TypeError):
+        _ = few.steps + 1
+
+
+def test_settings_are_the_keywords_of_the_functions():
+    from deadreckon.runs import settings as s
+
+    for kind, keywords in ((s.TrainSettings, s.TrainOptions), (s.OnlineSettings, s.OnlineOptions)):
+        assert {field.name for field in dataclasses.fields(kind)} == set(typing.get_type_hints(keywords))
+    with pytest.raises(UserError, match="unknown setting 'evaluate_evry': did you mean evaluate_every"):
+        s.TrainSettings.of({"evaluate_evry": 3})

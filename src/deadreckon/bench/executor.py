@@ -11,6 +11,7 @@ from deadreckon.bench.plan import Job, Program, code, programs
 from deadreckon.bench.store import Found, Store
 from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
+from deadreckon.progress import Progress
 
 TRIES = 3  # of a program whose process dies; what went on until then is on disk and is not done again
 
@@ -27,7 +28,7 @@ class Event(NamedTuple):
 
 Told = Callable[[Event], None]
 # `bench.work.perform`, which finds something of each job; a module's function, so that it travels.
-Work = Callable[[Program, Path, Callable[[int, int], None]], list[Found]]
+Work = Callable[[Program, Path, Progress], list[Found]]
 
 
 class Executor(Protocol):
@@ -109,7 +110,7 @@ def _judged(event: Event, lost: Counter[str]) -> Event:
     return event
 
 
-def attempt(program: Program, planned: str, path: Path, work: Work, watch: Callable[[int, int], None]) -> tuple[str, Any]:
+def attempt(program: Program, planned: str, path: Path, work: Work, watch: Progress) -> tuple[str, Any]:
     """In a worker: does a program, and says how it ended: `done`, `failed` or `elsewhere`, and what goes with it.
 
     Args:

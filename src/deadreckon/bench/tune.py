@@ -24,11 +24,11 @@ from deadreckon.errors import BusyError, UserError, unknown
 from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.coverage import MODEL
-from deadreckon.ope.fits import Watcher
 from deadreckon.ope.metrics import Metrics, compare
+from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
-from deadreckon.runs.train import check_plan
+from deadreckon.runs.settings import RunSettings
 from deadreckon.stats.means import student
 from deadreckon.tasks.registry import of_log
 from deadreckon.training.hyperparameters import check_fields
@@ -162,7 +162,7 @@ def suite(
         UserError: a task that the thesis keeps for evaluation, or none, to be tuned in by its simulator; several logs to be
             tuned from by estimates, whose values do not compare; a field that is both tried and fixed; or no steps or seeds.
     """
-    check_plan(0, None, steps=steps, seeds=seeds)
+    RunSettings().check(0, steps=steps, seeds=seeds)
     if both := {name for each in settings for name in each} & set(fixed or {}):
         raise UserError(f"{', '.join(sorted(both))} cannot be tried and be the same in all")
     if by not in get_args(By):
@@ -186,7 +186,7 @@ def suite(
 def tune(
     asked: Suite, settings: Sequence[Mapping[str, Any]], *, by: By, store: Store, executor: Executor, told: Told,
     estimators: Sequence[Any] = ("fqe",), model: BehaviorModel = MODEL, discount: float = 0.99,
-    watch: Watcher = lambda what, step, steps: None,
+    watch: Watcher = unwatched,
 ) -> Tuned:  # fmt: skip
     """Runs what is not done yet, and chooses.
 

@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,11 @@ from deadreckon.bench.plan import Job, Program, agent_of, code, designer_of, est
 from deadreckon.bench.store import Found
 from deadreckon.errors import UserError
 from deadreckon.files import alone
+from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
-Watch = Callable[[int, int], None]  # updates done, and in all
 
-
-def perform(program: Program, folder: Path, watch: Watch = lambda done, total: None) -> list[Found]:
+def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list[Found]:
     """Does a program, or the rest of it.
 
     Args:
@@ -56,7 +54,7 @@ def _log(job: Job) -> Any:
     return trial_parts(log)[0] if job.asked.get("divided") else log
 
 
-def _learn(job: Job, folder: Path, watch: Watch) -> Found:
+def _learn(job: Job, folder: Path, watch: Progress) -> Found:
     from deadreckon.runs.train import train
 
     began = time.perf_counter()
@@ -64,7 +62,7 @@ def _learn(job: Job, folder: Path, watch: Watch) -> Found:
     return _found(job, run, time.perf_counter() - began)
 
 
-def _learn_together(program: Program, folder: Path, watch: Watch) -> list[Found]:
+def _learn_together(program: Program, folder: Path, watch: Progress) -> list[Found]:
     from deadreckon.runs.train import train_together
 
     began, first = time.perf_counter(), program.jobs[0]
@@ -74,7 +72,7 @@ def _learn_together(program: Program, folder: Path, watch: Watch) -> list[Found]
     return [_found(job, runs[job.name], took) for job in program.jobs]
 
 
-def _asked(job: Job, watch: Watch) -> dict[str, Any]:
+def _asked(job: Job, watch: Progress) -> dict[str, Any]:
     """Options of a run on a log."""
     every = job.asked["every"]
     return {
@@ -84,7 +82,7 @@ def _asked(job: Job, watch: Watch) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _online(job: Job, folder: Path, watch: Watch) -> Found:
+def _online(job: Job, folder: Path, watch: Progress) -> Found:
     from deadreckon.runs.online import train_online
 
     asked, began = job.asked, time.perf_counter()
@@ -122,7 +120,7 @@ def _found(job: Job, run: Any, seconds: float) -> Found:
     return Found(rows, curves)
 
 
-def _design(job: Job, folder: Path, watch: Watch) -> Found:
+def _design(job: Job, folder: Path, watch: Progress) -> Found:
     from deadreckon.mbo import problem
     from deadreckon.mbo.protocol import judge
     from deadreckon.versions import versions
@@ -145,7 +143,7 @@ def _design(job: Job, folder: Path, watch: Watch) -> Found:
     return Found(rows, [])
 
 
-def _ope(job: Job, folder: Path, watch: Watch) -> Found:
+def _ope(job: Job, folder: Path, watch: Progress) -> Found:
     from deadreckon.ope.dope import METRICS, evaluate_log, to_json
     from deadreckon.tasks.registry import of_log
     from deadreckon.versions import versions

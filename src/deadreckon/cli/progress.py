@@ -67,13 +67,13 @@ class Watch:
     """A bar for each thing that is done, one after the other; use it as a context manager and call it."""
 
     def __init__(self):
-        self.what = "", 0
+        self.what: tuple[str, int | None] = "", 0
         self.bar: Bar | None = None
 
     def __enter__(self) -> Self:
         return self
 
-    def __call__(self, what: str, step: int, steps: int, unit: str = "updates") -> None:
+    def __call__(self, what: str, step: int, steps: int | None, unit: str = "updates") -> None:
         """Tells how far `what` is."""
         if (what, steps) != self.what or self.bar is None:
             self._end()

@@ -11,6 +11,21 @@ from deadreckon.cli.data import Mapping, mapping_options
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar
 from deadreckon.errors import UserError
+from deadreckon.runs.settings import OnlineSettings, TrainSettings
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Online(OnlineSettings):
+    demonstrations: str | None = None  # log to be shown first, a known name or a file; for agents that learn from such
+    settings: tyro.conf.Suppress[Any] = None
+    watch: tyro.conf.Suppress[Any] = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _OnLog(TrainSettings):
+    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
+    """share of the episodes to keep for `deadreckon ope`, not learned from; None: 0.2, or 0 where a simulator judges"""
+    watch: tyro.conf.Suppress[Any] = None
 
 
 @dataclasses.dataclass
@@ -18,20 +33,15 @@ class TrainOnline:
     """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
 
     task: str  # simulator to learn in
-    steps: int = 1_000_000  # environment steps, the random ones at the beginning included
-    seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
-    seed: int = 0  # the first
+    steps: int = 1_000_000  # environment steps per seed, the random ones at the beginning included
+    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
+    seed: int = 0  # first random seed
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online
-    copies: int | None = None  # environments a seed, stepped together; None: the agent's, or 8
+    copies: int | None = None  # environments per seed, stepped together; None: the agent's, or 8
     explore: int | None = None  # environment steps of uniform actions before the first update; None: the agent's, or 10,000
-    updates_per_step: float | None = None  # updates an environment step after that; None: the agent's, or 1
+    updates_per_step: float | None = None  # updates per environment step after that; None: the agent's, or 1
     block: int | None = None  # environment steps between two blocks of updates; None: the agent's, or 64
-    evaluate_every: int | None = None  # environment steps between evaluations; None: a fiftieth of the run
-    episodes: int = 10  # an evaluation
-    chunk: int = 2000  # updates between checkpoints: what a kill can lose
-    resume: bool = False  # go on with the run in OUT, also with more STEPS than before
-    threads: int | None = None  # to simulate with; None: all cores
-    demonstrations: str | None = None  # log to be shown first, a known name or a file; for agents that learn from such
+    settings: Annotated[_Online, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Online)
 
 
 @dataclasses.dataclass
@@ -44,24 +54,17 @@ class Train:
     data: str  # the name of a known log, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
     horizon: int | None = None  # steps after which an episode was cut, for logs that do not mark it
-    steps: int = 100_000  # updates
-    seeds: int = 1  # how many, as one compiled program: SEED .. SEED + SEEDS - 1
-    seed: int = 0  # the first
+    steps: int = 100_000  # number of updates
+    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
+    seed: int = 0  # first random seed
     task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
     out: str | None = None  # run folder; None: runs/AGENT-LOG
-    evaluate_every: int | None = None  # updates between evaluations; None: a tenth of the run
-    episodes: int = 20  # an evaluation
-    chunk: int = 1000  # updates between checkpoints: what a kill can lose
-    resume: bool = False  # go on with the run in OUT
-    stream: bool | None = None  # fetch batches from the host; None: where the log does not fit on the device
     mmap: bool = False  # memory-map the log, for logs larger than memory
-    strict: bool = False  # refuse actions out of bounds instead of clipping them
-    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
-    """of the episodes, not learned from and kept for `deadreckon ope`; None: 0.2, or 0 where a simulator judges"""
+    settings: Annotated[_OnLog, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_OnLog)
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
-    """at random, the latest, or all episodes of some users, sites, ... of this column together; None: at random"""
+    """hold out episodes at random, the latest, or all of some users, sites, ... of this column together; None: at random"""
     cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
-    """learn so many policies, each from all folds but one, so that every episode can judge; a run folder each in OUT"""
+    """number of policies to learn, each from all folds but one, so that every episode can judge; a run folder each in OUT"""
     deliver: Literal["mixture", "refit"] = "mixture"
     """with --cross-fit: a policy that draws one of them for each episode, or one that learns once more from everything"""
 
@@ -104,16 +107,15 @@ def _train_online(name, parsed):
     updates = settings.updates(options.steps)
     with Bar(f"{name} in {options.task}", updates, "updates") as bar:
         return train_online(
-            parsed.agent, options.task, steps=options.steps, seeds=options.seeds, seed=options.seed, settings=settings,
-            out=options.out, evaluate_every=options.evaluate_every, episodes=options.episodes, chunk=options.chunk,
-            resume=options.resume, threads=options.threads, demonstrations=options.demonstrations,
-            watch=lambda progress, steps: bar(progress.step, steps, _note(progress)),
+            parsed.agent, options.task, steps=options.steps, seeds=options.seeds, seed=options.seed, out=options.out,
+            **vars(options.settings) | {"settings": settings, "watch": _shown(bar)},
         )  # fmt: skip
 
 
 def _train(name, parsed, preset):
     options: Train = parsed.run
-    if options.cross_fit is not None and options.holdout is not None:
+    share = options.settings.holdout
+    if options.cross_fit is not None and share is not None:
         raise UserError("--cross-fit holds every fold out in turn; leave --holdout out")
 
     from deadreckon.agents import preset_for
@@ -121,7 +123,7 @@ def _train(name, parsed, preset):
     from deadreckon.runs.train import train as run_training
 
     log = load(
-        options.data, mmap=options.mmap, strict=options.strict, horizon=options.horizon,
+        options.data, mmap=options.mmap, strict=options.settings.strict, horizon=options.horizon,
         **columns_of(options.map, options.holdout_by),
     )  # fmt: skip
     for text in log.warnings:
@@ -130,16 +132,15 @@ def _train(name, parsed, preset):
     if published and not preset:
         print(f"{name}: --preset {published} has the settings published for such a log; `deadreckon agents` shows them")
     with Bar(f"{name} on {log.name}", options.steps, "updates") as bar:
-        asked = {
+        asked: dict[str, Any] = vars(options.settings) | {
             "steps": options.steps, "seeds": options.seeds, "seed": options.seed, "task": options.task, "out": options.out,
-            "evaluate_every": options.evaluate_every, "episodes": options.episodes, "chunk": options.chunk,
-            "resume": options.resume, "stream": options.stream, "strict": options.strict,
-            "watch": lambda progress, steps: bar(progress.step, steps, _note(progress)),
+            "watch": _shown(bar), "holdout": holdout_of(share, options.holdout_by),
         }  # fmt: skip
         if options.cross_fit is None:
-            return run_training(parsed.agent, log, holdout=holdout_of(options.holdout, options.holdout_by), **asked)
+            return run_training(parsed.agent, log, **asked)
         from deadreckon.runs.crossfit import cross_fit
 
+        del asked["holdout"]  # every fold is held out in turn
         by = options.holdout_by or "random"
         return cross_fit(parsed.agent, log, folds=options.cross_fit, by=by, deliver=options.deliver, **asked)
 
@@ -159,6 +160,11 @@ def holdout_of(share: float | None, by: str | None):
     if by is None or share == 0:
         return share
     return Holdout(by=by) if share is None else Holdout(share, by)
+
+
+def _shown(bar: Bar):
+    """A watcher that shows each chunk on a progress bar."""
+    return lambda progress, steps: bar(progress.step, steps, _note(progress))
 
 
 def _note(progress) -> str:

@@ -25,6 +25,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.policies.dapg import load_dapg
 from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.progress import Progress
 from deadreckon.tasks.adroit import Adroit
 from deadreckon.training.fit import Fit
 
@@ -33,7 +34,6 @@ BODY = "gymnasium-robotics"  # the package that has the hand
 UPDATES = 10_000  # of the clone behind the cloned logs
 _CHUNK = 2_000  # updates between its checkpoints
 
-Progress = Callable[[int, int], None]
 
 
 def demonstrations_file(task: Adroit, patience: Patience | None = None) -> Path:

@@ -4,7 +4,6 @@ The guide remembers which waypoints it has reached, so the behaviour that is log
 """
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies import library, store
 from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.progress import Progress
 from deadreckon.tasks.antmaze import GOAL_NOISE, AntMaze, ahead
 
 ACTION_NOISE = 0.2  # standard deviation of the noise on the walker's actions
@@ -132,7 +132,7 @@ def collect_antmaze(
     scratch: Path,
     seed: int = 0,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Dataset:
     """Collects a log of one of the mazes; see `collect.rollouts.perform`.
 

@@ -1,6 +1,5 @@
 """How the Flow logs are made (thesis 7.3), and controllers that are known to calm traffic, which the tasks are measured by."""
 
-from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Protocol
@@ -12,6 +11,7 @@ from deadreckon.collect.rollouts import Act, perform
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
+from deadreckon.progress import Progress
 from deadreckon.tasks.flow import Flow, sumo_version
 from deadreckon.tasks.flow_roads import SPEED_LIMIT
 
@@ -121,7 +121,7 @@ def collect_flow(
     scratch: Path,
     seed: int = 0,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Dataset:
     """Collects one of `KINDS`: uniform accelerations, or `Idm`; see `collect.rollouts.perform`.
 

@@ -1,7 +1,6 @@
 """How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.online import Exploration, Online, replay_log
 from deadreckon.policies import library
+from deadreckon.progress import Progress
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.fit import Fit
 from deadreckon.versions import differences, versions
@@ -56,7 +56,7 @@ def collect_gym(
     scratch: Path,
     seed: int = 0,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Dataset:
     """Collects one of `KINDS`; see `collect.rollouts.perform`.
 
@@ -92,7 +92,7 @@ def collect_replay(
     scratch: Path,
     seed: int = 0,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Dataset:
     """Trains the task's behaviour policy again up to `medium` and gives every step that it took on the way.
 

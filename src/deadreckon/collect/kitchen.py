@@ -5,7 +5,7 @@ sees what a policy sees, and remembers how far it has got, so the behaviour that
 """
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
+from deadreckon.progress import Progress
 from deadreckon.tasks.kitchen import JOINTS, SPEED, Kitchen, kitchen
 
 BATCH = 16  # episodes side by side; part of the recipe, so that data does not depend on the machine
@@ -30,7 +31,6 @@ _ARM = 7  # joints without the fingers
 _MARGIN = 0.03  # rad before a joint's limit at which it is no longer driven on
 _COLUMNS = ("observations", "actions", "rewards", "terminals", "final")
 
-Progress = Callable[[int, int], None]
 
 
 class Waypoint(NamedTuple):

@@ -3,7 +3,7 @@
 The controller remembers which waypoints it has reached, so the behaviour that is logged is not Markovian.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from deadreckon._version import __version__
 from deadreckon.collect.planner import routes
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.progress import Progress
 from deadreckon.tasks.maze2d import OFFSET, START_NOISE, Maze2D
 
 P_GAIN, D_GAIN = np.float32(10.0), np.float32(-1.0)
@@ -122,7 +123,7 @@ def collect_maze2d(
     steps: int,
     seed: int = 0,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Dataset:
     """Collects a log: one episode a pursuit, streams one after the other, the environment never reset within a stream.
 

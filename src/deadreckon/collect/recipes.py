@@ -3,7 +3,6 @@
 import dataclasses
 import shutil
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +12,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.policies.library import about, library_tasks
+from deadreckon.progress import Progress
 from deadreckon.tasks import adroit, antmaze, flow, gym_mujoco, kitchen, maze2d, registry
 from deadreckon.tasks.adroit import Adroit
 from deadreckon.tasks.antmaze import AntMaze
@@ -21,8 +21,6 @@ from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.tasks.kitchen import Kitchen
 from deadreckon.tasks.maze2d import Maze2D
 from deadreckon.tasks.task import Task
-
-Progress = Callable[[int, int], None]  # rows done, rows in all
 
 
 class Maker(Protocol):

@@ -26,6 +26,7 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_at, write_json
 from deadreckon.policies.deployed import Deployed
+from deadreckon.progress import Progress
 from deadreckon.tasks.task import Simulator, Task
 from deadreckon.versions import differences
 
@@ -77,7 +78,7 @@ def perform(
     provenance: Provenance,
     scratch: Path,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Dataset:
     """Runs the acts one after the other in a task and gives the log of it.
 
@@ -125,7 +126,7 @@ def _perform(
     stage: "_Stage",
     seed: int,
     threads: int | None,
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
 ) -> None:
     total = sum(act.rows for act in acts)
     simulator = task.simulate([0] * COPIES, threads)

@@ -24,7 +24,7 @@ from deadreckon.mbo.designs import Coordinates
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
-from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, host, static
 
 LOG_RATIO = 10.0  # log-ratios of densities beyond this decide alone, and are cut
 STD = 0.1  # least deviation of a decoded coordinate
@@ -105,29 +105,27 @@ class Generator(NamedTuple):
 class Autoencoding(eqx.Module):
     """What `fit` trains: the generator of the data's designs."""
 
-    lr: float
+    settings: "CbAS"
     layout: Layout = eqx.field(static=True)
-    latent: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
 
     def needs(self, spec):
         """Designs."""
-        return Needs(columns=(), batch_size=self.batch_size)
+        return Needs(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """A fresh generator and its optimiser."""
         ke, kd = jax.random.split(key)
-        encoder = MLP.create(spec.size, self.hidden, 2 * self.latent, ke)
-        made = Generator(encoder, MLP.create(self.latent, self.hidden, self.layout.outputs, kd))
+        latent, hidden = self.settings.latent, self.settings.hidden
+        encoder = MLP.create(spec.size, hidden, 2 * latent, ke)
+        made = Generator(encoder, MLP.create(latent, hidden, self.layout.outputs, kd))
         return made, init_opt(made)
 
     def update(self, state, batch: Batch, *, step, key):
         """One step."""
         assert batch.extra is not None
         generator, opt = state
-        even = jnp.ones(self.batch_size)
-        generator, opt, bound = learn(generator, opt, self.layout, batch.extra["x"], even, self.lr, key)
+        even = jnp.ones(self.settings.batch_size)
+        generator, opt, bound = learn(generator, opt, self.layout, batch.extra["x"], even, self.settings.lr, key)
         return (generator, opt), {"elbo": bound}
 
 
@@ -159,8 +157,8 @@ class CbAS(Designer):
     hidden: Sizes = static((256, 256))  # width of each hidden layer of generator and ensemble
     latent: Count = static(32)  # size of the generator's latents
     members: Count = static(5)  # networks of the ensemble, each on redrawn designs
-    steps: Count = static(5000)  # updates of the ensemble, and of the generator, before the rounds
-    rounds: Count = static(20)  # of drawing, counting and fitting
+    steps: Count = host(5000)  # updates of the ensemble, and of the generator, before the rounds
+    rounds: Count = host(20)  # of drawing, counting and fitting
     updates: Count = static(100)  # of q a round, and of the ensemble where it is refitted
     draws: Count = static(1000)  # designs a round
     percentile: Annotated[float, Range(ge=0, lt=100)] = 80.0  # of what is believed of them: c
@@ -179,9 +177,7 @@ class CbAS(Designer):
         ensemble = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
         weight = redrawn(len(setting.data), self.members, 0)
         proxies = setting.train(ensemble, self.steps, "forward", {"weight": weight})
-        priors = setting.train(
-            Autoencoding(self.lr, layout, self.latent, self.hidden, self.batch_size), self.steps, "generator"
-        )
+        priors = setting.train(Autoencoding(self, layout), self.steps, "generator")
         x = jnp.asarray(view.encode(setting.data.x))
         y = jnp.asarray((setting.data.y - view.y_mean) / view.y_std, jnp.float32)
         fixed = x, y, jnp.asarray(weight)

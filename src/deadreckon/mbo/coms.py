@@ -17,7 +17,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
-from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host, static
 
 # Margin in deviations of the score, and learning rate of the designs, of the public code (2.0 there for standardised logits,
 # whose scale ours has a quarter of).
@@ -37,21 +37,15 @@ class State(NamedTuple):
 class Conservative(eqx.Module):
     """What `fit` trains."""
 
-    lr: float
-    alpha_lr: float
-    margin: float
-    design_lr: float
-    ascent: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
+    settings: "COMs"  # resolved: margin and the designs' learning rate are numbers
 
     def needs(self, spec):
         """Designs and scores."""
-        return Needs(columns=(), batch_size=self.batch_size)
+        return Needs(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """A fresh model, and little penalty."""
-        net = MLP.create(spec.size, self.hidden, 1, key, activation="relu")
+        net = MLP.create(spec.size, self.settings.hidden, 1, key, activation="relu")
         log_alpha = jnp.log(jnp.float32(FIRST))
         return State(net, init_opt(net), log_alpha, init_opt(log_alpha))
 
@@ -62,15 +56,15 @@ class Conservative(eqx.Module):
         beyond = jax.lax.stop_gradient(self.adversaries(state.net, x))
         alpha = jnp.exp(state.log_alpha)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.net, x, y, beyond, alpha)
-        net, opt = apply_gradients(state.net, grads, state.opt, self.lr)
-        slack = self.margin - metrics["overestimation"]
-        log_alpha, alpha_opt = apply_gradients(state.log_alpha, slack, state.alpha_opt, self.alpha_lr)
+        net, opt = apply_gradients(state.net, grads, state.opt, self.settings.lr)
+        slack = self.settings.margin - metrics["overestimation"]
+        log_alpha, alpha_opt = apply_gradients(state.log_alpha, slack, state.alpha_opt, self.settings.alpha_lr)
         return State(net, opt, log_alpha, alpha_opt), metrics | {"alpha": alpha}
 
     def adversaries(self, net: MLP, x: Array) -> Array:
         """Where ascent leads from the data."""
-        rise = lambda _, x: x + self.design_lr * jax.grad(lambda x: promised(net, x).sum())(x)  # noqa: E731
-        return jax.lax.fori_loop(0, self.ascent, rise, x)
+        rise = lambda _, x: x + self.settings.design_lr * jax.grad(lambda x: promised(net, x).sum())(x)  # noqa: E731
+        return jax.lax.fori_loop(0, self.settings.ascent, rise, x)
 
     def loss(self, net: MLP, x: Array, y: Array, beyond: Array, alpha: Array):
         """Squared error, and how much more the model promises beyond the data than on it."""
@@ -89,7 +83,7 @@ class COMs(Designer):
     """A model that does not promise more where the data ends, and gradient ascent on it."""
 
     hidden: Sizes = static((2048, 2048))  # width of each hidden layer
-    steps: Count = static(5000)  # updates of the model
+    steps: Count = host(5000)  # updates of the model
     batch_size: Count = static(128)  # designs an update
     lr: NonNegative = 3e-4  # of the model
     alpha_lr: NonNegative = 0.01  # of the penalty's weight, on its logarithm
@@ -103,7 +97,7 @@ class COMs(Designer):
         margin, rate = DISCRETE if view.discrete else CONTINUOUS
         margin = margin if self.margin is None else self.margin
         rate = (rate if self.design_lr is None else self.design_lr) * view.size**0.5
-        learner = Conservative(self.lr, self.alpha_lr, margin, rate, self.ascent, self.hidden, self.batch_size)
+        learner = Conservative(self.replace(margin=margin, design_lr=rate))
         found: list[Any] = []
         for seed, state in zip(setting.seeds, setting.train(learner, self.steps, "coms")):
             x = climb(promised, state.net, start, self.ascent, rate, *setting.bounds)

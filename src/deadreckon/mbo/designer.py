@@ -19,11 +19,11 @@ from deadreckon.errors import UserError
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.points import Points
 from deadreckon.nets.optim import apply_gradients, init_opt
+from deadreckon.progress import Watcher, unwatched
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
-from deadreckon.training.hyperparameters import check_fields, described
+from deadreckon.training.hyperparameters import check_fields, described, on_device
 
-Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 # Standardised means and deviations of coordinates (n, size); either may be None.
 Belief = Callable[[Array], tuple[Any, Any]]
 AROUND = 0.3  # deviation of further starts around a design, in standardised coordinates
@@ -90,7 +90,8 @@ class Setting(NamedTuple):
         data = hashlib.blake2b(digest_size=16)
         for column in points.columns.values():
             data.update(np.ascontiguousarray(column).tobytes())
-        asked = {"learner": described(learner), "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
+        trained = described(on_device(learner))
+        asked = {"learner": trained, "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
         folder = folder_of(self.out, what, asked)
         inherit(folder)
         return folder
@@ -110,7 +111,7 @@ class Designer(eqx.Module):
         *,
         seed: int = 0,
         out: Path | str | None = None,
-        watch: Watcher = lambda what, step, steps: None,
+        watch: Watcher = unwatched,
     ) -> Proposals:
         """Designs that should score high.
 
@@ -133,7 +134,7 @@ class Designer(eqx.Module):
         *,
         seeds: Sequence[int],
         out: Path | str | None = None,
-        watch: Watcher = lambda what, step, steps: None,
+        watch: Watcher = unwatched,
     ) -> list[Proposals]:
         """The same for several seeds, as one program where the method is a compiled one."""
         if n < 1:

@@ -22,7 +22,7 @@ from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, host, static
 
 PENALTY = 10.0  # of the gradient's norm
 
@@ -44,21 +44,18 @@ def made(generator: MLP, z: Float[Array, "b l"], y: Float[Array, "b"]) -> Float[
 class Inversion(eqx.Module):
     """What `fit` trains: a conditional Wasserstein GAN with gradient penalty."""
 
-    lr: float
-    latent: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    turns: int = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
+    settings: "MINs"
 
     def needs(self, spec):
         """Designs, scores and how much each counts."""
-        return Needs(columns=(), batch_size=self.batch_size)
+        return Needs(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """Fresh networks."""
         kg, kc = jax.random.split(key)
-        generator = MLP.create(self.latent + 1, self.hidden, spec.size, kg)
-        critic = MLP.create(spec.size + 1, self.hidden, 1, kc)
+        settings = self.settings
+        generator = MLP.create(settings.latent + 1, settings.hidden, spec.size, kg)
+        critic = MLP.create(spec.size + 1, settings.hidden, 1, kc)
         return Pair(generator, critic, init_opt(generator), init_opt(critic))
 
     def update(self, state: Pair, batch: Batch, *, step, key):
@@ -66,7 +63,7 @@ class Inversion(eqx.Module):
         assert batch.extra is not None
         x, y, weight = batch.extra["x"], batch.extra["y"], batch.extra["weight"]
         kz, ke = jax.random.split(key)
-        z = jax.random.normal(kz, (len(x), self.latent))
+        z = jax.random.normal(kz, (len(x), self.settings.latent))
         fake = made(state.generator, z, y)
 
         def judge(critic: MLP, x: Array) -> Array:
@@ -81,14 +78,15 @@ class Inversion(eqx.Module):
             return (weight * (gap + PENALTY * penalty)).mean(), -(weight * gap).mean()
 
         grads, distance = jax.grad(critic_loss, has_aux=True)(state.critic)
-        critic, critic_opt = apply_gradients(state.critic, grads, state.critic_opt, self.lr)
+        critic, critic_opt = apply_gradients(state.critic, grads, state.critic_opt, self.settings.lr)
 
         def turn(_: Any) -> tuple[MLP, optax.OptState]:
             loss = lambda generator: -(weight * judge(critic, made(generator, z, y))).mean()  # noqa: E731
-            return apply_gradients(state.generator, jax.grad(loss)(state.generator), state.generator_opt, self.lr)
+            return apply_gradients(state.generator, jax.grad(loss)(state.generator), state.generator_opt, self.settings.lr)
 
+        turns = self.settings.turns
         keep = lambda _: (state.generator, state.generator_opt)  # noqa: E731
-        generator, generator_opt = jax.lax.cond(step % self.turns == self.turns - 1, turn, keep, None)
+        generator, generator_opt = jax.lax.cond(step % turns == turns - 1, turn, keep, None)
         return Pair(generator, critic, generator_opt, critic_opt), {"distance": distance}
 
 
@@ -97,7 +95,7 @@ class MINs(Designer):
 
     hidden: Sizes = static((1024, 1024))  # width of each hidden layer of generator and critic
     latent: Count = static(32)  # size of the noise
-    steps: Count = static(20_000)  # updates of the critic
+    steps: Count = host(20_000)  # updates of the critic
     turns: Count = static(5)  # of them for one of the generator
     batch_size: Count = static(128)  # designs an update
     lr: NonNegative = 2e-4  # of generator and critic
@@ -105,17 +103,17 @@ class MINs(Designer):
     smoothing: Share = 0.01  # see `counts`
     temperature: Positive = 0.1  # likewise
     forward_hidden: Sizes = static((256, 256))  # of the forward model f
-    forward_steps: Count = static(5000)  # its updates
+    forward_steps: Count = host(5000)  # its updates
     forward_lr: NonNegative = 3e-4  # its learning rate
     agreement: NonNegative = 1.0  # l: how much f has to agree
-    ascent: Count = static(100)  # steps on noise and score
+    ascent: Count = host(100)  # steps on noise and score
     ascent_lr: NonNegative = 0.02  # of them, with Adam
 
     def solve(self, setting: Setting) -> list[Proposals]:
         """Designs for scores that the inverse and the forward model agree on."""
         data, view = setting.data, setting.data.coordinates
         weight = {"weight": counts(data.y, self.bins, self.smoothing, self.temperature)}
-        inverse = Inversion(self.lr, self.latent, self.hidden, self.turns, self.batch_size)
+        inverse = Inversion(self)
         forward = Gaussian(self.forward_lr, 1, self.forward_hidden, 2, "relu", self.batch_size)
         pairs = setting.train(inverse, self.steps, "mins", weight)
         models = setting.train(forward, self.forward_steps, "forward")

@@ -31,7 +31,7 @@ from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.designs import Designs
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Share, Sizes, host, static
 
 
 class Net(eqx.Module):
@@ -135,87 +135,6 @@ class State(NamedTuple):
     search: Search
 
 
-class Training(eqx.Module):
-    """What `fit` trains: the models alone at first, then models and designs by turns (Algorithm 6)."""
-
-    lr: float
-    search_lr: float
-    design_lr: float
-    target_rate: float
-    weight: float
-    confidence: float
-    low: Any = eqx.field(static=True)  # Fixed: bounds of the coordinates
-    high: Any = eqx.field(static=True)
-    designs: int = eqx.field(static=True)  # under search
-    worst: bool = eqx.field(static=True)  # whether they begin at the data's worst
-    scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
-    g: Any = eqx.field(static=True)  # Fixed: worth of each bin, or None
-    bins: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    logistic: bool = eqx.field(static=True)
-    bce: bool = eqx.field(static=True)
-    objective: str = eqx.field(static=True)
-    pretrain: int = eqx.field(static=True)
-    ratio: int = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
-
-    def needs(self, spec):
-        """Designs and scores."""
-        return Needs(columns=(), batch_size=self.batch_size)
-
-    def init(self, spec, key):
-        """Fresh models; targets are copies."""
-        make = lambda k: Net.create(spec.size, self.hidden, self.bins, self.logistic, k)  # noqa: E731
-        nets = split(ensemble(make, self.bins, key), STACKS)
-        return State(nets, copy(nets), init_opt(nets), Search.start(spec.designs, self.designs, self.worst))
-
-    def update(self, state: State, batch: Batch, *, step, key):
-        """One step of all models; after pretraining, and every `ratio` of them, one of all designs."""
-        assert batch.extra is not None
-        x, y = batch.extra["x"], batch.extra["y"]
-        low, high = self.scale
-        label = quantise((y - low) / (high - low), self.bins)
-        # One design, the same for all models, and for each model the claim that it falls into the model's bin.
-        which = jax.random.randint(key, (), 0, len(state.search.x))
-        weight = jnp.where(step < self.pretrain, 0.0, self.weight)
-        grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
-        lr = jnp.where(step < self.pretrain, self.lr, self.search_lr)
-        nets, opt = apply_gradients(state.nets, grads, state.opt, lr)
-        # Targets do not lag behind pretraining: they are copies where it ends.
-        rate = jnp.where(step < self.pretrain, 1.0, self.target_rate)
-        targets = polyak_update(state.targets, nets, rate)
-        turn = (step >= self.pretrain) & ((step - self.pretrain) % self.ratio == self.ratio - 1)
-        rise = lambda search: search.ascend(lambda z: self.worth(targets, z), self.design_lr, *self.bounds)  # noqa: E731
-        search = jax.lax.cond(turn, rise, lambda search: search, state.search)
-        return State(nets, targets, opt, search), metrics
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Of the coordinates."""
-        return jnp.asarray(self.low.value), jnp.asarray(self.high.value)
-
-    def loss(self, stacks: tuple[Net, ...], x: Array, label: Array, design: Array, weight: Array):
-        """Of all models, summed: each sees the batch, and the design with its own bin at weight w."""
-        of = cross_entropy if self.bce else nll
-
-        def one(net: Net, claim: Array) -> tuple[Array, Array]:
-            each = of(net, jnp.concatenate([x, design]), jnp.append(label, claim))
-            return each[:-1].mean(), each[-1]
-
-        found = [jax.vmap(one)(*part) for part in zip(stacks, split(jnp.arange(self.bins), len(stacks)))]
-        data, claims = joined(found)
-        return (data + weight * claims).sum(), {"loss": data.mean(), "claim": claims.mean()}
-
-    def worth(self, stacks: tuple[Net, ...], z: Float[Array, "m z"]) -> Float[Array, "m"]:
-        """What designs ascend."""
-        if self.objective == "internal":
-            return jnp.concatenate([jax.vmap(lambda net: net.internal(z))(nets) for nets in stacks]).mean(0)
-        probs = jnp.exp(p_nml(joined(stacks), z))
-        if self.objective == "confidence":
-            return reached(probs, self.confidence)
-        return probs @ (middles(self.bins) if self.g is None else jnp.asarray(self.g.value))
-
-
 class Fixed:
     """An array that is part of a program, told apart by its bytes."""
 
@@ -232,6 +151,78 @@ class Fixed:
         return f"Fixed({hashlib.blake2b(self.value.tobytes(), digest_size=8).hexdigest()})"
 
 
+class Training(eqx.Module):
+    """What `fit` trains: the models alone at first, then models and designs by turns (Algorithm 6)."""
+
+    settings: "NEMO"  # resolved: its rates and its weight are numbers
+    designs: int = eqx.field(static=True)  # under search
+    scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
+    low: Fixed = eqx.field(static=True)  # bounds of the coordinates
+    high: Fixed = eqx.field(static=True)
+    worths: Fixed | None = eqx.field(static=True)  # g of each bin's middle
+
+    def needs(self, spec):
+        """Designs and scores."""
+        return Needs(columns=(), batch_size=self.settings.batch_size)
+
+    def init(self, spec, key):
+        """Fresh models; targets are copies."""
+        settings, logistic = self.settings, self.settings.architecture == "logistic"
+        make = lambda k: Net.create(spec.size, settings.hidden, settings.bins, logistic, k)  # noqa: E731
+        nets = split(ensemble(make, settings.bins, key), STACKS)
+        search = Search.start(spec.designs, self.designs, settings.start == "worst")
+        return State(nets, copy(nets), init_opt(nets), search)
+
+    def update(self, state: State, batch: Batch, *, step, key):
+        """One step of all models; after pretraining, and every `ratio` of them, one of all designs."""
+        assert batch.extra is not None
+        settings, x, y = self.settings, batch.extra["x"], batch.extra["y"]
+        assert settings.search_lr is not None  # resolved, as is
+        assert settings.weight is not None
+        low, high = self.scale
+        label = quantise((y - low) / (high - low), settings.bins)
+        # One design, the same for all models, and for each model the claim that it falls into the model's bin.
+        which = jax.random.randint(key, (), 0, len(state.search.x))
+        weight = jnp.where(step < settings.pretrain, 0.0, settings.weight)
+        grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
+        lr = jnp.where(step < settings.pretrain, settings.lr, settings.search_lr)
+        nets, opt = apply_gradients(state.nets, grads, state.opt, lr)
+        # Targets do not lag behind pretraining: they are copies where it ends.
+        rate = jnp.where(step < settings.pretrain, 1.0, settings.target_rate)
+        targets = polyak_update(state.targets, nets, rate)
+        turn = (step >= settings.pretrain) & ((step - settings.pretrain) % settings.ratio == settings.ratio - 1)
+        rise = lambda search: search.ascend(lambda z: self.worth(targets, z), settings.design_lr, *self.bounds)  # noqa: E731
+        search = jax.lax.cond(turn, rise, lambda search: search, state.search)
+        return State(nets, targets, opt, search), metrics
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of the coordinates."""
+        return jnp.asarray(self.low.value), jnp.asarray(self.high.value)
+
+    def loss(self, stacks: tuple[Net, ...], x: Array, label: Array, design: Array, weight: Array):
+        """Of all models, summed: each sees the batch, and the design with its own bin at weight w."""
+        settings = self.settings
+        of = cross_entropy if settings.loss == "bce" and settings.architecture == "logistic" else nll
+
+        def one(net: Net, claim: Array) -> tuple[Array, Array]:
+            each = of(net, jnp.concatenate([x, design]), jnp.append(label, claim))
+            return each[:-1].mean(), each[-1]
+
+        found = [jax.vmap(one)(*part) for part in zip(stacks, split(jnp.arange(settings.bins), len(stacks)))]
+        data, claims = joined(found)
+        return (data + weight * claims).sum(), {"loss": data.mean(), "claim": claims.mean()}
+
+    def worth(self, stacks: tuple[Net, ...], z: Float[Array, "m z"]) -> Float[Array, "m"]:
+        """What designs ascend."""
+        if self.settings.objective == "internal":
+            return jnp.concatenate([jax.vmap(lambda net: net.internal(z))(nets) for nets in stacks]).mean(0)
+        probs = jnp.exp(p_nml(joined(stacks), z))
+        if self.settings.objective == "confidence":
+            return reached(probs, self.settings.confidence)
+        return probs @ (middles(self.settings.bins) if self.worths is None else jnp.asarray(self.worths.value))
+
+
 class NEMO(Designer):
     """Normalised maximum likelihood for offline model-based optimisation."""
 
@@ -242,7 +233,7 @@ class NEMO(Designer):
     objective: Literal["internal", "mean", "confidence"] = static("internal")  # mu (Alg. 6), or E[g] under p_NML (Alg. 4)
     g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of the table's scores, for "mean"; None: the score
     confidence: Share = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
-    steps: Count = static(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
+    steps: Count = host(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
     pretrain: CountOrZero = static(2000)  # updates of the models before
     ratio: Count = static(1)  # updates of the models for each of the designs
     batch_size: Count = static(128)  # designs of the data an update (missing in Algorithm 6)
@@ -262,16 +253,15 @@ class NEMO(Designer):
         """The learner for some data."""
         data, view = setting.data, setting.data.coordinates
         y = (data.y - view.y_mean) / view.y_std
-        low, high = float(y.min()), float(y.max())
-        g = None if self.g is None else Fixed(self._worths(data))
-        rate = self.design_lr if self.design_lr is not None else 0.1 if view.discrete else 0.01
-        return Training(
-            self.lr, self.lr if self.search_lr is None else self.search_lr, rate, self.target_rate,
-            1.0 / len(data) if self.weight is None else self.weight, self.confidence,
-            Fixed(view.low), Fixed(view.high), setting.n, self.start == "worst", (low, high), g, self.bins, self.hidden,
-            self.architecture == "logistic",
-            self.loss == "bce" and self.architecture == "logistic", self.objective, self.pretrain, self.ratio, self.batch_size,
-        )  # fmt: skip
+        worths = None if self.g is None else Fixed(self._worths(data))
+        resolved = self.replace(
+            search_lr=self.lr if self.search_lr is None else self.search_lr,
+            design_lr=self.design_lr if self.design_lr is not None else 0.1 if view.discrete else 0.01,
+            weight=1.0 / len(data) if self.weight is None else self.weight,
+            g=None,  # a function has no name that lasts; `worths` are what it makes of the bins
+        )
+        scale = float(y.min()), float(y.max())
+        return Training(resolved, setting.n, scale, Fixed(view.low), Fixed(view.high), worths)
 
     def _worths(self, data: Designs) -> np.ndarray:
         """(bins,) what g makes of the middle of each bin."""

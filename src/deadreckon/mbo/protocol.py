@@ -18,9 +18,10 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.files import digest, file_part, read_json, write_json
-from deadreckon.mbo.designer import Designer, Watcher
+from deadreckon.mbo.designer import Designer
 from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.mbo.reach import reach
+from deadreckon.progress import Watcher, unwatched
 from deadreckon.stats.interval import Interval
 from deadreckon.stats.means import mean_interval
 
@@ -90,7 +91,7 @@ def judge(
     seeds: Sequence[int] = range(16),
     together: int | None = None,
     out: Path | str | None = None,
-    watch: Watcher = lambda what, step, steps: None,
+    watch: Watcher = unwatched,
     told: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Lets designers propose and judges what they propose.

@@ -7,6 +7,7 @@ for a network needs more rows than a log often has. Its temperature is then set 
 each action as frequent as it is, and a few rows' worth of the actions' shares is mixed in. All folds are lanes of one program.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,7 +25,6 @@ from deadreckon.ope.critics import Best, in_blocks
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, create_actor
-from deadreckon.training.hyperparameters import static
 
 # What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
 PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
@@ -47,20 +47,17 @@ class Folds(eqx.Module):
 
     init_by_shape = True
 
-    hidden: tuple[int, ...] = static((64, 64))
-    lr: float = 3e-4
-    batch_size: int = static(256)
-    folds: int = static(5)
-    clipped: bool = static(False)
+    model: BehaviorModel
+    folds: int = eqx.field(static=True)
 
     def needs(self, spec):
         """Observations and actions, with the columns `weight` and `check` (folds,) beside them."""
-        return Needs(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
+        return Needs(columns=("observation", "action"), batch_size=self.model.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh models."""
-        make = models.Clipped.create if self.clipped else create_actor
-        shapes = dict.fromkeys((self.hidden, ()))
+        make = models.Clipped.create if self.model.clipped else create_actor
+        shapes = dict.fromkeys((self.model.hidden, ()))
         nets = tuple(ensemble(lambda k, hidden=hidden: make(spec, hidden, k), self.folds, key) for hidden in shapes)
         return State(nets, init_opt(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
 
@@ -75,7 +72,7 @@ class Folds(eqx.Module):
             return sum((each * weight).mean(-1).sum() for each in nll), checked
 
         grads, checked = jax.grad(loss, has_aux=True)(state.nets)
-        nets, opt = apply_gradients(state.nets, grads, state.opt, self.lr)
+        nets, opt = apply_gradients(state.nets, grads, state.opt, self.model.lr)
         best = tuple(best.look(own, seen, step, 0.0) for best, own, seen in zip(state.best, nets, checked))
         return State(nets, opt, best), {"behavior_nll": jnp.stack(checked).min(0).mean()}
 
@@ -122,7 +119,7 @@ def masks(case: Case, fold: np.ndarray, whole: Case) -> tuple[np.ndarray, np.nda
 def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     fold, whole = case.folds(folds), case.whole()
     weight, check = masks(case, fold, whole)
-    learner = Folds(model.hidden, model.lr, model.batch_size, weight.shape[1], case.clips)
+    learner = Folds(dataclasses.replace(model, clipped=case.clips), weight.shape[1])
     data = whole.data
     extra = {"weight": weight[data.episode_of], "check": check[data.episode_of]}
     rows = Rows(data, learner.needs(data.spec), extra)

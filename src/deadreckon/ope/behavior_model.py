@@ -7,7 +7,7 @@ from deadreckon.data.batch import Batch, Needs
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import create_actor
-from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host, static
 
 
 class BehaviorModel(eqx.Module):
@@ -19,7 +19,7 @@ class BehaviorModel(eqx.Module):
 
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     lr: NonNegative = 3e-4  # learning rate
-    steps: Count = static(10_000)  # updates; out of fold the best by validation loss are kept
+    steps: Count = host(10_000)  # updates; out of fold the best by validation loss are kept
     batch_size: Count = static(256)  # rows a batch
     clipped: bool = static(False)  # a clipped Gaussian; cases set it
 

@@ -18,13 +18,14 @@ from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import Estimand, discounted_steps
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
-from deadreckon.ope.fits import Fits, Watcher
+from deadreckon.ope.fits import Fits
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
 from deadreckon.policies.deployed import Deployed
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.policy import Policy
+from deadreckon.progress import Watcher, unwatched
 
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
@@ -85,7 +86,7 @@ class Case(Fits):
         names: Sequence[str] | None = None,
         logged: bool = False,
         out: Path | str | None = None,
-        watch: Watcher = lambda what, step, steps: None,
+        watch: Watcher = unwatched,
         horizon: int | Literal["auto"] | None = None,
         held: np.ndarray | None = None,
         clusters: np.ndarray | None = None,

@@ -30,7 +30,7 @@ from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import few
 from deadreckon.stats.bootstrap import ensemble_interval
-from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, host, static
 
 PRESETS: dict[str, dict[str, Any]] = {
     "best": {"primal": 0.0, "dual": 1.0, "reward": 1.0, "norm": True, "positive": True},
@@ -59,61 +59,54 @@ def positive_part(out: Array, positive: bool) -> Array:
 class Saddle(eqx.Module):
     """What `fit` trains."""
 
-    lr: float
+    settings: "DICE"
     discount: float
     reward_std: float
-    primal: float
-    dual: float
-    reward: float
-    average: float
-    norm: bool = eqx.field(static=True)
-    positive: bool = eqx.field(static=True)
-    members: int = eqx.field(static=True)
     policies: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
 
     def needs(self, spec):
         """Transitions and as many initial states, each with what the policies do there and the members' weights."""
-        return Needs(batch_size=self.batch_size, initial=self.batch_size, standardise=True)
+        return Needs(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh networks."""
         kq, kz = jax.random.split(key)
-        q, zeta = (create(spec, self.hidden, self.members, self.policies, k) for k in (kq, kz))
-        multiplier = jnp.zeros((self.members, self.policies))
+        members = self.settings.members
+        q, zeta = (create(spec, self.settings.hidden, members, self.policies, k) for k in (kq, kz))
+        multiplier = jnp.zeros((members, self.policies))
         return State(q, zeta, multiplier, copy(zeta), init_opt(q), init_opt(zeta), init_opt(multiplier))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step down for Q and lambda, one up for zeta, from the same point."""
         arguments = (state.q, state.multiplier), state.zeta
         (down, up), metrics = jax.grad(self.lagrangian, (0, 1), has_aux=True)(*arguments, batch)
-        q, q_opt = apply_gradients(state.q, down[0], state.q_opt, self.lr)
+        lr = self.settings.lr
+        q, q_opt = apply_gradients(state.q, down[0], state.q_opt, lr)
         multiplier, multiplier_opt = state.multiplier, state.multiplier_opt
-        if self.norm:
-            multiplier, multiplier_opt = apply_gradients(multiplier, down[1], multiplier_opt, self.lr)
-        zeta, zeta_opt = apply_gradients(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, self.lr)
+        if self.settings.norm:
+            multiplier, multiplier_opt = apply_gradients(multiplier, down[1], multiplier_opt, lr)
+        zeta, zeta_opt = apply_gradients(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, lr)
         # Descent against ascent circles around the saddle point; the mean of its way is nearer than where it happens to stop.
-        mean = polyak_update(state.mean, zeta, jnp.maximum(self.average, 1.0 / (step + 1)))
+        mean = polyak_update(state.mean, zeta, jnp.maximum(self.settings.average, 1.0 / (step + 1)))
         return State(q, zeta, multiplier, mean, q_opt, zeta_opt, multiplier_opt), metrics
 
     def lagrangian(self, primal: tuple[MLP, Array], dual: MLP, batch: Batch):
         """The sum over members and policies of the Lagrangian above."""
         q_net, multiplier = primal
-        extra = batch.extra
+        settings, extra = self.settings, batch.extra
         assert extra is not None
         lasts = 1.0 - batch.terminal
         q = taken(q_net, batch.observation, batch.action)
         future = expected(q_net, batch.next_observation, extra["policy"])
         first = expected(q_net, batch.initial_observation, extra["initial_policy"])
-        zeta = positive_part(taken(dual, batch.observation, batch.action), self.positive)
-        error = self.reward * batch.reward / self.reward_std + self.discount * lasts * future - q
+        zeta = positive_part(taken(dual, batch.observation, batch.action), settings.positive)
+        error = settings.reward * batch.reward / self.reward_std + self.discount * lasts * future - q
         weight, initial_weight = extra["weight"].T[:, None, :], extra["initial_weight"].T[:, None, :]
-        inside = zeta * error + self.primal * jnp.square(q) / 2 - self.dual * jnp.square(zeta) / 2
-        if self.norm:
+        inside = zeta * error + settings.primal * jnp.square(q) / 2 - settings.dual * jnp.square(zeta) / 2
+        if settings.norm:
             inside = inside - zeta * multiplier[..., None] * mass(batch.terminal, self.discount)
         value = (1.0 - self.discount) * (initial_weight * first).mean(-1) + (weight * inside).mean(-1)
-        value = value + multiplier if self.norm else value
+        value = value + multiplier if settings.norm else value
         return value.sum(), {"lagrangian": value.mean(), "ratio": zeta.mean(), "q": q.mean()}
 
 
@@ -127,12 +120,12 @@ class DICE(Estimator):
     positive: bool = static(True)  # zeta through a softplus
     members: Count = static(3)  # pairs of networks a policy, each on redrawn episodes
     hidden: Sizes = static((64, 64))  # width of each hidden layer
-    steps: Count = static(100_000)  # updates
+    steps: Count = host(100_000)  # updates
     batch_size: Count = static(2048)  # rows a batch
     lr: NonNegative = 1e-4  # learning rate
     average: Share = 1e-3  # rate of the running mean of zeta's parameters, which the estimate uses; 1 for the last ones
-    samples: Count = static(1)  # actions drawn at each next observation, once
-    initial_samples: Count = static(10)  # actions drawn at each initial observation
+    samples: Count = host(1)  # actions drawn at each next observation, once
+    initial_samples: Count = host(10)  # actions drawn at each initial observation
 
     @classmethod
     def preset(cls, name: Literal["best", "dual", "gen"], **changes: Any) -> "DICE":
@@ -145,10 +138,7 @@ class DICE(Estimator):
 
     def _fit(self, case: Case) -> np.ndarray:
         data = case.data
-        learner = Saddle(
-            self.lr, case.discount, Scale.of(case).std, self.primal, self.dual, self.reward,
-            self.average, self.norm, self.positive, self.members, case.count, self.hidden, self.batch_size,
-        )  # fmt: skip
+        learner = Saddle(self, case.discount, Scale.of(case).std, case.count)
         rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
         state = case.train(learner, rows, self.steps, "dice")
         found = Fitted(state.mean, 1.0, rows.view).of_actions(data.observations, data.actions)

@@ -23,10 +23,10 @@ from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.ope.case import Case
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
-from deadreckon.ope.fits import Watcher
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
 from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library
+from deadreckon.progress import Watcher, unwatched
 
 METRICS = {
     "absolute_error": "Absolute error, in ranges of the true values",
@@ -91,7 +91,7 @@ def evaluate_log(
     *,
     seed: int = 0,
     out: Path | str | None = None,
-    watch: Watcher = lambda what, step, steps: None,
+    watch: Watcher = unwatched,
     told: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Estimates the snapshots of a task from a log, by each of the estimators.

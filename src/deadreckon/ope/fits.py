@@ -11,11 +11,11 @@ import jax
 from deadreckon.data.batch import Rows
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.ope.estimand import Estimand
+from deadreckon.progress import Watcher
 from deadreckon.training.checkpoint import folder_of
-from deadreckon.training.fit import Fit, Progress, complete
-from deadreckon.training.hyperparameters import described
+from deadreckon.training.fit import Chunk, Fit, complete
+from deadreckon.training.hyperparameters import described, on_device
 
-Watcher = Callable[[str, int, int], None]  # gets what is fitted, updates done and updates in all
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
 
 
@@ -62,7 +62,7 @@ class Fits:
         known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
         seen = self._metrics[what] = {step: metrics for step, metrics in known}
 
-        def told(progress: Progress) -> None:
+        def told(progress: Chunk) -> None:
             # What a kill lost is computed, and noted, again.
             seen[progress.step] = {name: float(value[0]) for name, value in progress.metrics.items()}
             if kept is not None:  # for who asks again when the fit is done
@@ -91,7 +91,7 @@ class Fits:
         assert self.out is not None
         columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
-            "learner": described(learner), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
+            "learner": described(on_device(learner)), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
             "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)

@@ -26,7 +26,7 @@ from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, ta
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.stats.bootstrap import ensemble_interval
-from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, host, static
 
 
 class State(NamedTuple):
@@ -68,38 +68,33 @@ class Critics(eqx.Module):
     """What `fit` trains: the critics of all policies.
 
     Attributes:
-        lr, decay, target_rate: of the optimiser (AdamW) and of the targets.
-        discount, reward_std: of the returns.
+        settings: of the estimator.
+        discount: of the returns.
+        scale: of the critics' values.
         share: 1 / the discounted number of steps, by which rewards are multiplied.
-        low, high: of the targets.
         first: update from which the best critics may be kept.
-        members, policies, hidden, batch_size: shapes.
+        members, policies: how many critics there are.
+        stops: whether critics stop early, by the column `check`.
     """
 
     init_by_shape = True
 
-    lr: float
-    decay: float
-    target_rate: float
+    settings: "FQE"
     discount: float
-    reward_std: float
+    scale: Scale
     share: float
-    low: float
-    high: float
     first: float
     members: int = eqx.field(static=True)
     policies: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
-    stops: bool = eqx.field(static=True, default=False)  # early, by the column `check`
+    stops: bool = eqx.field(static=True)
 
     def needs(self, spec):
         """Transitions, with the columns `policy` and `weight` beside them, and where it is not all ones `known` (policies,)."""
-        return Needs(batch_size=self.batch_size, standardise=True)
+        return Needs(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh critics; targets are copies."""
-        critics = create(spec, self.hidden, self.members, self.policies, key)
+        critics = create(spec, self.settings.hidden, self.members, self.policies, key)
         best = Best.begin(critics, (self.members, self.policies)) if self.stops else None
         return State(critics, copy(critics), init_opt(critics), best)
 
@@ -107,11 +102,11 @@ class Critics(eqx.Module):
         """One step of every critic towards r + discount (1 - terminal) V_target(s'), clipped to what a value can be."""
         assert batch.extra is not None
         future = expected(state.targets, batch.next_observation, batch.extra["policy"])
-        reward = self.share * batch.reward / self.reward_std
-        target = jnp.clip(reward + self.discount * (1.0 - batch.terminal) * future, self.low, self.high)
+        reward = self.share * batch.reward / self.scale.std
+        target = jnp.clip(reward + self.discount * (1.0 - batch.terminal) * future, self.scale.low, self.scale.high)
         grads, (metrics, checked) = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
-        critics, opt = apply_gradients(state.critics, grads, state.opt, self.lr, self.decay)
-        targets = polyak_update(state.targets, critics, self.target_rate)
+        critics, opt = apply_gradients(state.critics, grads, state.opt, self.settings.lr, self.settings.weight_decay)
+        targets = polyak_update(state.targets, critics, self.settings.target_rate)
         best = None if state.best is None else state.best.look(targets, checked, step, self.first)
         return State(critics, targets, opt, best), metrics
 
@@ -135,15 +130,15 @@ class FQE(Estimator):
 
     takes_horizon = True
 
-    members: Count = static(3)  # critics a policy, each on redrawn episodes
+    members: Count = host(3)  # critics a policy, each on redrawn episodes
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    steps: Count = static(100_000)  # updates (public code: 1,000,000)
+    steps: Count = host(100_000)  # updates (public code: 1,000,000)
     batch_size: Count = static(256)  # rows a batch
     lr: NonNegative = 3e-4  # learning rate
     weight_decay: NonNegative = 1e-5  # AdamW
     target_rate: Share = 0.005  # Polyak rate of the target critics
-    samples: Count = static(1)  # actions drawn at each next observation, once; their mean value is the target
-    initial_samples: Count = static(10)  # actions drawn at each initial observation
+    samples: Count = host(1)  # actions drawn at each next observation, once; their mean value is the target
+    initial_samples: Count = host(10)  # actions drawn at each initial observation
 
     def fitted(self, case: Case) -> Fitted:
         """The critics of a case's policies; made once for a case, whoever asks."""
@@ -163,8 +158,8 @@ class FQE(Estimator):
         # Where values have to travel back in time, the first targets are small and so are the losses.
         first = 0.0 if soon else self.steps / 2
         learner = Critics(
-            self.lr, self.weight_decay, self.target_rate, case.discount, scale.std, 1.0 / case.span, scale.low, scale.high,
-            first, weight.shape[1], case.count, self.hidden, self.batch_size, stops=check is not None,
+            self, case.discount, scale, share=1.0 / case.span, first=first, members=weight.shape[1], policies=case.count,
+            stops=check is not None,
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]}
         shown = case.shown | np.asarray(data.terminals)  # nothing follows where the horizon ends an episode

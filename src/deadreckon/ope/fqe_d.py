@@ -22,7 +22,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.stats.bootstrap import ensemble_interval
-from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, host, static
 
 
 class NormMLP(eqx.Module):
@@ -76,35 +76,29 @@ def project(
 
 
 class Distributions(eqx.Module):
-    """What `fit` trains."""
+    """What `fit` trains: as `fqe.Critics`, with the returns of the atoms between `scale.low` and `scale.high`."""
 
-    lr: float
+    settings: "FQED"
     discount: float
-    reward_std: float
-    low: float
-    high: float
-    clip: float
-    renew: int = eqx.field(static=True)
-    atoms: int = eqx.field(static=True)
-    members: int = eqx.field(static=True)
+    scale: Scale
     policies: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
 
     @property
     def support(self) -> Float[Array, "z"]:
         """(atoms,) what a critic's probabilities are of."""
-        return self.low + (self.high - self.low) * jnp.linspace(0.0, 1.0, self.atoms)
+        return self.scale.low + (self.scale.high - self.scale.low) * jnp.linspace(0.0, 1.0, self.settings.atoms)
 
     def needs(self, spec):
         """Transitions, with the columns `policy` and `weight` beside them."""
-        return Needs(batch_size=self.batch_size, standardise=True)
+        return Needs(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh critics; targets are copies."""
         inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
-        sizes = (inputs, *self.hidden, self.atoms * (spec.action_size if spec.discrete else 1))
-        critics = ensemble(lambda k: ensemble(lambda key: NormMLP.create(sizes, key), self.policies, k), self.members, key)
+        settings = self.settings
+        sizes = (inputs, *settings.hidden, settings.atoms * (spec.action_size if spec.discrete else 1))
+        policies = lambda k: ensemble(lambda key: NormMLP.create(sizes, key), self.policies, k)  # noqa: E731
+        critics = ensemble(policies, settings.members, key)
         return State(critics, copy(critics), init_opt(critics))
 
     def logits(self, critics: NormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
@@ -117,7 +111,7 @@ class Distributions(eqx.Module):
 
     def _every(self, critics: NormMLP, observation: Array) -> Float[Array, "m p b n z"]:
         out = jax.vmap(jax.vmap(lambda net: net(observation)))(critics)
-        return out.reshape(*out.shape[:-1], -1, self.atoms)
+        return out.reshape(*out.shape[:-1], -1, self.settings.atoms)
 
     def mixture(self, critics: NormMLP, observation: Array, table: Array) -> Float[Array, "m p b z"]:
         """Probabilities of the returns of what the policies do; see `critics.expected` for the table."""
@@ -134,15 +128,15 @@ class Distributions(eqx.Module):
         """One step of every critic towards the projected target; copies are renewed every `renew` steps."""
         assert batch.extra is not None
         future = self.mixture(state.targets, batch.next_observation, batch.extra["policy"])
-        reward = (1.0 - self.discount) * batch.reward / self.reward_std
+        reward = (1.0 - self.discount) * batch.reward / self.scale.std
         target = project(future, reward, self.discount * (1.0 - batch.terminal), self.support)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
         # Every critic's gradient is clipped by its own norm.
         square = sum(jnp.square(g).sum(tuple(range(2, g.ndim))) for g in jax.tree.leaves(grads))
-        scale = jnp.minimum(1.0, self.clip / jnp.sqrt(jnp.maximum(square, 1e-12)))
+        scale = jnp.minimum(1.0, self.settings.gradient_clip / jnp.sqrt(jnp.maximum(square, 1e-12)))
         grads = jax.tree.map(lambda g: g * scale.reshape(*scale.shape, *[1] * (g.ndim - 2)), grads)
-        critics, opt = apply_gradients(state.critics, grads, state.opt, self.lr)
-        over = (step + 1) % self.renew == 0
+        critics, opt = apply_gradients(state.critics, grads, state.opt, self.settings.lr)
+        over = (step + 1) % self.settings.renew == 0
         targets = jax.tree.map(lambda new, old: jnp.where(over, new, old), critics, state.targets)
         return State(critics, targets, opt), metrics
 
@@ -166,13 +160,13 @@ class FQED(Estimator):
     members: Count = static(3)  # critics a policy, each on redrawn episodes
     hidden: Sizes = static((512, 512, 256))  # width of each hidden layer
     atoms: Annotated[int, Range(ge=2)] = static(51)  # returns that have a probability
-    steps: Count = static(100_000)  # updates
+    steps: Count = host(100_000)  # updates
     batch_size: Count = static(1024)  # rows a batch
     lr: NonNegative = 1e-4  # learning rate
     renew: Count = static(100)  # updates between copies of the critics for targets
     gradient_clip: NonNegative = 40.0  # norm of each critic's gradient
-    samples: Count = static(1)  # actions drawn at each next observation, once
-    initial_samples: Count = static(10)  # actions drawn at each initial observation
+    samples: Count = host(1)  # actions drawn at each next observation, once
+    initial_samples: Count = host(10)  # actions drawn at each initial observation
 
     @property
     def label(self) -> str:
@@ -182,10 +176,8 @@ class FQED(Estimator):
     def solve(self, case: Case) -> Estimates:
         """Mean of the distributions at the initial observations."""
         data, scale = case.data, Scale.of(case)
-        learner = Distributions(
-            self.lr, case.discount, scale.std, scale.low, max(scale.high, scale.low + 1e-3), self.gradient_clip, self.renew,
-            self.atoms, self.members, case.count, self.hidden, self.batch_size,
-        )  # fmt: skip
+        scale = scale._replace(high=max(scale.high, scale.low + 1e-3))
+        learner = Distributions(self, case.discount, scale, case.count)
         redrawn = case.redrawn(self.members)
         extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}
         rows = Rows(data, learner.needs(data.spec), extra)

@@ -28,7 +28,7 @@ from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.dice import estimates, mass, occupancy_rows, weighted
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
-from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host, static
 
 EXCESS_RATE = 0.01  # of the running mean of the mass beyond one
 
@@ -45,29 +45,25 @@ class State(NamedTuple):
 class Power(eqx.Module):
     """What `fit` trains."""
 
-    lr: float
+    settings: "VPM"
     discount: float
-    penalty: float
-    inner: int = eqx.field(static=True)
-    members: int = eqx.field(static=True)
     policies: int = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
-    batch_size: int = eqx.field(static=True)
 
     def needs(self, spec):
         """Transitions and as many initial states, each with what the policies do there and the members' weights."""
-        return Needs(batch_size=self.batch_size, initial=self.batch_size, standardise=True)
+        return Needs(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh networks."""
-        tau = create(spec, self.hidden, self.members, self.policies, key)
-        return State(tau, copy(tau), jnp.zeros((self.members, self.policies)), init_opt(tau))
+        members = self.settings.members
+        tau = create(spec, self.settings.hidden, members, self.policies, key)
+        return State(tau, copy(tau), jnp.zeros((members, self.policies)), init_opt(tau))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of the fit; every `inner` steps an iteration is over and the next begins."""
         grads, (whole, metrics) = jax.grad(self.loss, has_aux=True)(state.tau, state.before, state.excess, batch)
-        tau, opt = apply_gradients(state.tau, grads, state.opt, self.lr)
-        over = (step + 1) % self.inner == 0
+        tau, opt = apply_gradients(state.tau, grads, state.opt, self.settings.lr)
+        over = (step + 1) % self.settings.inner == 0
         before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
         # The square of one batch's mass would be penalised for its variance, which a terminal's mass of 1 / (1 - discount)
         # makes huge; the slope of the square at the running mean is right, and quiet once the mass is.
@@ -86,7 +82,7 @@ class Power(eqx.Module):
         fit = (weight * (jnp.square(tau) / 2 - self.discount * before * lasts * future)).mean(-1)
         fit = fit - (1.0 - self.discount) * (initial_weight * first).mean(-1)
         whole = (weight * tau * mass(batch.terminal, self.discount)).mean(-1)
-        return (fit + self.penalty * excess * whole).sum(), (whole, {"loss": fit.mean(), "mass": whole.mean()})
+        return (fit + self.settings.penalty * excess * whole).sum(), (whole, {"loss": fit.mean(), "mass": whole.mean()})
 
 
 def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:
@@ -99,13 +95,13 @@ class VPM(Estimator):
 
     members: Count = static(3)  # networks a policy, each on redrawn episodes
     hidden: Sizes = static((64, 64))  # width of each hidden layer
-    steps: Count = static(100_000)  # updates
+    steps: Count = host(100_000)  # updates
     inner: Count = static(10)  # updates an iteration of the power method
     batch_size: Count = static(2048)  # rows a batch
     lr: NonNegative = 1e-4  # learning rate
     penalty: NonNegative = 1.0  # of a mass other than one
-    samples: Count = static(1)  # actions drawn at each next observation, once
-    initial_samples: Count = static(10)  # actions drawn at each initial observation
+    samples: Count = host(1)  # actions drawn at each next observation, once
+    initial_samples: Count = host(10)  # actions drawn at each initial observation
 
     def ratios(self, case: Case) -> np.ndarray:
         """(members, policies, rows) occupancy of the policy over that of the log."""
@@ -113,9 +109,7 @@ class VPM(Estimator):
 
     def _fit(self, case: Case) -> np.ndarray:
         data = case.data
-        learner = Power(
-            self.lr, case.discount, self.penalty, self.inner, self.members, case.count, self.hidden, self.batch_size
-        )
+        learner = Power(self, case.discount, case.count)
         rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
         state = case.train(learner, rows, self.steps, "vpm")
         found = Fitted(state.tau, 1.0, rows.view).of_actions(data.observations, data.actions)

@@ -40,7 +40,7 @@ from deadreckon.runs.holdout import divided, usual
 from deadreckon.runs.recorder import Enough
 from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.tasks.task import Task
-from deadreckon.training.fit import Fit, Progress
+from deadreckon.training.fit import Chunk, Fit
 
 
 @dataclass(frozen=True)
@@ -311,7 +311,7 @@ class Attempt:
         told["state"] = "learning"
         self._tell()
 
-        def look(progress: Progress, steps: int) -> None:
+        def look(progress: Chunk, steps: int) -> None:
             self.send("watch", [candidate.name, progress.step, steps])
             if time.time() > end:
                 raise Enough

@@ -78,7 +78,6 @@ def cross_fit(
     seed: int = 0,
     out: Path | str | None = None,
     deliver: Deliver = "mixture",
-    resume: bool = False,
     **options: Any,
 ) -> CrossFit:
     """Trains an agent once for each fold of a log, from the other folds, and makes what is to be deployed.
@@ -91,8 +90,8 @@ def cross_fit(
         seed: of the folds, and the first of each run's.
         out: folder of the run folders `fold0`, `fold1`, ...; None is `runs/AGENT-LOG-crossfit`.
         deliver: "mixture" makes a policy of those of all folds, `mixture.npz`; "refit" a run on all episodes, `refit`.
-        resume: go on with what is in `out`: finished folds are not done again. It may be asked for another delivery.
-        **options: others of `train`, for every fold.
+        **options: others of `train`, for every fold. With `resume` finished folds are not done again, and another delivery
+            may be asked for.
 
     Raises:
         UserError: input that does not fit, or a fold in which every seed failed, in one line.
@@ -108,9 +107,9 @@ def cross_fit(
         "folds": folds, "by": by, "seed": seed, "agent": name, "episodes": np.bincount(fold).tolist(),
         "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,
     }  # fmt: skip
-    _begin(path, config, resume)
+    _begin(path, config, options.get("resume", False))
 
-    shared: dict[str, Any] = {"seed": seed, "resume": resume} | options
+    shared: dict[str, Any] = {"seed": seed} | options
     runs = [
         train(agent, log, out=path / f"fold{each}", holdout=Fold(each, folds, by, seed), **shared) for each in range(folds)
     ]

@@ -10,9 +10,9 @@ from deadreckon.collect.recipes import default_path
 from deadreckon.data.io import read
 from deadreckon.errors import UserError
 from deadreckon.ope.dope import Result, evaluate_log
-from deadreckon.ope.fits import Watcher
 from deadreckon.ope.registry import as_estimator
 from deadreckon.policies import library
+from deadreckon.progress import Watcher, unwatched
 
 KINDS = ("random", "medium", "expert", "medium-replay", "medium-expert")
 
@@ -27,8 +27,8 @@ def dope(
     seeds: int = 1,
     seed: int = 0,
     out: Path | str | None = None,
-    collecting: Callable[[str, int, int], None] = lambda name, done, steps: None,
-    watch: Watcher = lambda what, step, steps: None,
+    collecting: Watcher = unwatched,
+    watch: Watcher = unwatched,
     told: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Estimates the eleven policies of tasks from logs of theirs, whose true values are known.

@@ -17,12 +17,12 @@ from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import Case, CrossFitted
 from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimates import Estimates
-from deadreckon.ope.fits import Watcher
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
 from deadreckon.ope.select import Choice, gains
 from deadreckon.policies import library, store
 from deadreckon.policies.dope import load_dope
+from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.evaluate import evaluate
@@ -189,7 +189,7 @@ def judge(
     confounding: float | None = None,
     by_group: str | None = None,
     tail: float | None = None,
-    watch: Watcher = lambda what, step, steps: None,
+    watch: Watcher = unwatched,
 ) -> Judged:
     """Estimates policies from a log, decides which to deploy, if any, and then looks into the simulator whether that was right.
 

@@ -5,6 +5,7 @@ import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from deadreckon.files import file_part, read_json
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
 from deadreckon.runs.folder import Folder
-from deadreckon.runs.recorder import Recorder, Watcher
-from deadreckon.runs.train import Run, agents_of, check_plan, fields_of, lanes_of, load
+from deadreckon.runs.recorder import Recorder
+from deadreckon.runs.settings import OnlineOptions, OnlineSettings
+from deadreckon.runs.train import Run, agents_of, fields_of, lanes_of, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -33,67 +35,54 @@ def train_online(
     steps: int = 1_000_000,
     seeds: int = 1,
     seed: int = 0,
-    settings: Online | None = None,
     out: Path | str | None = None,
-    evaluate_every: int | None = None,
-    episodes: int = 10,
-    chunk: int = 2000,
-    resume: bool = False,
-    threads: int | None = None,
-    demonstrations: Dataset | str | Path | None = None,
-    watch: Watcher = lambda progress, steps: None,
+    **settings: Unpack[OnlineOptions],
 ) -> Run:
     """Trains an agent in a simulator, several seeds as one compiled program, and judges it as it goes.
 
     Args:
         agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only.
         task: the simulator to learn and to be judged in, or its name.
-        steps: environment steps a seed, the random ones at the beginning included. A run may be resumed with more of them.
-        seeds: how many: `seed` .. `seed + seeds - 1`.
-        seed: the first.
-        settings: how acting and learning take turns; None are the agent's own, or the defaults of `Online`.
+        steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
+        seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
+        seed: the first random seed.
         out: run folder; None is `runs/AGENT-TASK-online`.
-        evaluate_every: environment steps between evaluations; None is a fiftieth of the run. The last update is always
-            evaluated.
-        episodes: an evaluation, greedy.
-        chunk: updates between checkpoints, which is also what a kill can lose.
-        resume: go on with the run in `out`.
-        threads: to simulate with; all cores if None. Results do not depend on it.
-        demonstrations: a log to be shown first, the name of a known one, or a file; for agents that learn from such (DAPG).
-        watch: called after every chunk.
+        **settings: `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`, `threads`, `demonstrations` and
+            `watch`; see `runs.settings.OnlineSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
-    check_plan(seed, evaluate_every, seeds=seeds, chunk=chunk, episodes=episodes)
+    asked = OnlineSettings.of(settings)
+    asked.check(seed, seeds=seeds)
     task = find_task(task) if isinstance(task, str) else task
     lanes = lanes_of(agent, seeds)
-    settings = settings or Online(**type(lanes[0]).acting(task.name))
-    updates = settings.updates(steps)
+    turns = asked.settings or Online(**type(lanes[0]).acting(task.name))
+    updates = turns.updates(steps)
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
     folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
-    every = max(1, round((evaluate_every or max(steps // 50, 1)) * settings.updates_per_step))
-    if evaluate_every is None:
-        every = folder.period(resume) or every
-    shown = None if demonstrations is None else _demonstrated(demonstrations, task)
-    job = _job(lanes, task, numbers, updates, settings, folder, chunk, every, threads, shown)
+    every = max(1, round((asked.evaluate_every or max(steps // 50, 1)) * turns.updates_per_step))
+    if asked.evaluate_every is None:
+        every = folder.period(asked.resume) or every
+    shown = None if asked.demonstrations is None else _demonstrated(asked.demonstrations, task)
+    job = _job(lanes, task, numbers, updates, folder, dataclasses.replace(asked, settings=turns), every, shown)
     lanes = job.learners
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},
-        "online": dataclasses.asdict(settings),
+        "online": dataclasses.asdict(turns),
         "data": {"name": f"{task.name}, online", "fingerprint": f"online:{task.name}"},
         "task": task.name,
         "seeds": numbers,
         "steps": updates,
-        "evaluation": {"every": job.stops, "episodes": episodes},
+        "evaluation": {"every": job.stops, "episodes": asked.episodes},
         "versions": versions() | {"lanes": seeds},
     }
     if shown is not None:
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
     config = json.loads(json.dumps(config, default=str))
-    for text in folder.check(config, resume=resume):
+    for text in folder.check(config, resume=asked.resume):
         warnings.warn(text, stacklevel=2)
     folder.begin(config)
     # What a simulator shows is in no log: demonstrations alone have been seen.
@@ -103,13 +92,13 @@ def train_online(
     folder.lengthen(config)
     folder.drop_after(job.step)
 
-    recorder = Recorder([folder], job, task, None, job.stops, episodes, taught)
+    recorder = Recorder([folder], job, task, None, job.stops, asked.episodes, taught)
     try:
         if job.step == 0:
             recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
         else:
             recorder.catch_up()
-        recorder.follow(watch)
+        recorder.follow(asked.watch)
     finally:
         recorder.close()
     return load(folder.path)
@@ -142,10 +131,9 @@ def reopened(path: Path | str) -> Fit:
     if "online" not in config:
         raise UserError(f"{path} is not the folder of an online run")
     lanes = agents_of(config)
-    settings = Online(**config["online"])
     every = config["evaluation"]["every"]
-    task = find_task(config["task"])
-    job = _job(lanes, task, config["seeds"], config["steps"], settings, folder, every, every, None, None)
+    settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
+    job = _job(lanes, find_task(config["task"]), config["seeds"], config["steps"], folder, settings, every, None)
     job.resume()
     if job.step == 0:
         raise UserError(f"{path} has no checkpoint yet in which something was learned")
@@ -153,14 +141,22 @@ def reopened(path: Path | str) -> Fit:
 
 
 def _job(
-    lanes: Sequence[Agent], task: Task, seeds: list[int], updates: int, settings: Online, folder: Folder, chunk: int,
-    stops: int, threads: int | None, shown: Dataset | None,
-) -> Fit:  # fmt: skip
+    lanes: Sequence[Agent],
+    task: Task,
+    seeds: list[int],
+    updates: int,
+    folder: Folder,
+    settings: OnlineSettings,
+    stops: int,
+    shown: Dataset | None,
+) -> Fit:
     """The fit of agents that are resolved for the task here."""
     spec = Spec.empty(task.observation_shape, task.action_space, task.name)
     lanes = [lane.resolve(spec, updates) for lane in lanes]
     replays = [folder.replay(s) for s in seeds]
-    experience = experience_of(lanes[0])(task, lanes[0], seeds, updates, settings, replays, threads)
+    turns = settings.settings
+    assert turns is not None  # whoever makes a job has settled them
+    experience = experience_of(lanes[0])(task, lanes[0], seeds, updates, turns, replays, settings.threads)
     if shown is not None:
         experience.show(shown)
-    return Fit(lanes, experience, seeds, updates, chunk, folder.checkpoints, stops=stops)
+    return Fit(lanes, experience, seeds, updates, settings.chunk, folder.checkpoints, stops=stops)

@@ -31,6 +31,7 @@ from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.select import Choice
+from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.offline import NAME, checked, supports
 from deadreckon.runs.train import Run, load
@@ -96,7 +97,7 @@ def recommend(
     columns: dict[str, Any] | None = None,
     page: Callable[[Path, bool], Any] | None = None,
     tell: Callable[[str], None] = lambda line: None,
-    watch: Callable[[str, int, int], None] = lambda what, step, steps: None,
+    watch: Watcher = unwatched,
     began: float | None = None,
 ) -> Recommendation:
     """Tries agents and settings on a log, judges all of them by episodes that taught none, and says whether to deploy which.
@@ -238,7 +239,7 @@ class Found:
 
 
 def _followed(
-    job: dict[str, Any], clock: Clock, tell: Callable[[str], None], watch: Callable[[str, int, int], None]
+    job: dict[str, Any], clock: Clock, tell: Callable[[str], None], watch: Watcher
 ) -> Found:
     """Lets the job be done until it is done or the time is over."""
     found, done = Found({}), False

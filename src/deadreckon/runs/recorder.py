@@ -1,6 +1,6 @@
 """What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ from deadreckon.policies.deployed import Deployed
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.settings import ChunkWatcher
 from deadreckon.tasks.task import Task
-from deadreckon.training.fit import Fit, Progress
+from deadreckon.training.fit import Chunk, Fit
 
 RECORDED = 8  # episodes a policy whose observations are kept for pictures
-Watcher = Callable[[Progress, int], None]  # gets each chunk's progress and the number of updates in all
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 
 
@@ -100,7 +100,7 @@ class Recorder:
         """A run's part of columns that have `each` rows a lane."""
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
-    def follow(self, watch: Watcher) -> None:
+    def follow(self, watch: ChunkWatcher) -> None:
         """Walks the fit to its end: every chunk is recorded, then told. A watcher may have it end before; see `Enough`."""
         for progress in self.job.chunks():
             self.record(progress)
@@ -116,7 +116,7 @@ class Recorder:
                 break
         self.finish()
 
-    def record(self, progress: Progress) -> None:
+    def record(self, progress: Chunk) -> None:
         """Called after every chunk, before its checkpoint is written."""
         seeds = self.job.seeds
         done = [future for future in self.pending if future.done()]

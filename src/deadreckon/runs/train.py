@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +16,6 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import Rows
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.split import Fold, Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json, safe_name
 from deadreckon.policies import store
@@ -24,7 +23,8 @@ from deadreckon.policies.deployed import Deployed
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
-from deadreckon.runs.recorder import Recorder, Watcher
+from deadreckon.runs.recorder import Recorder
+from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -88,48 +88,30 @@ def train(
     seed: int = 0,
     task: Task | str | Literal[False] | None = None,
     out: Path | str | None = None,
-    evaluate_every: int | None = None,
-    episodes: int = 20,
-    chunk: int = 1000,
-    resume: bool = False,
-    stream: bool | None = None,
-    strict: bool = False,
-    holdout: Holdout | Fold | float | None = None,
-    watch: Watcher = lambda progress, steps: None,
+    **settings: Unpack[TrainOptions],
 ) -> Run:
     """Trains an agent on a log, several seeds as one compiled program, and judges it as it goes.
 
     Args:
         agent: an agent, its name, or one agent a seed that differ in float fields only.
         data: a log, the name of a known one, or a file.
-        steps: updates.
-        seeds: how many: `seed` .. `seed + seeds - 1`.
-        seed: the first.
+        steps: number of updates.
+        seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
+        seed: the first random seed.
         task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
-        evaluate_every: updates between evaluations; None is a tenth of the run. The last update is always evaluated.
-        episodes: an evaluation.
-        chunk: updates between checkpoints, which is also what a kill can lose.
-        resume: go on with the run in `out`; a finished one is given back as it is, or made longer if more steps are asked for.
-        stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
-        strict: refuse logs with actions out of bounds.
-        holdout: episodes to judge by, which are not learned from (`data.split.Holdout`, or its share alone; 0: none). None: a
-            fifth at random of a log that no simulator judges, none of others; of a memory-mapped log the latest fifth, so that
-            the rest is not copied. Of fewer than 10 episodes (or clusters) none, with a warning. A run that is gone on with
-            keeps its own.
-        watch: called after every chunk; by raising `runs.recorder.Enough` it ends the run there.
+        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout` and `watch`; see
+            `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
-    check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
-    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
+    asked = TrainSettings.of(settings)
+    asked.check(seed, steps=steps, seeds=seeds)
+    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=asked.strict)
     lanes = lanes_of(agent, seeds)
     path = Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{log.name}")
-    [run] = _train(
-        {path: lanes}, path, log, steps=steps, seed=seed, task=task, evaluate_every=evaluate_every, episodes=episodes,
-        chunk=chunk, resume=resume, stream=stream, strict=strict, holdout=holdout, watch=watch,
-    )  # fmt: skip
+    [run] = _train({path: lanes}, path, log, steps, seed, task, asked)
     return run
 
 
@@ -142,14 +124,7 @@ def train_together(
     seeds: int = 1,
     seed: int = 0,
     task: Task | str | Literal[False] | None = None,
-    evaluate_every: int | None = None,
-    episodes: int = 20,
-    chunk: int = 1000,
-    resume: bool = False,
-    stream: bool | None = None,
-    strict: bool = False,
-    holdout: Holdout | Fold | float | None = None,
-    watch: Watcher = lambda progress, steps: None,
+    **settings: Unpack[TrainOptions],
 ) -> dict[str, Run]:
     """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
 
@@ -159,23 +134,17 @@ def train_together(
         agents: name -> agent.
         data: a log, the name of a known one, or a file.
         out: folder of the run folders.
-        steps: updates; this and what follows is for each run as in `train`.
-        seeds: of each agent: `seed` .. `seed + seeds - 1`.
-        seed: the first.
+        steps: number of updates of each run.
+        seeds: number of runs of each agent, with the random seeds `seed` .. `seed + seeds - 1`.
+        seed: the first random seed.
         task: see `train`.
-        evaluate_every: see `train`.
-        episodes: see `train`.
-        chunk: see `train`.
-        resume: go on with the runs in `out`, which must be of the same agents.
-        stream: see `train`.
-        strict: see `train`.
-        holdout: see `train`; the same for all.
-        watch: see `train`; by raising `runs.recorder.Enough` it ends all runs.
+        **settings: see `train`; the same for all. With `resume` the runs in `out` must be of the same agents.
 
     Raises:
         UserError: input that does not fit, such as other fields that differ, in one line; nothing is written then.
     """
-    check_plan(seed, evaluate_every, steps=steps, seeds=seeds, chunk=chunk, episodes=episodes)
+    asked = TrainSettings.of(settings)
+    asked.check(seed, steps=steps, seeds=seeds)
     out = Path(out)
     for name in agents:
         safe_name(name, "agents are named as folders are, and")
@@ -183,31 +152,30 @@ def train_together(
             raise UserError(f"agents are named as folders are, and {name!r} is that of the checkpoints; rename it")
     if not agents:
         raise UserError("no agent to train")
-    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=strict)
-    runs = _train(
-        {out / name: [agent] * seeds for name, agent in agents.items()}, out, log, steps=steps, seed=seed, task=task,
-        evaluate_every=evaluate_every, episodes=episodes, chunk=chunk, resume=resume, stream=stream, strict=strict,
-        holdout=holdout, watch=watch,
-    )  # fmt: skip
-    return dict(zip(agents, runs))
+    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=asked.strict)
+    lanes = {out / name: [agent] * seeds for name, agent in agents.items()}
+    return dict(zip(agents, _train(lanes, out, log, steps, seed, task, asked)))
 
 
 def _train(
-    asked: Mapping[Path, Sequence[Agent]], out: Path, log: Dataset, *, steps: int, seed: int,
-    task: Task | str | Literal[False] | None, evaluate_every: int | None, episodes: int, chunk: int, resume: bool, stream: bool
-        | None, strict: bool,
-    holdout: Holdout | Fold | float | None, watch: Watcher,
-) -> list[Run]:  # fmt: skip
+    asked: Mapping[Path, Sequence[Agent]],
+    out: Path,
+    log: Dataset,
+    steps: int,
+    seed: int,
+    task: Task | str | Literal[False] | None,
+    settings: TrainSettings,
+) -> list[Run]:
     """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
     judge = judge_of(log, task)
-    log = log.with_action_space(log.action_space if judge is None else judge.action_space, strict)
-    folders = [Folder(path) for path in asked]
+    log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
+    folders, resume = [Folder(path) for path in asked], settings.resume
     before = read_json(folders[0].config) if resume and folders[0].config.exists() else None
-    part = divided(log, holdout, judge, before)
+    part = divided(log, settings.holdout, judge, before)
     lanes = [lane.resolve(part.learning.spec, steps) for each in asked.values() for lane in each]
     seeds = len(lanes) // len(folders)
     numbers = list(range(seed, seed + seeds))
-    every = min(evaluate_every or folders[0].period(resume) or max(steps // 10, 1), steps)
+    every = min(settings.evaluate_every or folders[0].period(resume) or max(steps // 10, 1), steps)
     rows = Rows(part.learning, lanes[0].needs(part.learning.spec))
 
     common = {
@@ -218,7 +186,7 @@ def _train(
         "task": None if judge is None else judge.name,
         "seeds": numbers,
         "steps": steps,
-        "evaluation": {"every": every, "episodes": episodes},
+        "evaluation": {"every": every, "episodes": settings.episodes},
         "versions": versions() | {"lanes": len(lanes)},
     }  # fmt: skip
     if out != folders[0].path:
@@ -232,7 +200,9 @@ def _train(
     if out != folders[0].path and kept.exists() and not all(folder.config.exists() for folder in folders):
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
-    job = Fit(lanes, rows, numbers * len(folders), steps, chunk, Folder(out).checkpoints, stream=stream, stops=every)
+    job = Fit(
+        lanes, rows, numbers * len(folders), steps, settings.chunk, Folder(out).checkpoints, stream=settings.stream, stops=every
+    )
     told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
     for text in dict.fromkeys(told):
         warnings.warn(text, stacklevel=3)
@@ -244,11 +214,11 @@ def _train(
         folder.lengthen(config)
         folder.drop_after(job.step)
 
-    recorder = Recorder(folders, job, judge, part.learning, every, episodes, part.taught)
+    recorder = Recorder(folders, job, judge, part.learning, every, settings.episodes, part.taught)
     try:
         recorder.picture(part.learning)
         recorder.catch_up()
-        recorder.follow(watch)
+        recorder.follow(settings.watch)
     finally:
         recorder.close()
     return [load(folder.path) for folder in folders]
@@ -293,22 +263,6 @@ def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | N
             f"{log.name} has {log.spec.observation_shape}"
         )
     return judge
-
-
-def check_plan(seed: int, evaluate_every: int | None, **counts: int) -> None:
-    """Refuses what no run, on a log or online, can be made of; `counts` hold `seeds`.
-
-    Raises:
-        UserError: names what is too small or too large.
-    """
-    if min(counts.values()) < 1:
-        *names, last = counts
-        got = ", ".join(map(str, counts.values()))
-        raise UserError(f"{', '.join(names)} and {last} must be >= 1, got {got}")
-    if not 0 <= seed <= 2**32 - counts["seeds"]:
-        raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
-    if evaluate_every is not None and evaluate_every < 1:
-        raise UserError(f"evaluate_every must be >= 1, got {evaluate_every}")
 
 
 def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:

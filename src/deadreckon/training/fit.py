@@ -29,8 +29,8 @@ class Failure(NamedTuple):
     step: int
 
 
-class Progress(NamedTuple):
-    """What `fit` tells after every chunk.
+class Chunk(NamedTuple):
+    """A finished chunk of updates.
 
     Attributes:
         step: updates done.
@@ -129,8 +129,8 @@ class Fit:
         if problem is not None:
             raise problem
 
-    def chunks(self) -> Iterator[Progress]:
-        """Walks to the end, giving `Progress` after every chunk.
+    def chunks(self) -> Iterator[Chunk]:
+        """Walks to the end, giving `Chunk` after every chunk.
 
         The checkpoint is written when the caller comes back for more, so what the caller wrote for a chunk is on disk
         before it; after a kill in between, the chunk is computed and written again, the same.
@@ -147,7 +147,7 @@ class Fit:
                 new, means, bad = source.advance(self._update, self.learner, self.states, self.step, stop, self.steps)
                 metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
                 self.step = stop
-                yield Progress(stop, self.states, metrics, self.failures)
+                yield Chunk(stop, self.states, metrics, self.failures)
                 self.save()
 
     def _update(self, states: Any, data: dict[str, Any], start: int, stop: int, rows: int) -> Any:
@@ -227,7 +227,7 @@ class Fit:
             path.unlink()
 
 
-def complete(job: Fit, what: str, told: Callable[[Progress], None]) -> None:
+def complete(job: Fit, what: str, told: Callable[[Chunk], None]) -> None:
     """Takes a fit to its end, from its checkpoints where it has some.
 
     Args:
@@ -256,7 +256,7 @@ def fit(
     *,
     chunk: int = 1000,
     stream: bool | None = None,
-    on_chunk: Callable[[Progress], None] = lambda progress: None,
+    on_chunk: Callable[[Chunk], None] = lambda progress: None,
 ) -> Fitted:
     """Trains in memory, without a folder; see `Fit` for the arguments."""
     job = Fit(learners, rows, seeds, steps, chunk=chunk, stream=stream)

@@ -52,6 +52,33 @@ def static(default: Any) -> Any:
     return eqx.field(static=True, default=default)
 
 
+def host(default: Any) -> Any:
+    """A field that the host alone reads, such as the number of updates: compiled programs do not depend on its value."""
+    return eqx.field(static=True, default=default, metadata={"host": True})
+
+
+class _HostOnly:
+    """What a compiled program finds in a field of the host's: using it there is a mistake, and raises a `TypeError`."""
+
+    def __repr__(self) -> str:
+        return "read by the host alone"
+
+
+HOST_ONLY = _HostOnly()
+
+
+def on_device(learner: Any) -> Any:
+    """A learner as its program sees it, without what the host alone reads, in the settings that it holds too."""
+    changes = {}
+    for field in dataclasses.fields(learner):
+        value = getattr(learner, field.name)
+        if field.metadata.get("host"):
+            changes[field.name] = HOST_ONLY
+        elif isinstance(value, eqx.Module) and (inner := on_device(value)) is not value:
+            changes[field.name] = inner
+    return dataclasses.replace(learner, **changes) if changes else learner
+
+
 def range_of(kind: type, field: str) -> Range | None:
     """What a field of a class takes; None where it is no number."""
     return _parted(typing.get_type_hints(kind, include_extras=True)[field])[1]

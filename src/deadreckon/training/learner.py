@@ -12,6 +12,7 @@ from jaxtyping import Array, PRNGKeyArray
 from deadreckon.data.batch import Batch, Needs
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
+from deadreckon.training.hyperparameters import on_device
 
 Metrics = dict[str, Array]
 L = TypeVar("L", bound=eqx.Module)
@@ -52,4 +53,4 @@ def lift(learners: Sequence[L]) -> L:
             one, two = getattr(first, f.name), getattr(other, f.name)
             if (one is None) != (two is None) or (f.metadata.get("static") and one != two):
                 raise UserError(f"{type(first).__name__}.{f.name} shapes the program and must be the same in all lanes")
-    return jax.tree.map(lambda *values: jnp.asarray(values, jnp.float32), *learners)
+    return jax.tree.map(lambda *values: jnp.asarray(values, jnp.float32), *map(on_device, learners))
