@@ -1,11 +1,11 @@
 """What other packages say of the study's logs: Open Bandit Pipeline of one decision, SCOPE-RL of many.
 
     python benchmarks/decision_peers.py setup                      # once: .cache/peer-obp and .cache/peer-scope
-    python benchmarks/decision_peers.py export --families classes tabular-cut --trials 50
-    python benchmarks/decision_peers.py judge                      # one JSON: runs/decisions/peers.json
+    python benchmarks/decision_peers.py export --families classes tabular-cut --trials 50 --split confirmatory
+    python benchmarks/decision_peers.py judge                      # one JSON, runs/decisions/peers.json, and a table
 
 `export` writes the held-out part of each log with discrete actions and known probabilities as an .npz, and `judge` runs each
-peer on those that it can take, in an environment of its own.
+peer on those that it can take, in an environment of its own, beside what the study's record has of the same logs.
 
 - OBP 0.5.7 declares Python below 3.11 and exact old versions of its dependencies, of which scikit-learn 1.1.3 and pandas 1.5.2
   have no wheel for newer ones; asked for by name alone, pip goes back to versions that want PyYAML 5, which does not build any
@@ -78,8 +78,8 @@ def export(families: list[str], split: str, trials: int, out: Path) -> None:
             )  # fmt: skip
 
 
-def judge(folder: Path, out: Path) -> None:
-    """Each peer, in its own environment; all their answers in one file."""
+def judge(folder: Path, out: Path, record: Path) -> None:
+    """Each peer, in its own environment; all their answers in one file, and a table with ours from `record` beside."""
     found: dict[str, Any] = {}
     for name, home in HOMES.items():
         command = [str(home / "bin" / "python"), str(Path(__file__).resolve()), "worker", name, "--folder", str(folder)]
@@ -89,13 +89,49 @@ def judge(folder: Path, out: Path) -> None:
     from deadreckon.files import write_json
 
     write_json(out, found)
-    for method in sorted({method for methods in found.values() for method in methods}):
-        said = [methods[method] for methods in found.values() if method in methods]
-        holds = np.mean([one["holds"] for one in said])
-        wrong = np.mean([one["choice"] is not None and one["true"][one["choice"]] <= 1e-9 for one in said])
-        deploys = np.mean([one["choice"] is not None for one in said])
-        words = f"{len(said)} logs, deploys {100 * deploys:.1f} %, what is not better {100 * wrong:.1f} %"
-        print(f"{method}: {words}, all intervals hold {100 * holds:.1f} %")
+    print(table(found, ours(record, set(found))))
+
+
+def ours(record: Path, trials: set[str]) -> dict[str, dict[str, Any]]:
+    """What the package and the oracle said of the same logs, in the peers' form."""
+    import lzma
+
+    out: dict[str, dict[str, Any]] = {}
+    with lzma.open(record, "rt") as lines:
+        for trial in map(json.loads, lines):
+            name, true = f"{trial['family']}-{trial['seed']}", np.array(trial["gains"])
+            if name in trials:
+                out[name] = {
+                    words: {"choice": said["choice"], "true": trial["gains"], "holds": _holds(said, true)}
+                    for rule, words in (("new", "deadreckon"), ("oracle", "oracle"))
+                    for said in [trial["rules"][rule]]
+                }
+    return out
+
+
+def _holds(said: dict[str, Any], true: np.ndarray) -> bool:
+    low, high = (np.array([end if x is None else x for x in said[side]]) for side, end in (("low", -np.inf), ("high", np.inf)))
+    return bool(((low <= true + 1e-9) & (true - 1e-9 <= high)).all())
+
+
+def table(theirs: dict[str, Any], own: dict[str, Any]) -> str:
+    """By family and method, as Markdown."""
+    lines = ["| family | method | logs | deploys | … what is not better | mean gain | all intervals hold |"]
+    lines.append("|---|---|--:|--:|--:|--:|--:|")
+    for family in sorted({trial.rpartition("-")[0] for trial in theirs}):
+        said: dict[str, list[dict[str, Any]]] = {}
+        for trial in theirs:
+            if trial.rpartition("-")[0] == family:
+                for method, one in (own[trial] | theirs[trial]).items():
+                    said.setdefault(method, []).append(one)
+        for method, each in said.items():
+            gains = [0.0 if one["choice"] is None else one["true"][one["choice"]] for one in each]
+            wrong = np.mean([one["choice"] is not None and gain <= 1e-9 for one, gain in zip(each, gains)])
+            deploys, holds = (np.mean(x) for x in ([one["choice"] is not None for one in each], [one["holds"] for one in each]))
+            lines.append(
+                f"| {family} | {method} | {len(each)} | {deploys:.0%} | {wrong:.0%} | {np.mean(gains):+.3g} | {holds:.0%} |"
+            )
+    return "\n".join(lines)
 
 
 # ---- theirs ---------------------------------------------------------------------------------------------------------
@@ -184,6 +220,8 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=50)
     parser.add_argument("--folder", type=Path, default=Path("runs/decisions/npz"))
     parser.add_argument("--out", type=Path, default=Path("runs/decisions/peers.json"))
+    record = ROOT / "benchmarks" / "results" / "decisions.jsonl.xz"
+    parser.add_argument("--record", type=Path, default=record, help="of the study, whose answers stand beside the peers'")
     options = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     if options.action == "setup":
@@ -194,7 +232,7 @@ def main() -> int:
         os.environ |= ONE_THREAD
         export(options.families, options.split, options.trials, options.folder)
     elif options.action == "judge":
-        judge(options.folder, options.out)
+        judge(options.folder, options.out, options.record)
     else:
         worker(options.peer, options.folder)
     return 0
