@@ -250,7 +250,7 @@ def test_refusals():
         Case(log, silent, discount=1.0)
     with pytest.raises(UserError, match="no policy to judge"):
         Case(log, [])
-    with pytest.raises(UserError, match="policies must be policies or runs, got int"):
+    with pytest.raises(UserError, match="policies must be policies, policy files or runs, got int"):
         Case(log, 3)
     with pytest.raises(UserError, match="2 policies need as many names, got 1"):
         Case(log, [silent, silent], names=["a"])

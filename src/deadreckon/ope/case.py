@@ -24,7 +24,7 @@ from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
 from deadreckon.policies.deployed import Deployed
 from deadreckon.policies.kinds import ClippedGaussian
-from deadreckon.policies.policy import Policy
+from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Watcher, unwatched
 
 NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
@@ -51,7 +51,7 @@ class Case(Fits):
 
     Args:
         data: the log.
-        policies: a policy, a run, or a sequence of these.
+        policies: a policy, a policy file, a run, or a sequence of these.
         discount: of the returns; one where episodes end or have a horizon.
         seed: random seed.
         greedy: deterministic (greedy) instead of sampled actions of the policies.
@@ -95,7 +95,7 @@ class Case(Fits):
         super().__init__(Estimand.of(data, discount, horizon, greedy), seed, out, watch)
         if not 0 <= seed < 2**32:
             raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
-        self.policies = _policies(policies)
+        self.policies = policies_of(policies, (CrossFitted,))
         if not self.policies:
             raise UserError("no policy to judge")
         self.names = tuple(names) if names is not None else tuple(f"policy {i}" for i in range(len(self.policies)))
@@ -408,13 +408,3 @@ class _Following:
 
     def __getitem__(self, rows: slice) -> np.ndarray:
         return self.data.next_observations_at(np.arange(*rows.indices(len(self.data))))
-
-
-def _policies(given: Any) -> list[Any]:
-    if isinstance(given, Policy | CrossFitted):
-        return [given]
-    if hasattr(given, "policies"):  # a run
-        return list(given.policies)
-    if isinstance(given, Sequence) and not isinstance(given, str | bytes):
-        return [policy for one in given for policy in _policies(one)]
-    raise UserError(f"policies must be policies or runs, got {type(given).__name__}")

@@ -13,8 +13,7 @@ from deadreckon.data.spec import Discrete
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import Deployed, first_actions
-from deadreckon.policies.policy import Policy
-from deadreckon.policies.store import load
+from deadreckon.policies.resolve import policies_of
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.registry import task as find_task
@@ -153,7 +152,7 @@ def evaluate(
         raise UserError(f"episodes must be >= 1, got {episodes}")
     if not 0 <= seed < 2**32:
         raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
-    found = list(_policies(policies))
+    found = policies_of(policies)
     if not found:
         raise UserError("no policy to evaluate")
     discounts = np.broadcast_to(np.asarray(discount, np.float64), (len(found),))
@@ -200,15 +199,3 @@ def _check_fit(policy: Any, task: Task, name: str) -> None:
         jax.eval_shape(lambda: first_actions(policy, jnp.zeros((1, *task.observation_shape)), jax.random.key(0), True))
     except (TypeError, ValueError) as error:
         raise UserError(f"{name} does not take {task.name}'s observations of shape {task.observation_shape}") from error
-
-
-def _policies(given: Any) -> Sequence[Any]:
-    if hasattr(given, "policies"):
-        return given.policies
-    if isinstance(given, (str, bytes)) or hasattr(given, "__fspath__"):
-        return [load(given)]  # pyright: ignore[reportArgumentType]
-    if isinstance(given, Policy):
-        return [given]
-    if isinstance(given, Sequence):
-        return [policy for one in given for policy in _policies(one)]
-    raise UserError(f"policies must be policies, policy files or runs, got {type(given).__name__}")

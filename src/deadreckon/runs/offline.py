@@ -21,7 +21,7 @@ from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
 from deadreckon.ope.select import Choice, gains
 from deadreckon.policies import library, store
-from deadreckon.policies.dope import load_dope
+from deadreckon.policies.resolve import PICKLES, policy_of_file
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
@@ -98,9 +98,8 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
-            pickled = path.suffix in (".pkl", ".pickle")
-            policy = load_dope(path) if pickled else store.load(path)
-            found.append(Gathered(policy, path.stem, None, None if pickled else store.taught(path), None, path))
+            taught = None if path.suffix in PICKLES else store.taught(path)
+            found.append(Gathered(policy_of_file(path), path.stem, None, taught, None, path))
         else:
             if len(path.parts) > 1:
                 raise UserError(f"no folder or file {path}")
