@@ -70,7 +70,7 @@ def log(trial: Trial) -> Any:
 
 def run(trial: Trial) -> dict[str, Any]:
     """The command, timed from outside."""
-    from deadreckon.data.folder import write_folder
+    from deadreckon.data.formats.folder import write_folder
     from deadreckon.files import read_json
 
     with tempfile.TemporaryDirectory() as folder:

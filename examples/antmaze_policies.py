@@ -18,7 +18,7 @@ from deadreckon.agents.bc import BC
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.collect.antmaze import collect_antmaze
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.policies.library import ROOT, SNAPSHOTS
 from deadreckon.runs.publish import Publish, publish
 

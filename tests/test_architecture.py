@@ -1,5 +1,7 @@
 """What holds the parts apart: imports point one way, and heavy ones wait until they are needed."""
 
+import ast
+import graphlib
 import os
 import subprocess
 import sys
@@ -34,6 +36,32 @@ def processor_seconds(*command: object) -> float:
 def test_imports_point_one_way():
     result = subprocess.run([SCRIPTS / "lint-imports", "--no-cache"], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
+
+
+def imported(tree: ast.AST, modules: set[str]) -> set[str]:
+    """Those of `modules` that a file imports anywhere, within functions too, but not for type checkers alone."""
+    found = set()
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, ast.unparse(node)
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= inner & modules or {node.module}
+        found |= imported(node, modules)
+    return found & modules
+
+
+def test_no_module_imports_itself_through_others():
+    """The linter sees layers alone; within a package, an import that waits inside a function could hide a circle."""
+    files = {path: path.relative_to(ROOT / "src").with_suffix("").parts for path in (ROOT / "src").rglob("*.py")}
+    names = {path: ".".join(parts).removesuffix(".__init__") for path, parts in files.items()}
+    modules = set(names.values())
+    graph = {name: imported(ast.parse(path.read_text()), modules) - {name} for path, name in names.items()}
+    assert {"deadreckon.data.frame", "deadreckon.errors"} <= graph["deadreckon.data.dataset"]  # deferred, and not
+    graphlib.TopologicalSorter(graph).prepare()  # a CycleError names the circle
 
 
 @pytest.mark.parametrize("module", ["deadreckon", "deadreckon.cli.main"])

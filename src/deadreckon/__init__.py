@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deadreckon.collect.recipes import collect as collect_log
     from deadreckon.data.catalogue import load
     from deadreckon.data.dataset import Dataset
-    from deadreckon.data.io import read
+    from deadreckon.data.formats.io import read
     from deadreckon.mbo.designs import Designs
     from deadreckon.policies.library import load_policies
     from deadreckon.report.recommended import recommend
@@ -43,7 +43,7 @@ _HOMES = {
     "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
     "load_run": ("runs.train", "load"),
-    "read": ("data.io", "read"),
+    "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),

@@ -1,7 +1,9 @@
 """The one exception that users meet, and the words it is made of."""
 
+import contextlib
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 
 class UserError(ValueError):
@@ -32,3 +34,26 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     near = [n if n == n.strip() else repr(n) for n in near]  # a blank at an end would not be seen
     hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
     return UserError(f"unknown {kind} {name!r}: {hint}")
+
+
+@contextlib.contextmanager
+def naming(path: Path | str, name: str) -> Iterator[None]:
+    """Errors about the log `name` name the file instead."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from error
+
+
+@contextlib.contextmanager
+def reading(path: Path | str, kind: str, *more: type[Exception]) -> Iterator[None]:
+    """What a library raises on a damaged or unreadable file, `more` included, becomes one line."""
+    try:
+        yield
+    except UserError:
+        raise
+    except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
+        raise UserError(f"{path}: {(error.strerror or 'cannot be opened').lower()}") from error
+    except (OSError, *more) as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"{path}: cannot be read as {kind}, it is damaged or cut short ({text})") from error

@@ -12,7 +12,7 @@ from deadreckon.agents.natural import Actor, fisher_product, log_prob, natural_s
 from deadreckon.cli.main import main
 from deadreckon.collect.maze2d import demonstrations
 from deadreckon.data.batch import Batch
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist

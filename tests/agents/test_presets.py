@@ -7,7 +7,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.agents import agent_class, preset, preset_for, presets
 from deadreckon.cli.main import main
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.errors import UserError
 from deadreckon.runs.train import agents_of
 from tests.agents.worlds import corridor

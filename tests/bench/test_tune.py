@@ -15,7 +15,7 @@ from deadreckon.bench.suite import Method, Suite
 from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
-from deadreckon.data.io import read
+from deadreckon.data.formats.io import read
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.runs.holdout import divided

@@ -12,7 +12,7 @@ import pytest
 
 from deadreckon.cli.main import main
 from deadreckon.collect import generate
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.runs.train import train
 from tests.ope.test_case import lqr
 

@@ -11,7 +11,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.collect import adroit, generate, recipe, recipe_names
 from deadreckon.data.download import Patience
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.errors import UserError
 from deadreckon.policies import load_dapg
 from deadreckon.policies.kinds import Gaussian
@@ -118,7 +118,7 @@ def test_policies_are_read_without_running_them(real_data):
     assert [w.shape for w in policy.inner.net.weights] == [(45, 64), (64, 64), (64, 48)]
     assert policy(np.zeros((3, 45), np.float32)).shape == (3, 24)
     # One number by hand: the network's first layer, with observations shifted and scaled as the file says.
-    from deadreckon.data.pickles import load_network
+    from deadreckon.policies.torch_pickle import load_network
 
     found = load_network(real_data / "adroit" / "pen-v0_dapg_policy.pickle")
     model, seen = found["model"], np.random.default_rng(0).normal(size=45)

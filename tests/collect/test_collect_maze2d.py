@@ -5,7 +5,7 @@ from deadreckon import collect, tasks
 from deadreckon.collect.maze2d import Pursuit
 from deadreckon.collect.planner import next_cells
 from deadreckon.collect.references import measure
-from deadreckon.data.hdf5 import read_hdf5
+from deadreckon.data.formats.hdf5 import read_hdf5
 from deadreckon.errors import UserError
 from deadreckon.tasks.maze2d import LAYOUTS, TASKS
 

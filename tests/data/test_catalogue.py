@@ -4,7 +4,7 @@ import pytest
 from small_logs import make_log
 
 from deadreckon.data.catalogue import ENTRIES, cached_path, entry, load
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 

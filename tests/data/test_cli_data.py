@@ -7,8 +7,8 @@ from small_logs import make_log
 from deadreckon.cli import progress
 from deadreckon.cli.data import Mapping, data, mapping_options
 from deadreckon.cli.main import main
-from deadreckon.data.hdf5 import write_hdf5
-from deadreckon.data.io import read
+from deadreckon.data.formats.hdf5 import write_hdf5
+from deadreckon.data.formats.io import read
 from deadreckon.errors import UserError
 
 

@@ -174,7 +174,7 @@ def test_strict_refuses_actions_out_of_the_logs_own_bounds():
 
 
 def test_probabilities_are_not_taken_for_their_logarithms(tmp_path):
-    from deadreckon.data.io import convert, read
+    from deadreckon.data.formats.io import convert, read
 
     rows = 13
     sure = np.zeros(rows)

@@ -27,8 +27,8 @@ from deadreckon.data import download
 from deadreckon.data.catalogue import ENTRIES, at_hand, cached_path, entry, load, record_path
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.download import Patience, fetch, get
-from deadreckon.data.hdf5 import write_hdf5
-from deadreckon.data.minari import write_minari
+from deadreckon.data.formats.hdf5 import write_hdf5
+from deadreckon.data.formats.minari import write_minari
 from deadreckon.errors import UserError
 from deadreckon.tasks import task
 from deadreckon.tasks.kitchen import ELEMENTS

@@ -8,8 +8,8 @@ from hypothesis import given
 from small_logs import images, logs, make_log, quick, variants
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.folder import write_folder
-from deadreckon.data.io import _writer, read
+from deadreckon.data.formats.folder import write_folder
+from deadreckon.data.formats.io import _writer, read
 from deadreckon.data.spec import Box
 
 

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from small_logs import quick
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.frame import from_frame
+from deadreckon.data.formats.io import read
 from deadreckon.data.info import warnings_for
-from deadreckon.data.io import read
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 
@@ -47,7 +46,7 @@ def test_the_whole_of_it():
 @given(st.permutations(range(5)))
 def test_the_order_of_the_rows_does_not_matter(order):
     shuffled = {key: [value[row] for row in order] for key, value in TABLE.items()}
-    a, b = from_frame(TABLE, **NAMED), from_frame(shuffled, **NAMED)
+    a, b = Dataset.from_frame(TABLE, **NAMED), Dataset.from_frame(shuffled, **NAMED)
     assert a.fingerprint == b.fingerprint
 
 
@@ -62,11 +61,11 @@ def test_tables_of_all_kinds(library):
     if library == "pandas":
         frame["kind"] = frame["kind"].astype("category")
         frame = frame.set_index(np.arange(10, 15))
-    assert from_frame(frame, **NAMED).fingerprint == from_frame(TABLE, **NAMED).fingerprint
+    assert Dataset.from_frame(frame, **NAMED).fingerprint == Dataset.from_frame(TABLE, **NAMED).fingerprint
 
 
 def test_each_row_is_an_episode_of_a_bandit():
-    log = from_frame(
+    log = Dataset.from_frame(
         {"x": [1, 2], "arm": [0, 1], "click": [0, 1], "p": [0.5, 0.25]}, action="arm", reward="click", propensity="p"
     )
     assert log.terminals.all()
@@ -77,17 +76,17 @@ def test_each_row_is_an_episode_of_a_bandit():
 
 def test_one_stream_cut_by_its_flags():
     table = {"x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0, 0, 0, 0], "end": [0, 1, 0, 0]}
-    log = from_frame(table, action="a", reward="r", terminal="end")
+    log = Dataset.from_frame(table, action="a", reward="r", terminal="end")
     assert log.lengths.tolist() == [2, 2]
-    assert from_frame(table, action="a", reward="r", timeout="end").lengths.tolist() == [2, 2]
-    by_time = from_frame({**table, "t": [4, 3, 2, 1]}, action="a", reward="r", time="t")
+    assert Dataset.from_frame(table, action="a", reward="r", timeout="end").lengths.tolist() == [2, 2]
+    by_time = Dataset.from_frame({**table, "t": [4, 3, 2, 1]}, action="a", reward="r", time="t")
     assert by_time.observations[:, 0].tolist() == [4, 3, 2, 1]
     assert by_time.lengths.tolist() == [4]
 
 
 def test_episodes_follow_one_another_in_time():
     moments = [dt.datetime(2026, 1, day) for day in (5, 6, 1, 2)]
-    log = from_frame({"e": [1, 1, 2, 2], "t": moments, "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
+    log = Dataset.from_frame({"e": [1, 1, 2, 2], "t": moments, "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
                      episode="e", time="t", action="a", reward="r")  # fmt: skip
     assert log.observations[:, 0].tolist() == [3, 4, 1, 2]
 
@@ -112,7 +111,7 @@ def test_rows_that_are_missing_by_their_time_are_told(times, words, dates):
              "t": [start + dt.timedelta(days=t) for t in moments] if dates else moments}  # fmt: skip
     order = np.random.default_rng(0).permutation(rows)
     shuffled = {key: [column[i] for i in order] for key, column in table.items()}
-    told = from_frame(shuffled, episode="e", time="t", action="a", reward="r").warnings
+    told = Dataset.from_frame(shuffled, episode="e", time="t", action="a", reward="r").warnings
     told = [text for text in told if "skip" in text or "start" in text]
     assert len(told) == (0 if dates else len(words))
     assert all(word in text for word, text in zip(words, told))
@@ -120,12 +119,12 @@ def test_rows_that_are_missing_by_their_time_are_told(times, words, dates):
 
 def test_a_gap_behind_an_end_is_none():
     table = {"t": [0, 1, 2, 8, 9], "end": [0, 0, 1, 0, 0], "x": [0.0] * 5, "a": [0] * 5, "r": [0] * 5}
-    log = from_frame(table, time="t", terminal="end", action="a", reward="r")
+    log = Dataset.from_frame(table, time="t", terminal="end", action="a", reward="r")
     assert not [text for text in log.warnings if "skip" in text or "start" in text]
 
 
 def test_without_time_rows_of_an_episode_keep_their_order():
-    log = from_frame({"e": ["z", "a", "z", "a"], "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
+    log = Dataset.from_frame({"e": ["z", "a", "z", "a"], "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
                      episode="e", action="a", reward="r")  # fmt: skip
     assert log.observations[:, 0].tolist() == [1, 3, 2, 4]
     assert log.lengths.tolist() == [2, 2]
@@ -134,7 +133,7 @@ def test_without_time_rows_of_an_episode_keep_their_order():
 def test_missing_values_become_the_mean_and_are_marked_and_counted():
     table = {"x": [1.0, None, 3.0, float("nan")], "k": ["u", None, "v", "u"], "b": [True, False, None, True],
              "a": [0, 1, 0, 1], "r": [0] * 4}  # fmt: skip
-    log = from_frame(table, action="a", reward="r")
+    log = Dataset.from_frame(table, action="a", reward="r")
     names = log.provenance.extra["observation_names"]
     assert names == ["x", "x_missing", "k=u", "k=v", "k_missing", "b=false", "b=true", "b_missing"]
     columns = dict(zip(names, log.observations.T.tolist()))
@@ -158,7 +157,7 @@ def test_missing_values_become_the_mean_and_are_marked_and_counted():
     ],
 )
 def test_discrete_actions(values, codes, n, levels):
-    log = from_frame({"x": [1, 2, 3, 4], "a": values, "r": [0] * 4}, action="a", reward="r")
+    log = Dataset.from_frame({"x": [1, 2, 3, 4], "a": values, "r": [0] * 4}, action="a", reward="r")
     assert log.actions.tolist() == codes
     assert log.action_space == Discrete(n)
     assert log.provenance.extra.get("action_levels") == levels
@@ -166,15 +165,15 @@ def test_discrete_actions(values, codes, n, levels):
 
 
 def test_floats_are_continuous_actions():
-    log = from_frame({"x": [1, 2], "dose": [0.5, 1.0], "r": [0, 1]}, action="dose", reward="r")
+    log = Dataset.from_frame({"x": [1, 2], "dose": [0.5, 1.0], "r": [0, 1]}, action="dose", reward="r")
     assert log.actions.tolist() == [[0.5], [1.0]]
-    both = from_frame({"x": [1, 2], "a": [0, 1], "b": [2, 3], "r": [0, 1]}, action=["b", "a"], reward="r")
+    both = Dataset.from_frame({"x": [1, 2], "a": [0, 1], "b": [2, 3], "r": [0, 1]}, action=["b", "a"], reward="r")
     assert both.actions.tolist() == [[2, 0], [3, 1]]
 
 
 def test_what_is_noticed():
     table = {"": [0, 1, 2], "e": [1, 1, 1], "t": [1, 1, 2], "x": [1, 2, 3], "a": [0, 1, 0], "r": [0] * 3, "d": [1, 0, 0]}
-    log = from_frame(table, episode="e", time="t", action="a", reward="r", terminal="d")
+    log = Dataset.from_frame(table, episode="e", time="t", action="a", reward="r", terminal="d")
     assert log.provenance.extra["observation_names"] == ["x"]
     assert [line.split()[0] for line in log.warnings] == ["column", "1", "1", "1"]
     assert "looks like a row number" in log.warnings[0]
@@ -213,7 +212,7 @@ def test_what_is_noticed():
 )
 def test_bad_tables_are_told_in_one_line(changed, options, words):
     with pytest.raises(UserError, match=words) as caught:
-        from_frame({**TABLE, **changed}, **{**NAMED, **options}, name="shop")
+        Dataset.from_frame({**TABLE, **changed}, **{**NAMED, **options}, name="shop")
     assert str(caught.value).startswith("shop: ")
     assert "\n" not in str(caught.value)
 
@@ -221,14 +220,14 @@ def test_bad_tables_are_told_in_one_line(changed, options, words):
 @pytest.mark.parametrize("frame", [3, {"a": np.zeros((2, 2))}, {"a": [1], "b": [1, 2]}, {"a": [1, "x"]}, {}, {"a": []}])
 def test_what_is_no_table(frame):
     with pytest.raises(UserError, match=r"^frame: ") as caught:
-        from_frame(frame, action="a", reward="a")
+        Dataset.from_frame(frame, action="a", reward="a")
     assert "\n" not in str(caught.value)
 
 
 def test_identifiers_are_not_encoded():
     table = {"id": [f"user {i}" for i in range(2000)], "a": [0] * 2000, "r": [0] * 2000}
     with pytest.raises(UserError, match="column id has 2000 distinct values, at most 1000 are encoded; leave it out"):
-        from_frame(table, action="a", reward="r")
+        Dataset.from_frame(table, action="a", reward="r")
 
 
 def test_real_bandit_feedback(real_data):
@@ -248,7 +247,7 @@ def test_real_bandit_feedback(real_data):
 def test_prefixes_among_several_and_columns_to_ignore():
     table = {"": [0, 1], "t": [dt.datetime(2026, 1, day) for day in (1, 2)], "u_0": [1.0, 2.0], "u_1": [3.0, 4.0], "v": [5, 6],
              "a_0": [0.1, 0.2], "a_1": [0.3, 0.4], "b": [0.5, 0.6], "r": [0, 1]}  # fmt: skip
-    log = from_frame(table, action=["b", "a"], reward="r")
+    log = Dataset.from_frame(table, action=["b", "a"], reward="r")
     np.testing.assert_allclose(log.actions[0], [0.5, 0.1, 0.3], rtol=1e-6)
     assert log.provenance.extra["observation_names"] == ["u_0", "u_1", "v"]
     assert "timestamps are left out of the observations: t" in log.warnings
@@ -259,9 +258,10 @@ def test_prefixes_among_several_and_columns_to_ignore():
         ({"ignore": "v"}, ["u_0", "u_1"]),
         ({"observations": ["u", "v"], "ignore": ["u_0"]}, ["u_1", "v"]),
     ):
-        assert from_frame(table, action=["b", "a"], reward="r", **options).provenance.extra["observation_names"] == names
+        log = Dataset.from_frame(table, action=["b", "a"], reward="r", **options)
+        assert log.provenance.extra["observation_names"] == names
     with pytest.raises(UserError, match="unknown column 'w'"):
-        from_frame(table, action="b", reward="r", ignore=["w"])
+        Dataset.from_frame(table, action="b", reward="r", ignore=["w"])
 
 
 def test_real_bandit_feedback_needs_two_names_only(real_data):
@@ -282,7 +282,7 @@ def test_columns_that_are_kept_are_no_observations(library):
         frame = pa.table({**table, "site": pa.array(table["site"]).dictionary_encode()})
     elif library != "arrays":
         frame = pytest.importorskip(library).DataFrame(table)
-    log = from_frame(frame, **NAMED, keep=("site", "day", "no", "who", "x"))
+    log = Dataset.from_frame(frame, **NAMED, keep=("site", "day", "no", "who", "x"))
     assert log.provenance.extra["observation_names"] == ["kind=blue", "kind=red"]
     assert {name: column.tolist() for name, column in log.extras.items()} == {
         "site": [1, 1, 1, 0, 0], "day": [0, 0, 0, 1, 1], "no": [9, 9, 9, 5, 5], "who": [0, 0, 0, 1, 1], "x": [3, 4, 5, 1, 2],
@@ -294,14 +294,14 @@ def test_columns_that_are_kept_are_no_observations(library):
 
 
 def test_what_is_kept_may_be_observed_where_it_is_named():
-    log = from_frame(TABLE, **NAMED, observations=["x", "kind"], keep="kind")
+    log = Dataset.from_frame(TABLE, **NAMED, observations=["x", "kind"], keep="kind")
     assert log.provenance.extra["observation_names"] == ["x", "kind=blue", "kind=red"]
     assert log.extras["kind"].tolist() == [1, 1, 0, 1, 0]
 
 
 def test_very_many_users_are_codes_without_levels():
     table = {"user": [f"u{i:04d}" for i in range(1200)], "arm": [0, 1] * 600, "click": [0.0] * 1200, "x": range(1200)}
-    log = from_frame(table, action="arm", reward="click", keep="user")
+    log = Dataset.from_frame(table, action="arm", reward="click", keep="user")
     assert log.extras["user"].tolist() == list(range(1200))
     assert "kept_levels" not in log.provenance.extra
 
@@ -316,4 +316,4 @@ def test_very_many_users_are_codes_without_levels():
 def test_what_cannot_be_kept(keep, words):
     table = {**TABLE, "site": ["n", None, "s", "s", "s"], "name": ["n"] * 5, "lists": [[1]] * 5}
     with pytest.raises(UserError, match=words):
-        from_frame(table, **NAMED, observations="x", keep=keep)
+        Dataset.from_frame(table, **NAMED, observations="x", keep=keep)

@@ -11,8 +11,8 @@ from pyarrow import csv, parquet
 from small_logs import make_log, same
 
 from deadreckon.cli.main import main
-from deadreckon.data.io import convert, read
-from deadreckon.data.tables import write_npz
+from deadreckon.data.formats.io import convert, read
+from deadreckon.data.formats.npz import write_npz
 from deadreckon.errors import UserError
 
 HOSTILE = ["../x", "../victim/important", "ABSOLUTE", "a/b", "..", ".", "", "C:\\x", "nul\0", "two\nlines", "x" * 300]
@@ -36,7 +36,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def writer(target: str):
-    from deadreckon.data.io import _writer
+    from deadreckon.data.formats.io import _writer
 
     return lambda log: _writer(target)(log, target, False)
 

@@ -7,7 +7,7 @@ import pytest
 
 from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
-from deadreckon.data.tables import write_npz
+from deadreckon.data.formats.npz import write_npz
 from deadreckon.runs.train import train
 from tests.ope.test_corrected import one_step
 

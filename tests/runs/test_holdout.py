@@ -10,7 +10,7 @@ import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.cli.train import summary
 from deadreckon.collect import generate
-from deadreckon.data.folder import write_folder
+from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.spec import Box
 from deadreckon.data.split import Fold, Holdout
 from deadreckon.errors import UserError

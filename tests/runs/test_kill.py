@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deadreckon.collect import generate
-from deadreckon.data.hdf5 import write_hdf5
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.files import read_json
 from deadreckon.runs.train import load
 

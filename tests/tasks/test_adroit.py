@@ -10,7 +10,8 @@ from gymnasium.utils.env_checker import check_env
 
 import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon import tasks
-from deadreckon.data.pickles import load_pickle, read_pickle
+from deadreckon.data.formats.pickles import read_pickle
+from deadreckon.data.unpickle import load_pickle
 from deadreckon.policies import load_dapg
 from deadreckon.policies.deployed import first_actions
 from deadreckon.tasks.adroit import TASKS, _angles

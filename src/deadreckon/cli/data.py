@@ -163,7 +163,7 @@ def _info(options: Info) -> None:
 
 
 def _convert(options: Convert) -> None:
-    from deadreckon.data.io import convert
+    from deadreckon.data.formats.io import convert
 
     if options.source == options.target:
         raise UserError("source and target are the same")

@@ -30,8 +30,8 @@ def demo(args: Sequence[str]) -> None:
     options = parse(Demo, args, "demo")
     from deadreckon.agents import agent_class
     from deadreckon.collect.battery import collect_battery
-    from deadreckon.data.hdf5 import write_hdf5
-    from deadreckon.data.io import read
+    from deadreckon.data.formats.hdf5 import write_hdf5
+    from deadreckon.data.formats.io import read
     from deadreckon.report import table, write
     from deadreckon.runs.offline import checked, judge, supports
     from deadreckon.runs.train import train

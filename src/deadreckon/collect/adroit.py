@@ -20,7 +20,7 @@ from deadreckon.data.batch import Rows
 from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.download import Patience, download_file
-from deadreckon.data.pickles import read_pickle
+from deadreckon.data.formats.pickles import read_pickle
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.policies.dapg import load_dapg

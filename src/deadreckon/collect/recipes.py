@@ -142,7 +142,7 @@ def collect(
     Raises:
         UserError: an unknown recipe, or a file `out` that is there already.
     """
-    from deadreckon.data.hdf5 import write_hdf5
+    from deadreckon.data.formats.hdf5 import write_hdf5
 
     found = recipe(name)
     path = Path(out) if out is not None else default_path(found, steps, seed)

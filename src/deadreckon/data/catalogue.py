@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.io import read
+from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import home, read_json

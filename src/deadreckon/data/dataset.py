@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.spec import Box, Discrete, Spec, Statistics
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, naming
 
-LOG_PROBS = "behavior_log_probs"  # the column of the logging policy's log-probabilities
 SLACK = 1e-6  # that a logarithm of a probability may lie above 0 by rounding
 _BLOCK = 262_144  # rows looked at together, so that checks never load a memory-mapped column whole
 
@@ -177,11 +177,28 @@ class Dataset:
         return log
 
     @classmethod
-    def from_frame(cls, frame: Any, **options: Any) -> "Dataset":
-        """A table of one's own (pandas, polars, pyarrow or a dict of columns) as a log; see `data.frame.from_frame`."""
-        from deadreckon.data.frame import from_frame
+    def from_frame(
+        cls, frame: Any, *, name: str = "frame", strict: bool = False, source: str = "frame", **mapping: Any
+    ) -> "Dataset":
+        """A table of one's own as a log.
 
-        return from_frame(frame, **options)
+        Args:
+            frame: a pandas, polars or pyarrow table, or a mapping of column names to sequences of `rows` values.
+            name: of the log, used in errors.
+            strict: refuse actions out of bounds instead of warning.
+            source: kind of table, for the provenance.
+            **mapping: which column is what: `action`, `reward`, `episode`, `time`, `observations`, `ignore`, `terminal`,
+                `timeout`, `propensity` and `keep`; see `data.frame.frame_columns`.
+
+        Raises:
+            UserError: one line with the column and the row (counted from 0, as in the table given).
+        """
+        from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
+
+        columns, extra, warnings = frame_columns(frame, name=name, **mapping)
+        with naming(name, name):
+            log = cls.from_arrays(**columns, name=name, provenance=Provenance(source=source, extra=extra), strict=strict)
+        return replace(log, warnings=(*warnings, *log.warnings))
 
     # ---- shape ----------------------------------------------------------------------------------------------------
 

@@ -232,7 +232,7 @@ def forget(part: Path) -> None:
 
 def _original(found: Entry, path: Path, sums: Sums, progress: Progress, patience: Patience) -> Received:
     """Downloads D4RL's file to `path`, byte for byte; where it came from is recorded beside it."""
-    from deadreckon.data.hdf5 import read_hdf5
+    from deadreckon.data.formats.hdf5 import read_hdf5
 
     part = path.with_name(f".{path.name}.part")
     received = fetch(_address(ORIGINAL, found.original or ""), part, sums, progress=progress, patience=patience)
@@ -250,8 +250,8 @@ def _original(found: Entry, path: Path, sums: Sums, progress: Progress, patience
 
 def _twin(found: Entry, path: Path, sums: Sums, progress: Progress, patience: Patience) -> Received:
     """Downloads Minari's files and makes `path` of them, with the columns that every log has."""
-    from deadreckon.data.hdf5 import write_hdf5
-    from deadreckon.data.minari import read_minari
+    from deadreckon.data.formats.hdf5 import write_hdf5
+    from deadreckon.data.formats.minari import read_minari
 
     twin = found.minari or ""
     repository, _, rest = twin.partition("/")  # on the hub the first part of an id is a repository, the rest a folder
@@ -373,7 +373,7 @@ def _there(found: Entry, source: str, path: Path, wanted: str | None) -> Got:
         record = read_json(record_path(path)) if record_path(path).exists() else None
         have = _hashed(path, {"sha256": hashlib.sha256()})["sha256"] if wanted else None
     else:
-        from deadreckon.data.hdf5 import read_hdf5
+        from deadreckon.data.formats.hdf5 import read_hdf5
 
         record, have = read_hdf5(path, mmap=True).provenance.extra, None
     record = record if isinstance(record, Mapping) else {}

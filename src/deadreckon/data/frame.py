@@ -1,23 +1,35 @@
-"""Tables of one's own: columns are named, encoded, sorted into episodes, and become a `Dataset`."""
+"""Tables of one's own: columns are named, encoded and sorted into episodes, as `Dataset.from_arrays` takes them."""
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.encode import Encoder, encode_action, numbers, sorted_indices
-from deadreckon.data.layout import RESERVED, naming
 from deadreckon.errors import UserError, unknown
 
 PROPENSITY = re.compile(r"propensit(y|ies)|p_?scores?|(action_|behaviou?r_|logging_)?prob(s|ability)?|action_probability")
 IDENTITY = re.compile(r"(^|_)(u?u?id|user|customer|patient|session|site)(_?id)?$")
 
 
-def from_frame(
+class FrameColumns(NamedTuple):
+    """What a table becomes.
+
+    Attributes:
+        columns: by `Dataset.from_arrays` names, (rows, ...) each, in the order of episodes and time.
+        extra: for the provenance: names of the observation's dimensions, levels of categories.
+        warnings: what was noticed, one line each.
+    """
+
+    columns: dict[str, Any]
+    extra: dict[str, Any]
+    warnings: list[str]
+
+
+def frame_columns(
     frame: Any,
     *,
     action: str | Sequence[str],
@@ -31,10 +43,8 @@ def from_frame(
     propensity: str | None = None,
     keep: str | Sequence[str] = (),
     name: str = "frame",
-    strict: bool = False,
-    source: str = "frame",
-) -> Dataset:
-    """Makes a log of a table.
+) -> FrameColumns:
+    """The columns of a log that a table holds; `Dataset.from_frame` makes the log of them.
 
     Texts, categories and truth values among the observations become one 0/1 column a level (levels in
     `provenance.extra`); missing numbers become the column's mean, and a 0/1 column `<name>_missing` tells where.
@@ -61,8 +71,6 @@ def from_frame(
             extras, such as the user or the site by which episodes are held out. Texts and times become integer codes, up to
             1,000 levels of each in `provenance.extra`.
         name: of the log, used in errors.
-        strict: refuse actions out of bounds.
-        source: kind of table, for the provenance.
 
     Raises:
         UserError: one line with the column and the row (counted from 0, as in the table given).
@@ -108,7 +116,7 @@ def from_frame(
     for key, column in (("terminals", terminal), ("timeouts", timeout)):
         columns[key] = np.zeros(rows, bool) if column is None else _flags(name, table, column)
     if propensity is not None:
-        columns["behavior_log_probs"] = log_probabilities(name, table, propensity)
+        columns[LOG_PROBS] = log_probabilities(name, table, propensity)
     for column in kept:
         if column in RESERVED | columns.keys():
             raise UserError(f"{name}: a column that is kept cannot be called {column}, which means something else; rename it")
@@ -125,11 +133,7 @@ def from_frame(
     if early:
         encoder.warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
     columns["timeouts"] |= ends & ~columns["terminals"]
-    with naming(name, name):
-        log = Dataset.from_arrays(
-            **columns, name=name, provenance=Provenance(source=source, extra=encoder.extra), strict=strict
-        )
-    return replace(log, warnings=(*encoder.warnings, *log.warnings))
+    return FrameColumns(columns, encoder.extra, encoder.warnings)
 
 
 def to_arrow(frame: Any, name: str = "frame") -> pa.Table:

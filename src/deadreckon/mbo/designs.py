@@ -14,8 +14,7 @@ from pyarrow import csv
 
 from deadreckon.data.encode import category_codes, is_category, is_number, numbers, row_numbers
 from deadreckon.data.frame import check_column, to_arrow
-from deadreckon.data.layout import reading
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, reading, unknown
 from deadreckon.files import replacing
 
 KINDS = ("continuous", "integer", "categorical")

@@ -10,11 +10,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.data.pickles import load_network
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import Deployed
 from deadreckon.policies.kinds import Gaussian
+from deadreckon.policies.torch_pickle import load_network
 
 
 def load_dapg(path: Path | str) -> Deployed:

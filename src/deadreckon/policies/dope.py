@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.data.pickles import load_pickle
+from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import Deployed

@@ -7,7 +7,7 @@ from typing import Any
 
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
-from deadreckon.data.io import read
+from deadreckon.data.formats.io import read
 from deadreckon.errors import UserError
 from deadreckon.ope.dope import Result, evaluate_log
 from deadreckon.ope.registry import as_estimator

@@ -26,7 +26,7 @@ import numpy as np
 
 import deadreckon
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.folder import write_folder
+from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json

@@ -16,8 +16,7 @@ import pyarrow as pa
 from jaxtyping import Array, Float, Int
 from pyarrow import csv
 
-from deadreckon.data.layout import reading
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.oracle import Kept, kept, split
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden

@@ -6,8 +6,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from deadreckon.data.layout import reading
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.forest import forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden

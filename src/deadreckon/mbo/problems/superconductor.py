@@ -17,8 +17,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from deadreckon.data.layout import reading
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, reading, unknown
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.problems.forest import forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden

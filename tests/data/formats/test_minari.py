@@ -9,9 +9,9 @@ from minari.data_collector import EpisodeBuffer
 from small_logs import images, make_log, same
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.hdf5 import read_hdf5
-from deadreckon.data.io import read
-from deadreckon.data.minari import read_minari, write_minari
+from deadreckon.data.formats.hdf5 import read_hdf5
+from deadreckon.data.formats.io import read
+from deadreckon.data.formats.minari import read_minari, write_minari
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 

@@ -8,14 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deadreckon.data import folder as folders
-from deadreckon.data import minari as minaris
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.layout import refuse_mmap
+from deadreckon.data.formats import folder as folders
+from deadreckon.data.formats import minari as minaris
+from deadreckon.data.formats.build import refuse_mmap
 from deadreckon.errors import UserError
 
 FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of deadreckon's"
-_ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")
+_ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
+_MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
+_TELLING = ("folder", "minari")  # say where episodes end
+_TABLES = ("csv", "parquet")  # columns have names of the user's own
 
 
 def read(
@@ -42,30 +45,40 @@ def read(
         UserError: one line with the file, and column and row where they apply.
     """
     kind = sniff(path)
+    options = _options(path, kind, mmap, horizon, mapping)
+    return _reader(kind)(path, strict=strict, name=name, **options)
+
+
+def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mapping: dict[str, Any]) -> dict[str, Any]:
+    """Those options that readers of a format take; what was asked for beyond them is refused."""
     _no_mapping(path, kind, mapping)
-    if mmap and kind not in ("hdf5", "folder"):
+    if mmap and kind not in _MAPPED:
         raise refuse_mmap(path, f"{kind} is not stored column by column")
-    options: dict[str, Any] = {"strict": strict, "name": name}
-    if kind in ("folder", "minari") and horizon is not None:
+    if horizon is not None and kind in _TELLING:
         raise UserError(f"{path}: {kind} says where episodes end; a horizon is for files that do not say")
+    options: dict[str, Any] = mapping if kind in _TABLES else {}
+    if kind in _MAPPED:
+        options = {**options, "mmap": mmap}
+    return options if kind in _TELLING else {**options, "horizon": horizon}
+
+
+def _reader(kind: str) -> Callable[..., Dataset]:
+    """What reads a format. Its library is loaded only where there is such a file."""
     if kind == "folder":
-        return folders.read_folder(path, mmap=mmap, **options)
+        return folders.read_folder
     if kind == "minari":
-        return minaris.read_minari(path, **options)
-    options["horizon"] = horizon
+        return minaris.read_minari
     if kind == "hdf5":
-        from deadreckon.data.hdf5 import read_hdf5
-
-        return read_hdf5(path, mmap=mmap, **options)
-    if kind == "pickle":
-        from deadreckon.data.pickles import read_pickle
-
-        return read_pickle(path, **options)
-    from deadreckon.data import tables
-
-    if kind == "npz":
-        return tables.read_npz(path, **options)
-    return (tables.read_parquet if kind == "parquet" else tables.read_csv)(path, **options, **mapping)
+        from deadreckon.data.formats.hdf5 import read_hdf5 as reader
+    elif kind == "pickle":
+        from deadreckon.data.formats.pickles import read_pickle as reader
+    elif kind == "npz":
+        from deadreckon.data.formats.npz import read_npz as reader
+    elif kind == "parquet":
+        from deadreckon.data.formats.tables import read_parquet as reader
+    else:
+        from deadreckon.data.formats.tables import read_csv as reader
+    return reader
 
 
 def sniff(path: Path | str) -> str:
@@ -152,7 +165,7 @@ def convert(
         log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)
         write(log, target, force)
         return log
-    from deadreckon.data.hdf5 import read_hdf5
+    from deadreckon.data.formats.hdf5 import read_hdf5
 
     # A file larger than memory can be converted: its columns go through copies on disk, beside the target because the
     # system's temporary folder may be in memory, and nobody sees them afterwards.
@@ -177,14 +190,17 @@ def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
     if str(target).endswith("/") or not ending:
         return lambda log, path, force: folders.write_folder(log, path, force=force)
     if ending in (".hdf5", ".h5"):
-        from deadreckon.data.hdf5 import write_hdf5
+        from deadreckon.data.formats.hdf5 import write_hdf5
 
         return lambda log, path, force: write_hdf5(log, path)
-    if ending in _ENDINGS:
-        from deadreckon.data import tables
+    if ending == ".npz":
+        from deadreckon.data.formats.npz import write_npz
 
-        writers = {".parquet": tables.write_parquet, ".csv": tables.write_csv, ".npz": tables.write_npz}
-        return lambda log, path, force: writers[ending](log, path)
+        return lambda log, path, force: write_npz(log, path)
+    if ending in _ENDINGS:
+        from deadreckon.data.formats.tables import write_csv, write_parquet
+
+        return lambda log, path, force: (write_csv if ending == ".csv" else write_parquet)(log, path)
     known = ", ".join(_ENDINGS)
     raise UserError(f"{target}: unknown ending {ending}; known: {known}, none (a folder), minari:ns/name-v0")
 
@@ -192,7 +208,7 @@ def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
 def _no_mapping(path: Path | str, kind: str, mapping: dict[str, Any]) -> None:
     """Refuses names of columns for formats whose columns have names of their own."""
     given = sorted(key for key, value in mapping.items() if value is not None and key != "name")
-    if given and kind not in ("parquet", "csv"):
+    if given and kind not in _TABLES:
         raise UserError(f"{path}: {given[0]} names a column of a table, but this is {kind}, which has its own")
 
 

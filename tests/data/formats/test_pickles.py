@@ -7,10 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from deadreckon.data.io import read
-from deadreckon.data.pickles import load_network, load_pickle, read_pickle
+from deadreckon.data.formats.io import read
+from deadreckon.data.formats.pickles import read_pickle
 from deadreckon.data.spec import Box
+from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
+from deadreckon.policies.torch_pickle import load_network
 
 
 def episodes(lengths=(3, 2)):
@@ -88,7 +90,7 @@ def test_a_pickle_that_runs_a_command_is_refused_and_nothing_runs(tmp_path, prot
 def test_arrays_of_other_things_than_numbers_are_refused(tmp_path, value):
     path = tmp_path / "x.pickle"
     path.write_bytes(pickle.dumps({"actions": value}))
-    program = f"from deadreckon.data.pickles import load_pickle\nload_pickle({str(path)!r})"
+    program = f"from deadreckon.data.unpickle import load_pickle\nload_pickle({str(path)!r})"
     if isinstance(value, Runs):
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
         assert done.returncode == 1

@@ -4,28 +4,19 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
 from deadreckon.data.dataset import Dataset, Provenance
-from deadreckon.data.layout import (
-    COLUMNS,
-    NEEDED,
-    build,
-    columns_of,
-    extra_name,
-    header,
-    header_of,
-    naming,
-    parse_header,
-    reading,
-    refuse_mmap,
-)
+from deadreckon.data.formats.build import build, columns_of, refuse_mmap
+from deadreckon.data.formats.header import Header
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, naming, reading
 from deadreckon.files import digest, replacing, reserve, safe_name
 
 _BLOCK = 262_144  # rows copied at a time
@@ -63,8 +54,8 @@ def read_hdf5(
         UserError: one line: not an hdf5 file, cut short, columns missing or wrong, or not to be memory-mapped.
     """
     with reading(path, "hdf5", RuntimeError, KeyError, ValueError), h5py.File(path, "r") as file:
-        about = _header(path, file)
-        if about is None and "episode_0" in file:
+        header = _header(path, file)
+        if header is None and "episode_0" in file:
             raise UserError(f"{path}: the inside of a Minari data set; give its folder, which holds metadata.json")
         rows = _rows(path, file)
         columns: dict[str, Any] = {}
@@ -79,13 +70,13 @@ def read_hdf5(
             elif key not in COLUMNS and dataset.shape[:1] == (rows,) and dataset.dtype.kind not in "fiub":
                 left_out.append(key)
             elif key not in COLUMNS and dataset.shape[:1] == (rows,):
-                extra = _RENAMED.get(key) if about is None else None
+                extra = _RENAMED.get(key) if header is None else None
                 with naming(path, ""):
                     extra = extra or extra_name(key, columns)
                 columns[extra] = _load(path, key, dataset, mmap, scratch)
     found = {"metadata": metadata, "left_out": left_out}
     extra = {key: value for key, value in found.items() if value}
-    return build(path, columns, about, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon)
+    return build(path, columns, header, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon)
 
 
 def write_hdf5(log: Dataset, path: Path | str) -> None:
@@ -96,9 +87,8 @@ def write_hdf5(log: Dataset, path: Path | str) -> None:
     """
     columns = columns_of(log)
     finals = columns.pop("final_observations"), columns.pop("final_known")
-    about = header_of(log)
     shapes = {key: (column.shape[1:], column.dtype) for key, column in columns.items()}
-    with create(path, rows=len(log), columns=shapes, about=about, episodes=log.episodes) as writer:
+    with create(path, rows=len(log), columns=shapes, header=Header.of(log), episodes=log.episodes) as writer:
         for key, column in columns.items():
             copy_rows(column, writer[key])
         writer.write_finals(*finals)
@@ -111,10 +101,10 @@ class Writer:
         provenance: stored when the file is closed; may be replaced until then.
     """
 
-    def __init__(self, file: h5py.File, about: dict[str, Any]):
+    def __init__(self, file: h5py.File, header: Header):
         self.file = file
-        self._about = about
-        self.provenance = Provenance(**about["provenance"])
+        self._header = header
+        self.provenance = header.provenance
 
     def __getitem__(self, column: str) -> h5py.Dataset:
         """The column's writable h5py dataset, by `Dataset.from_arrays` name."""
@@ -143,8 +133,7 @@ class Writer:
 
     def close(self) -> None:
         """Stores the header; `create` calls it."""
-        about = header("", None, self.provenance)
-        self.file.attrs[_HEADER] = json.dumps({**self._about, "provenance": about["provenance"]})
+        self.file.attrs[_HEADER] = json.dumps(replace(self._header, provenance=self.provenance).to_json())
 
 
 @contextlib.contextmanager
@@ -156,7 +145,7 @@ def create(
     name: str = "log",
     action_space: Box | Discrete | None = None,
     provenance: Provenance | None = None,
-    about: dict[str, Any] | None = None,
+    header: Header | None = None,
     episodes: int | None = None,
 ) -> Iterator[Writer]:
     """An hdf5 log of known length to be filled in any order; it appears at `path` only if the block ends well.
@@ -168,7 +157,7 @@ def create(
         name: of the log.
         action_space: bounds of the environment.
         provenance: where the log comes from; `writer.provenance` may replace it before the end.
-        about: the header as a whole, instead of the last three.
+        header: as a whole, instead of the last three.
         episodes: how many there will be, for the space that their final observations take; `rows` at most.
 
     Raises:
@@ -177,7 +166,7 @@ def create(
     """
     for key in columns:
         safe_name(key, f"{path}: column")
-    about = about or header(name, action_space, provenance or Provenance())
+    header = header or Header(name, action_space, provenance or Provenance())
     sizes = {key: math.prod(shape) * np.dtype(dtype).itemsize for key, (shape, dtype) in columns.items()}
     finals = (rows if episodes is None else episodes) * (sizes.get("observations", 0) + 1)
     with replacing(path) as temporary:
@@ -185,7 +174,7 @@ def create(
         reserve(temporary, rows * sum(sizes.values()) + finals + _OVERHEAD)
         # Aligned columns, so that a memory map of one is as fast as an array.
         with h5py.File(temporary, "w", alignment_threshold=1, alignment_interval=64) as file:
-            writer = Writer(file, about)
+            writer = Writer(file, header)
             for key, (shape, dtype) in columns.items():
                 writer.add(key, (rows, *shape), dtype)
             yield writer
@@ -260,5 +249,5 @@ def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:
     return {key: value.decode("utf-8", "replace") if isinstance(value, bytes) else value}
 
 
-def _header(path: Path | str, file: h5py.File) -> dict[str, Any] | None:
-    return parse_header(path, str(file.attrs[_HEADER])) if _HEADER in file.attrs else None
+def _header(path: Path | str, file: h5py.File) -> Header | None:
+    return Header.parse(path, str(file.attrs[_HEADER])) if _HEADER in file.attrs else None

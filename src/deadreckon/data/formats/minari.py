@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.columns import extra_name
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.layout import build, checked_header, extra_name, header_of, naming, reading
+from deadreckon.data.formats.build import build
+from deadreckon.data.formats.header import Header
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, naming, reading, unknown
 from deadreckon.files import read_json, safe_name
 
 PREFIX = "minari:"
@@ -56,10 +58,11 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
         columns = _joined(parts)
     columns["actions"] = columns["actions"] - start if isinstance(space, Discrete) else columns["actions"]
     about = metadata.get("deadreckon")
-    about = None if about is None else checked_header(folder / _METADATA, about)
+    header = None if about is None else Header.from_json(folder / _METADATA, about)
     extra = {key: metadata[key] for key in _KEPT if key in metadata}
-    name = name or (about or {}).get("name") or str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
-    return build(folder, columns, about, source="minari", name=name, action_space=space, extra=extra, strict=strict)
+    if name is None and header is None:
+        name = str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
+    return build(folder, columns, header, source="minari", name=name, action_space=space, extra=extra, strict=strict)
 
 
 def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
@@ -102,7 +105,7 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
                     algorithm_name=log.provenance.recipe or log.provenance.source,
                     jpeg_encoding=False,
                 )
-                made.storage.update_metadata({"deadreckon": header_of(log)})
+                made.storage.update_metadata({"deadreckon": Header.of(log).to_json()})
             if target.exists():
                 shutil.rmtree(target)
             # Namespaces on the way have a description each, which Minari wants to see.

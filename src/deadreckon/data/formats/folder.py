@@ -11,8 +11,9 @@ from typing import IO, Any
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.layout import build, columns_of, damaged, header_of, parse_header, reading
-from deadreckon.errors import UserError
+from deadreckon.data.formats.build import build, columns_of
+from deadreckon.data.formats.header import Header, damaged
+from deadreckon.errors import UserError, reading
 from deadreckon.files import safe_name
 
 HEADER = "log.json"
@@ -46,7 +47,7 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
                 np.save(file, column, allow_pickle=False)
                 _sync(file)
         with open(temporary / HEADER, "w") as file:
-            file.write(json.dumps({**header_of(log), "columns": list(columns)}, indent=1) + "\n")
+            file.write(json.dumps(Header.of(log, columns=list(columns)).to_json(), indent=1) + "\n")
             _sync(file)
         temporary.chmod(0o755)
         _put(temporary, path)
@@ -70,8 +71,8 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
     path = Path(path)
     with reading(path / HEADER, "a header", UnicodeDecodeError):
         text = (path / HEADER).read_text()
-    about = parse_header(path / HEADER, text)
-    keys = about.get("columns")
+    header = Header.parse(path / HEADER, text)
+    keys = header.columns
     if not isinstance(keys, list) or not all(isinstance(key, str) for key in keys):
         raise damaged(path / HEADER, "no list of columns")
     columns = {}
@@ -81,7 +82,7 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
             raise UserError(f"{path}: column file {key}.npy is missing")
         with reading(file, "a .npy column", ValueError, EOFError):
             columns[key] = np.load(file, mmap_mode="r" if mmap else None, allow_pickle=False)
-    return build(path, columns, about, name=name, strict=strict)
+    return build(path, columns, header, name=name, strict=strict)
 
 
 def _put(folder: Path, path: Path) -> None:

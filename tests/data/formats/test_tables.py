@@ -9,8 +9,10 @@ import pytest
 from small_logs import images, make_log, same
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.io import convert, read
-from deadreckon.data.tables import read_csv, read_npz, read_parquet, to_table, write_csv, write_npz, write_parquet
+from deadreckon.data.formats.io import convert, read
+from deadreckon.data.formats.npz import read_npz, write_npz
+from deadreckon.data.formats.spread import to_table
+from deadreckon.data.formats.tables import read_csv, read_parquet, write_csv, write_parquet
 from deadreckon.errors import UserError
 
 

@@ -5,11 +5,12 @@ import pytest
 from small_logs import images, make_log, same
 
 from deadreckon.data.dataset import Dataset, Provenance
-from deadreckon.data.folder import write_folder
-from deadreckon.data.hdf5 import create, read_hdf5, write_hdf5
-from deadreckon.data.io import convert, read
+from deadreckon.data.formats.folder import write_folder
+from deadreckon.data.formats.hdf5 import create, read_hdf5, write_hdf5
+from deadreckon.data.formats.io import convert, read
+from deadreckon.data.formats.npz import write_npz
+from deadreckon.data.formats.tables import write_parquet
 from deadreckon.data.spec import Box
-from deadreckon.data.tables import write_npz, write_parquet
 from deadreckon.errors import UserError
 
 

@@ -1,0 +1,117 @@
+"""How the columns of any file become a `Dataset`, and a `Dataset` the columns of a file."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.columns import COLUMNS, NEEDED, renamed
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.formats.header import Header
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError, naming
+
+_ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
+
+
+def build(
+    path: Path | str,
+    columns: Mapping[str, Any],
+    header: Header | None = None,
+    *,
+    source: str = "file",
+    name: str | None = None,
+    action_space: Box | Discrete | None = None,
+    extra: Mapping[str, Any] | None = None,
+    strict: bool = False,
+    horizon: int | None = None,
+) -> Dataset:
+    """Checks columns read from `path` and makes a log of them.
+
+    Args:
+        path: named in errors and kept in the provenance.
+        columns: by `from_arrays` names; other names are extras, `infos_name` for one that is called `name` or such.
+        header: of the file, if it is one of ours.
+        source: kind of file, for the provenance of files that are not ours.
+        name: of the log; the header's, else the file's, if absent.
+        action_space: the header's, else the range of the data, if absent.
+        extra: what else the file says, for the provenance of files that are not ours.
+        strict: refuse actions out of bounds.
+        horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
+
+    Raises:
+        UserError: one line with file, column and row.
+    """
+    for key in NEEDED:
+        if key not in columns:
+            found = ", ".join(sorted(columns)) or "none"
+            raise UserError(f"{path}: no column {key}; {', '.join(NEEDED)} are needed, the file has {found}")
+    # Read as mere extras, these would leave a log without ends: better no log than a wrong one.
+    for key in ("dones", "done", "terminations") if "terminals" not in columns else ():
+        if key in columns:
+            raise UserError(f"{path}: column {key} must be called terminals (the task ended) or timeouts (a time limit)")
+    about = header or Header(name or stem(path), None, Provenance(source=source, extra=dict(extra or {})))
+    name, provenance = name or about.name, about.provenance
+    with naming(path, ""):
+        given = renamed(columns)
+    if horizon is not None:
+        given["timeouts"] = _cut(path, given, horizon)
+        provenance = replace(provenance, extra={**provenance.extra, "horizon": horizon})
+    with naming(path, name):
+        log = Dataset.from_arrays(
+            action_space=action_space or about.action_space,
+            name=name,
+            provenance=replace(provenance, path=str(path)),
+            strict=strict,
+            **given,
+        )
+    if header is None and log.lengths.max() > 1 and not _ENDS & given.keys():
+        text = "no timeouts and no next_observations: time limits that are not marked would be crossed"
+        log = replace(log, warnings=(*log.warnings, f"{text} (a horizon marks them)"))
+    return log
+
+
+def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarray:
+    """Timeouts, with more of them after every `horizon` steps of an episode."""
+    if horizon < 1:
+        raise UserError(f"{path}: horizon must be >= 1, got {horizon}")
+    told = "final_observations" if "final_observations" in columns else "next_observations"
+    if told in columns and (told == "final_observations" or "timeouts" not in columns):
+        raise UserError(f"{path}: its {told} tell where episodes end; a horizon is for files that do not say")
+    rows = len(columns["actions"]) if np.ndim(columns["actions"]) else 0
+    flags = {key: np.asarray(columns.get(key, np.zeros(rows, bool))) for key in ("terminals", "timeouts")}
+    for key, flag in flags.items():
+        if flag.size != rows:
+            raise UserError(f"{path}: column {key} has {flag.size} values, actions have {rows} rows")
+    if flags["timeouts"].dtype.kind not in "fiub":
+        return flags["timeouts"]  # refused by those who check all columns
+    ends = (flags["terminals"].reshape(rows) != 0) | (flags["timeouts"].reshape(rows) != 0)
+    row = np.arange(rows)
+    start = np.zeros(rows, np.int64)
+    start[1:] = np.where(ends[:-1], row[1:], 0)
+    step = row - np.maximum.accumulate(start)
+    cut = (step % horizon == horizon - 1) & ~ends
+    return np.where(cut, np.ones(1, flags["timeouts"].dtype), flags["timeouts"].reshape(rows))
+
+
+def stem(path: Path | str) -> str:
+    """A log's name made of its file's: without folders and without the endings of formats."""
+    name = Path(path).name
+    for ending in (".gz", ".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl"):
+        name = name.removesuffix(ending)
+    return name or "log"
+
+
+def refuse_mmap(path: Path | str, why: str) -> UserError:
+    """The error for a file that cannot be memory-mapped, with the way out."""
+    return UserError(f"{path}: {why}, so it cannot be memory-mapped: `deadreckon data convert {path} OUT.hdf5` first")
+
+
+def columns_of(log: Dataset) -> dict[str, np.ndarray]:
+    """The columns that make up `log`, by `from_arrays` names: (rows, ...) each, `final_*` (episodes, ...)."""
+    columns = {key: getattr(log, key) for key in COLUMNS if key != "next_observations"}
+    if log.successors is not None:
+        columns["next_observations"] = log.successors
+    return {**columns, **log.extras}

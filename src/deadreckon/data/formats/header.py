@@ -1,0 +1,76 @@
+"""What our own files say of a log beside its columns: a header of JSON values."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.spec import Box, Discrete, action_space_from_json, action_space_to_json
+from deadreckon.errors import UserError
+
+FORMAT = 1  # raised when an older deadreckon could not read what we write
+
+
+@dataclass(frozen=True)
+class Header:
+    """The header of a log, written or still being written.
+
+    Attributes:
+        name: of the log.
+        action_space: None where the log does not say.
+        provenance: where the log comes from.
+        columns: what a format notes of its columns: their names in a folder, their shapes in Parquet; else None.
+    """
+
+    name: str
+    action_space: Box | Discrete | None
+    provenance: Provenance
+    columns: Any = None
+
+    @classmethod
+    def of(cls, log: Dataset, columns: Any = None) -> "Header":
+        """That of a log."""
+        return cls(log.name, log.action_space, log.provenance, columns)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values, which `from_json` reads back."""
+        space = None if self.action_space is None else action_space_to_json(self.action_space)
+        found = {"deadreckon": FORMAT, "name": self.name, "action_space": space, "provenance": asdict(self.provenance)}
+        return found if self.columns is None else {**found, "columns": self.columns}
+
+    @classmethod
+    def parse(cls, path: Path | str, text: str | bytes) -> "Header":
+        """The header in `text`.
+
+        Raises:
+            UserError: one line: it is damaged, or a newer deadreckon's.
+        """
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise damaged(path, f"not valid JSON: {error}") from error
+        return cls.from_json(path, value)
+
+    @classmethod
+    def from_json(cls, path: Path | str, value: Any) -> "Header":
+        """`value` as a header; raises like `parse`."""
+        version = value.get("deadreckon") if isinstance(value, dict) else None
+        if type(version) is not int:
+            raise damaged(path, "it names no format")
+        if version > FORMAT:
+            raise UserError(f"{path}: written by a newer deadreckon (format {version}); update to read it")
+        try:
+            provenance, space = Provenance(**value["provenance"]), value["action_space"]
+            for part, kind in ((value["name"], str), (provenance.extra, dict), (provenance.versions, dict)):
+                if not isinstance(part, kind):
+                    raise TypeError(f"{part!r} is no {kind.__name__}")
+            space = None if space is None else action_space_from_json(space)
+        except (KeyError, TypeError, ValueError) as error:
+            raise damaged(path, f"{type(error).__name__}: {error}") from error
+        return cls(value["name"], space, provenance, value.get("columns"))
+
+
+def damaged(path: Path | str, why: str) -> UserError:
+    """The error for a header that is none."""
+    return UserError(f"{path}: its header is damaged ({why})")

@@ -1,0 +1,50 @@
+"""Logs as npz files: one array a column, by `Dataset.from_arrays` names."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.build import build, columns_of
+from deadreckon.data.formats.header import Header
+from deadreckon.errors import UserError, reading
+from deadreckon.files import replacing, safe_name
+
+_HEADER = "deadreckon"  # the array that holds the header as JSON
+
+
+def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
+    """Reads an npz file with columns by `Dataset.from_arrays` names (D4RL's).
+
+    Raises:
+        UserError: one line: damaged, columns missing or wrong, or arrays that hold Python objects.
+    """
+    with (
+        reading(path, "npz", ValueError, KeyError, EOFError, zipfile.BadZipFile),
+        np.load(path, allow_pickle=False) as file,
+    ):
+        columns = {key: file[key] for key in file.files}
+    text = columns.pop(_HEADER, None)
+    header = None if text is None else Header.parse(path, str(text))
+    return build(path, columns, header, source="npz", name=name, strict=strict, horizon=horizon)
+
+
+def write_npz(log: Dataset, path: Path | str) -> None:
+    """Writes `log` as a compressed npz that `read_npz` gives back exactly. Atomic.
+
+    Raises:
+        UserError: a column's name can be no file's, as which whatever unpacks the archive takes it; or the file cannot be
+            written.
+    """
+    columns = columns_of(log)
+    for key in columns:
+        safe_name(key, f"{path}: column")
+    if _HEADER in columns:
+        raise UserError(f"{path}: column {_HEADER} has the name of the header in an npz file; rename it")
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        # Not by `savez_compressed`, to which columns called file or allow_pickle would be arguments.
+        for key, column in {**columns, _HEADER: np.array(json.dumps(Header.of(log).to_json()))}.items():
+            with archive.open(f"{key}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(column), allow_pickle=False)

@@ -1,0 +1,70 @@
+"""Logs as pickles: a dict of D4RL's columns, or a list of such dicts, one an episode, as Adroit's demonstrations are."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.columns import COLUMNS, NEEDED
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.build import build, stem
+from deadreckon.data.spec import Box
+from deadreckon.data.unpickle import load_pickle
+from deadreckon.errors import UserError
+
+
+def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
+    """Reads a pickled log: a dict of D4RL's columns, or a list of such dicts, one an episode.
+
+    The human demonstrations of Adroit (dicts with `init_state_dict`, which is not kept) have T observations for T
+    actions, so the last row of each episode has no known successor; their actions are bounded by -1 and 1, and
+    `door-v0_demos.pickle` is called `door-human`.
+
+    Raises:
+        UserError: one line that names file, episode, column and row.
+    """
+    value = load_pickle(path)
+    if isinstance(value, Mapping):
+        columns = {str(key): column for key, column in value.items() if isinstance(column, np.ndarray)}
+        return build(path, columns, source="pickle", name=name, strict=strict, horizon=horizon)
+    if not isinstance(value, list) or not value or not all(isinstance(episode, Mapping) for episode in value):
+        raise UserError(f"{path}: a list of episodes (dicts of arrays) is needed, found {type(value).__name__}")
+    columns = _joined(path, value)
+    adroit = "init_state_dict" in value[0]
+    space = None
+    if adroit:
+        size = columns["actions"].shape[-1]
+        space = Box((-1.0,) * size, (1.0,) * size)
+    if name is None:
+        name = stem(path)
+        task, _, rest = name.partition("-v0_")
+        name = f"{task}-human" if adroit and rest == "demos" else name
+    source = "adroit-demonstrations" if adroit else "pickle"
+    return build(path, columns, source=source, name=name, action_space=space, strict=strict, horizon=horizon)
+
+
+def _joined(path: Path | str, episodes: list[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Columns of all episodes, one after another, with a timeout at the end of each that has no terminal there."""
+    keys = [key for key in COLUMNS if not key.startswith("final_") and key in episodes[0]]
+    for number, episode in enumerate(episodes):
+        for key in dict.fromkeys((*NEEDED, *keys)):
+            if not isinstance(episode.get(key), np.ndarray) or not episode[key].ndim:
+                raise UserError(f"{path}: episode {number} has no array {key}")
+        for key in keys:
+            if len(episode[key]) != len(episode["actions"]):
+                have = f"{len(episode[key])} {key} and {len(episode['actions'])} actions"
+                raise UserError(f"{path}: episode {number} has {have}; equally many are needed")
+        if not len(episode["actions"]):
+            raise UserError(f"{path}: episode {number} has no steps")
+    columns: dict[str, np.ndarray] = {}
+    for key in keys:
+        try:
+            columns[key] = np.concatenate([episode[key] for episode in episodes])
+        except ValueError as error:
+            raise UserError(f"{path}: column {key} has another shape in some episode ({error})") from error
+    last = np.cumsum([len(episode["actions"]) for episode in episodes]) - 1
+    rows = len(columns["actions"])
+    timeouts = np.asarray(columns.get("timeouts", np.zeros(rows)), bool).reshape(rows)
+    timeouts[last] |= ~np.asarray(columns.get("terminals", np.zeros(rows)), bool).reshape(rows)[last]
+    return {**columns, "timeouts": timeouts}

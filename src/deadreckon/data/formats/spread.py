@@ -1,0 +1,165 @@
+"""A log as one table under our names: a vector is spread over columns `observation_0, observation_1, ...`, and
+`final_observation_*` is filled in the last row of an episode alone."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.encode import numbers
+from deadreckon.data.formats.build import columns_of
+from deadreckon.data.formats.header import Header, damaged
+from deadreckon.data.frame import numbered
+from deadreckon.errors import UserError
+
+# Our name in a table for each column of a log.
+_SINGULAR = {"observations": "observation", "actions": "action", "rewards": "reward", "terminals": "terminal",
+             "timeouts": "timeout", "next_observations": "next_observation",
+             "final_observations": "final_observation"}  # fmt: skip
+_PLURAL = {value: key for key, value in _SINGULAR.items()}
+Shapes = dict[str, tuple[tuple[int, ...], np.dtype]]  # {column: (shape of a row, dtype)}
+
+
+def to_table(log: Dataset) -> pa.Table:
+    """`log` as a pyarrow table: `episode`, then every column, vectors spread over name_0, name_1, ..."""
+    table: dict[str, Any] = {"episode": log.episode_of}
+    columns = columns_of(log)
+    known = columns.pop("final_known")
+    final = columns.pop("final_observations")
+    for key, column in columns.items():
+        _spread(table, _SINGULAR.get(key, key), column)
+    if log.successors is None:
+        rows = log.ends[known]
+        elsewhere = np.ones(len(log), bool)
+        elsewhere[rows] = False
+        for index, values in enumerate(final.reshape(len(final), -1)[known].T):
+            spread = np.zeros(len(log), final.dtype)
+            spread[rows] = values
+            table[f"final_observation_{index}"] = pa.array(spread, mask=elsewhere)
+    return pa.table(table)
+
+
+def _spread(table: dict[str, Any], name: str, column: np.ndarray) -> None:
+    if column.ndim == 1:
+        table[name] = np.asarray(column)
+        return
+    for index, values in enumerate(np.asarray(column).reshape(len(column), -1).T):
+        table[f"{name}_{index}"] = np.ascontiguousarray(values)
+
+
+def shapes_of(log: Dataset) -> dict[str, Any]:
+    """What a table does not say of the columns of `log`, as JSON values for its header."""
+    return {key: (list(column.shape[1:]), str(column.dtype)) for key, column in columns_of(log).items()}
+
+
+def told_shapes(path: Path | str, header: Header) -> Shapes:
+    """What `shapes_of` put into a header."""
+    try:
+        shapes = {key: (tuple(shape), np.dtype(dtype)) for key, (shape, dtype) in (header.columns or {}).items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise damaged(path, f"columns: {error}") from error
+    for key, (shape, dtype) in shapes.items():
+        if not all(type(size) is int and size >= 0 for size in shape) or dtype.kind not in "fiub":
+            raise damaged(path, f"column {key} of shape {list(shape)}, {dtype}")
+    return shapes
+
+
+def from_table(path: Path | str, table: pa.Table, shapes: Shapes | None = None) -> dict[str, np.ndarray]:
+    """The columns of a table that has our names, by `from_arrays` names.
+
+    Args:
+        path: named in errors.
+        table: (rows,) of each column.
+        shapes: of columns that were more than vectors, by `told_shapes`.
+
+    Raises:
+        UserError: one line with file, column and row.
+    """
+    if not table.num_rows:
+        raise UserError(f"{path}: the log has no rows")
+    shapes = shapes or {}
+    columns: dict[str, np.ndarray] = {}
+    for name, parts in _groups(table.column_names, shapes).items():
+        key = _PLURAL.get(name, name)
+        if name in ("episode", "final_observation"):
+            continue
+        values = [_values(path, table, part) for part in parts]
+        column = values[0] if parts == [name] else np.stack(values, 1)
+        if key == "actions" and parts != [name]:
+            column = column.astype(np.float32)  # action_0 alone is a vector of one, even where CSV shows 1, 0, 1
+        if key in shapes:
+            shape, dtype = shapes[key]
+            if column[:1].size != math.prod(shape):
+                raise damaged(path, f"column {key} of shape {list(shape)} has {column[:1].size} numbers a row")
+            column = column.reshape(len(column), *shape).astype(dtype, copy=False)
+        columns[key] = column
+    rows = table.num_rows
+    if "episode" in table.column_names:
+        episode = numbers(str(path), table, "episode")
+        change = np.append(episode[1:] != episode[:-1], True)
+        if int(change.sum()) != len(np.unique(episode)):
+            row = _returns(episode, change)
+            raise UserError(
+                f"{path}: the rows of episode {episode[row]:g} are not together (row {row}); "
+                "name all columns (--episode, --time, --action, --reward) to have them sorted"
+            )
+        terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
+        columns["timeouts"] = np.asarray(columns.get("timeouts", np.zeros(rows, bool))) | (change & (terminals == 0))
+    finals = _groups(table.column_names, shapes).get("final_observation")
+    if finals and "next_observations" not in columns:
+        columns |= _finals(path, table, finals, columns)
+    return columns
+
+
+def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    ends = np.asarray(columns.get("terminals", np.zeros(table.num_rows, bool))) != 0
+    ends |= np.asarray(columns.get("timeouts", np.zeros(table.num_rows, bool))) != 0
+    ends[-1:] = True
+    rows = np.flatnonzero(ends)
+    known = ~table.column(parts[0]).is_null().to_numpy()[rows]
+    last = table.select(parts).take(rows).filter(pa.array(known))
+    shape = columns["observations"].shape[1:]
+    final = np.zeros((len(rows), *shape), columns["observations"].dtype)
+    values = np.stack([_values(path, last, part) for part in parts], 1)
+    if values.shape[1] != int(np.prod(shape)):
+        raise UserError(f"{path}: {len(parts)} columns final_observation_*, {int(np.prod(shape))} are needed")
+    final[known] = values.reshape(-1, *shape)
+    return {"final_observations": final, "final_known": known}
+
+
+def _groups(names: list[str], shapes: Shapes) -> dict[str, list[str]]:
+    """{column of the log: its columns in the table}: name_0, name_1, ... belong together if all are there."""
+    scalars = {key for key, (shape, _) in shapes.items() if not shape}
+    groups: dict[str, list[str]] = {}
+    for column in names:
+        prefix, _, number = column.rpartition("_")
+        together = number.isdecimal() and prefix and column not in scalars
+        groups.setdefault(prefix if together else column, []).append(column)
+    return {key: parts if parts == [key] else numbered(parts, key) for key, parts in groups.items()}
+
+
+def _values(path: Path | str, table: pa.Table, column: str) -> np.ndarray:
+    """A column as it is stored; missing values and texts are refused."""
+    values = table.column(column)
+    if not len(values):
+        return np.zeros(0, np.float32)
+    if pa.types.is_null(values.type) or values.null_count:
+        row = int(np.argmax(values.is_null().to_numpy()))
+        raise UserError(f"{path}: column {column} is empty in row {row}")
+    if not (pa.types.is_boolean(values.type) or pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
+        raise UserError(
+            f"{path}: column {column} holds {values.type}, numbers are needed; name your columns "
+            "(--action, --reward, --observations) to have it encoded or left out"
+        )
+    return values.to_numpy()
+
+
+def _returns(episode: np.ndarray, change: np.ndarray) -> int:
+    """The first row of an episode that was left before."""
+    starts = np.append(0, np.flatnonzero(change)[:-1] + 1)
+    _, first = np.unique(episode[starts], return_index=True)
+    again = np.setdiff1d(np.arange(len(starts)), first)
+    return int(starts[again[0]])
