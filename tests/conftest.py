@@ -1,4 +1,4 @@
-"""What every test shares: the compilation cache, a private home, and the real files where they are at hand."""
+"""What every test shares: checked shapes, the compilation cache, a private home, and real files where they are at hand."""
 
 import html
 import json
@@ -9,6 +9,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
+from tests import shapes
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("DEADRECKON_TEST_DATA") or ROOT.parent / "shared" / "data")
@@ -23,6 +25,7 @@ def _pin() -> None:
 
 
 _pin()  # before anything starts threads
+shapes.check()  # before anything of the package is imported
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -95,7 +95,7 @@ def create_critics(
 
 
 def bellman_loss(
-    critics: MLP, batch: Batch, target: Float[Array, "b"], weight: Float[Array, "b"] | None = None
+    critics: MLP, batch: Batch, target: Float[Array, "*k b"], weight: Float[Array, "b"] | None = None
 ) -> tuple[Float[Array, ""], Metrics]:
     """Mean squared error of every critic to the same target, summed over critics; `weight` a row, of mean one."""
     q = q_values(critics, batch.observation, batch.action)
@@ -104,7 +104,7 @@ def bellman_loss(
     return error.mean(-1).sum(), {"critic_loss": error.mean(), "q": q.mean()}
 
 
-def backup(batch: Batch, discount: Any, future: Float[Array, "b"]) -> Float[Array, "b"]:
+def backup(batch: Batch, discount: Any, future: Float[Array, "*k b"]) -> Float[Array, "*k b"]:
     """r + discount (1 - terminal) future. A terminal has no future; a timeout does."""
     return batch.reward + discount * (1.0 - batch.terminal) * future
 
@@ -119,12 +119,12 @@ def traced_advantage(error: Float[Array, "t *b"], goes_on: Float[Array, "t *b"],
     return jax.lax.scan(back, jnp.zeros(error.shape[1:]), (error, goes_on), reverse=True)[1]
 
 
-def capped_exp(x: Float[Array, "b"], most: Any) -> Float[Array, "b"]:
+def capped_exp(x: Float[Array, "*b"], most: Any) -> Float[Array, "*b"]:
     """exp(x), `most` at most; the exponent is cut, so that no row is infinite."""
     return jnp.exp(jnp.minimum(x, jnp.log(most)))
 
 
-def imitation_loss(actor: MLP | Categorical, batch: Batch, weight: Float[Array, "b"]) -> Float[Array, ""]:
+def imitation_loss(actor: MLP | Categorical, batch: Batch, weight: Float[Array, "*b"]) -> Float[Array, ""]:
     """-E[weight log pi(a|s)] of a stochastic actor; weights have no slope."""
     if isinstance(actor, Categorical):
         log_prob = actor.log_prob(batch.observation, batch.action)

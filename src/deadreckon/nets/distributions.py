@@ -16,7 +16,7 @@ class Gaussian(NamedTuple):
     log_std: Float[Array, "*b a"]
 
 
-def gaussian_head(output: Float[Array, "*b 2a"], low: float = LOG_STD_MIN, high: float = LOG_STD_MAX) -> Gaussian:
+def gaussian_head(output: Float[Array, "*b o"], low: float = LOG_STD_MIN, high: float = LOG_STD_MAX) -> Gaussian:
     """Splits a network's output into mean and log standard deviation, clipped to `low` .. `high`."""
     mean, log_std = jnp.split(output, 2, axis=-1)
     return Gaussian(mean, jnp.clip(log_std, low, high))

@@ -44,8 +44,8 @@ class MLP(eqx.Module):
             scale and shift the next layer has already).
     """
 
-    weights: tuple[Float[Array, "i o"], ...]
-    biases: tuple[Float[Array, "o"], ...]
+    weights: tuple[Float[Array, "*stack _ _"], ...]
+    biases: tuple[Float[Array, "*stack _"], ...]
     activation: str = eqx.field(static=True, default="relu")
     normalise: bool = eqx.field(static=True, default=False)
 

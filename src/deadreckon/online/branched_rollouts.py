@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Array, Key, PRNGKeyArray
 
 from deadreckon.agents.mbpo import MBPO
 from deadreckon.dynamics import branches, packed
@@ -54,7 +54,7 @@ class BranchedRollouts(ModelLearning):
         """See `Experience`."""
         return self._count
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+    def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; new steps are learned from, and branched off from, when the model is fitted next."""
         states, _ = super().extend(learner, states, roots, step)
         return states, {"packed": self._buffer}

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset, Provenance
@@ -72,7 +72,7 @@ class Online:
 
 @eqx.filter_jit
 def _act(
-    learner: Any, states: Any, seen: Float[Array, "l n o"], carry: Any, roots: PRNGKeyArray, t: Array
+    learner: Any, states: Any, seen: Float[Array, "l n o"], carry: Any, roots: Key[Array, "l"], t: Array
 ) -> tuple[Float[Array, "l n a"], Any]:
     """Actions in [-1, 1], and what the policies carry to the next step."""
 
@@ -86,7 +86,7 @@ def _act(
 
 
 @eqx.filter_jit
-def _explore(roots: PRNGKeyArray, t: Array, shape: tuple[int, ...]) -> Float[Array, "l n a"]:
+def _explore(roots: Key[Array, "l"], t: Array, shape: tuple[int, ...]) -> Float[Array, "l n a"]:
     """Uniform actions in [-1, 1]."""
     return jax.vmap(lambda root: jax.random.uniform(_key(root, t), shape, minval=-1.0, maxval=1.0))(roots)
 
@@ -180,7 +180,7 @@ class Exploration:
         """Steps taken, in every lane."""
         return self.replay.count
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+    def extend(self, learner: Any, states: Any, roots: Key[Array, "l"], step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`."""
         self._collect(learner, states, roots, self.settings.steps(step + self.block))
         return states, {"packed": self.replay.buffer}
@@ -190,13 +190,13 @@ class Exploration:
         rows = jax.lax.dynamic_slice_in_dim(self.replay.buffer, self.environment_steps - steps, steps, 1)
         return unpacked(rows, self.columns)
 
-    def _collect(self, learner: Any, states: Any, roots: PRNGKeyArray, due: int) -> None:
+    def _collect(self, learner: Any, states: Any, roots: Key[Array, "l"], due: int) -> None:
         """Acts until there are so many rows."""
         rows = [self._step(learner, states, roots, at) for at in range(self.replay.count, due, self.copies)]
         if rows:
             self.replay.append(np.concatenate(rows, 1))
 
-    def _step(self, learner: Any, states: Any, roots: PRNGKeyArray, at: int) -> np.ndarray:
+    def _step(self, learner: Any, states: Any, roots: Key[Array, "l"], at: int) -> np.ndarray:
         """One step of every copy as rows; `at` are the steps that a lane has taken before."""
         turn = jnp.int32(at // self.copies)
         if at < self.settings.explore:

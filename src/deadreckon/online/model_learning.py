@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key
 
 from deadreckon.agents.modelled import ModelledOnline
 from deadreckon.dynamics import Report
@@ -33,7 +33,7 @@ class ModelLearning(Exploration):
         self._turns = agent.model_every // block  # blocks between fits
         self.metrics = {name: np.full(len(self.seeds), np.nan) for name in ("model_error", "model_epochs")}
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+    def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; a model that is due is fitted before the policies act, for some of them plan in it."""
         self._collect(learner, states, roots, self.settings.explore)
         turn, rest = self.turn(step)

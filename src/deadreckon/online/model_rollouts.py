@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from deadreckon.agents.slbo import SLBO
 from deadreckon.data.step import Step
@@ -33,7 +33,7 @@ class ModelRollouts(ModelLearning):
         """See `Experience`."""
         return self.agent.rollouts * self.agent.length
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+    def extend(self, learner: Any, states: Any, roots: Key[Array, "l"], step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; real observations are standardised with once they are seen."""
         self._collect(learner, states, roots, self.settings.explore)
         if self.environment_steps == self.settings.explore:
@@ -58,7 +58,7 @@ class ModelRollouts(ModelLearning):
 
 @eqx.filter_jit
 def _lived(
-    learner: Any, states: Any, starts: Float[Array, "l s o"], roots: PRNGKeyArray, step: Array, rollouts: int, length: int
+    learner: Any, states: Any, starts: Float[Array, "l s o"], roots: Key[Array, "l"], step: Array, rollouts: int, length: int
 ) -> dict[str, Array]:
     """Steps (lanes, length, rollouts, ...) of the policies in their models."""
 

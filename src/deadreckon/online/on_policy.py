@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key
 
 from deadreckon.online.exploration import Exploration
 
@@ -27,7 +27,7 @@ class OnPolicy(Exploration):
         """See `Experience`."""
         return self.settings.block
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+    def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`."""
         self._collect(learner, states, roots, self.settings.explore)
         states = self._before(learner, states, step)

@@ -39,7 +39,7 @@ class TanhGaussian(Inner):
     log_std: tuple[float, float] = eqx.field(static=True, default=(dist.LOG_STD_MIN, dist.LOG_STD_MAX))
     has_log_prob = True
 
-    def _head(self, observation: Float[Array, "n o"]) -> dist.Gaussian:
+    def _head(self, observation: Float[Array, "*n o"]) -> dist.Gaussian:
         return dist.gaussian_head(self.net(observation), *self.log_std)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
@@ -49,7 +49,7 @@ class TanhGaussian(Inner):
             return jnp.broadcast_to(d.mean, (*count, *d.mean.shape))
         return dist.sample(d, key, count)
 
-    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+    def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
         """Log-density over [-1, 1] of actions, clipped to the open interval."""
         return dist.log_prob(self._head(observation), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
 
@@ -78,7 +78,7 @@ class Gaussian(Inner):
             return jnp.broadcast_to(mean, (*count, *mean.shape))
         return dist.sample(dist.Gaussian(mean, log_std), key, count)
 
-    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+    def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
         """Log-density of actions."""
         mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
         return _log_densities(mean, log_std, action).sum(-1)
@@ -97,7 +97,7 @@ class ClippedGaussian(Gaussian):
         """See `Inner`."""
         return jnp.clip(self.pre_actions(step.observation, key, greedy=greedy), -1.0, 1.0), carry
 
-    def log_prob(self, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n"]:
+    def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
         """Sum of log-densities of actions between the bounds, and log-probabilities of those at them."""
         mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
         beyond = jax.scipy.stats.norm.logcdf((jnp.sign(action) * mean - 1.0) * jnp.exp(-log_std))

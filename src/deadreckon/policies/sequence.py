@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, Real
 
 from deadreckon.data.spec import Spec
 from deadreckon.nets.mlp import MLP, standardised
@@ -41,7 +41,7 @@ class Sequence(eqx.Module):
 
     def __call__(
         self, wanted: Float[Array, "b k"], observation: Float[Array, "b k o"], action: Float[Array, "b k a"],
-        time: Float[Array, "b k"], there: Float[Array, "b k"], rate: Array | float = 0.0, key: PRNGKeyArray | None = None,
+        time: Real[Array, "b k"], there: Float[Array, "b k"], rate: Array | float = 0.0, key: PRNGKeyArray | None = None,
     ) -> Float[Array, "b k a"]:  # fmt: skip
         """Actions of all steps; that of a step sees its return-to-go, its observation, and all before them."""
         when = self.of_time[jnp.minimum(time, len(self.of_time) - 1).astype(jnp.int32)]

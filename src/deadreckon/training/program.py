@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Discrete, Spec
@@ -81,7 +81,7 @@ def draw(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, 
 
 @eqx.filter_jit
 def indices(
-    plan: Plan, roots: PRNGKeyArray, start: Int[Array, ""], rows: Int[Array, ""], length: int
+    plan: Plan, roots: Key[Array, "lanes"], start: Int[Array, ""], rows: Int[Array, ""], length: int
 ) -> Int[Array, "t lanes b *w"]:
     """Those of `draw`, for `length` steps of all lanes."""
     steps = start + jnp.arange(length)
@@ -110,7 +110,7 @@ def advance(
     states: Any,
     data: dict[str, Array],
     initial: dict[str, Array] | None,
-    roots: PRNGKeyArray,
+    roots: Key[Array, "lanes"],
     start: Int[Array, ""],
     stop: Int[Array, ""],
     rows: Int[Array, ""],
@@ -163,7 +163,7 @@ def advance(
 
 
 @eqx.filter_jit
-def begin(learner: Any, spec: Spec, roots: PRNGKeyArray) -> Any:
+def begin(learner: Any, spec: Spec, roots: Key[Array, "lanes"]) -> Any:
     """(lanes, ...) first states."""
     one = lambda learner, root: learner.init(spec, jax.random.fold_in(root, INIT))  # noqa: E731
     return jax.vmap(one)(learner, roots)

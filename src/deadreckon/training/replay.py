@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key
 
 from deadreckon.data.batch import Needs
 from deadreckon.data.spec import Spec
@@ -44,7 +44,7 @@ class Experience(Protocol):
         """Steps taken so far, in every lane."""
         ...
 
-    def extend(self, learner: Any, states: Any, roots: PRNGKeyArray, step: int) -> tuple[Any, dict[str, Array]]:
+    def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
         """Acts until the updates `step` .. `step + block - 1` have the rows they are due.
 
         Returns:

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Key
 
 from deadreckon.data.batch import BatchSource
 from deadreckon.training.program import Column, Plan, indices, layout_of, pack
@@ -93,7 +93,7 @@ class Resident(Source):
 class Streamed(Source):
     """A log on the host, whose batches are fetched for each chunk while the one before is computed."""
 
-    def __init__(self, rows: BatchSource, plan: Plan, roots: PRNGKeyArray, chunk: int):
+    def __init__(self, rows: BatchSource, plan: Plan, roots: Key[Array, "lanes"], chunk: int):
         self.rows, self.plan, self.roots, self.chunk = rows, plan, roots, chunk
         self.initial = None if rows.initial is None else jax.device_put(rows.initial)
         self.ahead: tuple[int, Future] | None = None
@@ -124,7 +124,7 @@ class Streamed(Source):
 class Growing(Source):
     """Experience: acting and learning take turns, block by block."""
 
-    def __init__(self, experience: Experience, plan: Plan, roots: PRNGKeyArray):
+    def __init__(self, experience: Experience, plan: Plan, roots: Key[Array, "lanes"]):
         self.experience, self.plan, self.roots, self.block = experience, plan, roots, experience.block
 
     def advance(self, update, learner, states, start, stop, end):
@@ -158,7 +158,7 @@ class Growing(Source):
         return self.experience.environment_steps
 
 
-def source_of(rows: BatchSource | Experience, roots: PRNGKeyArray, chunk: int, stream: bool | None) -> Source:
+def source_of(rows: BatchSource | Experience, roots: Key[Array, "lanes"], chunk: int, stream: bool | None) -> Source:
     """The source for these rows.
 
     Args:
