@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
 from deadreckon.mbo.designer import Setting
@@ -195,6 +196,22 @@ def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
     # Which is not what maximum likelihood says: that is sure of the last bin.
     assert np.exp(log_probs(likely([]), at))[-1] > 0.999
     assert found[-1] < 0.95
+
+
+def test_designs_move_after_every_ratio_updates_of_the_models_and_not_while_these_are_pretrained():
+    data = Designs.from_arrays(np.linspace(0, 1, 12)[:, None], np.linspace(0, 1, 12))
+    setting = Setting(data, 2, [0], None, lambda what, step, steps: None)
+    learner = NEMO(bins=2, hidden=(), pretrain=2, ratio=3, batch_size=4).training(setting)
+    view = data.coordinates
+    batch = Batch(extra={"x": view.encode(data.x)[:4], "y": np.zeros(4, np.float32)})
+    state = learner.init(view, jax.random.key(0))
+    update = jax.jit(lambda state, step: learner.update(state, batch, step=step, key=jax.random.key(0))[0])
+    moved = []
+    for step in range(9):
+        new = update(state, step)
+        moved.append(not np.array_equal(new.search.x, state.search.x))
+        state = new
+    assert np.flatnonzero(moved).tolist() == [4, 7]  # after updates 2, 3, 4 and after 5, 6, 7
 
 
 def test_a_longer_fit_begins_where_a_shorter_one_ended(bowl, tmp_path):

@@ -1,14 +1,17 @@
 """What a case takes and refuses, and what is shared, resumed and repeated."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from deadreckon.data.batch import Batch
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope import FQE, LOGGED, BehaviorModel, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope.fqe import Critics
 from deadreckon.ope.tables import NOISE
 from deadreckon.policies import BlackBoxPolicy, Deployed, library
 from deadreckon.policies.kinds import ClippedGaussian, Deterministic
@@ -65,6 +68,20 @@ def test_fqe_on_lqr_has_the_riccati_value():
     assert found.names[found.best] == "better"
     assert "better" in str(found)
     np.testing.assert_allclose(found.average, 0.1 * found.value)
+
+
+def test_members_learn_each_from_its_own_redrawn_episodes():
+    """Critics that say nothing, against targets 1 and 2: squares of 1 and 4, by each member's own weights."""
+    learner = Critics(1e-3, 0.0, 0.1, 0.9, 1.0, 1.0, -9.0, 9.0, 0.0, 2, 1, (), 2)
+    critics = MLP((jnp.zeros((2, 1, 2, 1)),), (jnp.zeros((2, 1, 1)),))
+    weight = jnp.array([[2.0, 0.0], [0.0, 3.0]])  # (rows, members): the first member has the first row twice
+    batch = Batch(jnp.ones((2, 1)), jnp.ones((2, 1)), jnp.zeros(2), jnp.ones((2, 1)), jnp.zeros(2), extra={"weight": weight})
+    target = jnp.broadcast_to(jnp.array([1.0, 2.0]), (2, 1, 2))
+    loss, (metrics, _) = learner.loss(critics, batch, target)
+    assert float(loss) == pytest.approx((2 * 1 + 0 * 4) / 2 + (0 * 1 + 3 * 4) / 2)
+    slopes = jax.grad(lambda net: learner.loss(net, batch, target)[0])(critics).biases[0][:, 0, 0]
+    np.testing.assert_allclose(slopes, [-2 * (2 * 1) / 2, -2 * (3 * 2) / 2])
+    assert float(metrics["loss"]) == pytest.approx((2 + 12) / 4)
 
 
 def test_a_clipped_policy_is_divided_by_a_clipped_model():

@@ -1,5 +1,7 @@
 """The page as text: whole, self-contained, and safe whatever names it shows."""
 
+import html
+import json
 import re
 
 import numpy as np
@@ -45,6 +47,14 @@ def test_hostile_names_are_shown_and_never_run(tmp_path):
     text = render(read([path]), title=evil)
     assert text.count("<script>") == 1
     assert "&lt;script&gt;alert(1)" in text
+
+
+def test_a_chart_in_percent_shows_percent(tmp_path):
+    """Of two seeds one acts outside the range at every tenth action, the other never."""
+    text = render(read([write_run(tmp_path / "run")]))
+    chart = re.search(r'<svg[^>]*aria-label="% of actions outside[^>]*data-hover="([^"]*)"', text)
+    (series,) = json.loads(html.unescape(chart[1]))
+    assert [point[2:] for point in series["p"]] == [["100", "5.00"], ["200", "5.00"]]
 
 
 def test_without_a_task(tmp_path):
