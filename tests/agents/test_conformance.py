@@ -1,6 +1,7 @@
 """One suite for every agent: shapes, determinism, lanes, resume, bad numbers, save and load, field rules.
 
-Compile time is the budget: one small program an agent (2 lanes, 16 wide, 50-step chunks), reused by all tests.
+Compile time is the budget: one small program an agent (2 lanes, 16 wide), which all tests but the slow ones run, and the golden
+numbers of offline agents too.
 """
 
 import dataclasses
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.agents import AGENTS, agent_class
+from deadreckon.agents import agent_class
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.tables import Actor
@@ -19,21 +20,15 @@ from deadreckon.policies import Deployed, store
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests import golden
-from tests.agents.tiny import CHUNK, LOG, STEPS, rows_of, small
+from tests.agents.tiny import LOG, rows_of, small
 
 
 def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-# What this suite looks at is others' too: of TD3 and its kin TD3+BC's, of SAC and its kin SAC's, of weighted imitation IQL's
-# (of AWR's windows more in test_rivals.py), and where there is a model SAC's and test_dreaming.py's.
-SLOW = ("mopo", "morel", "combo", "mobile", "bear_is", "td3", "bcq", "brac", "rebrac", "cql", "sac_n", "edac", "xql", "awac",
-        "crr", "awr", "algae_dice", "rem", "kl_control", "dqfd",
-        "fql", "decision_transformer")  # fmt: skip
-PARAMS = [
-    pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in AGENTS if agent_class(name).offline
-]
+STEPS, CHUNK = 9, 4  # of a run; compiling takes longer
+STREAMED = ("bc", "td3_bc", "sac", "iql", "bear")  # fast; streaming is the loop's and not the agent's, and a program of its own
 
 
 @pytest.mark.parametrize("name", golden.OFFLINE)
@@ -42,7 +37,7 @@ def test_numbers_are_as_before(name):
     assert told is None, told
 
 
-@pytest.fixture(scope="session", params=PARAMS)
+@pytest.fixture(scope="session", params=golden.OFFLINE)
 def trained(request):
     """(agent, rows, fit of two lanes, metrics by chunk)."""
     agent = small(request.param)
@@ -64,19 +59,21 @@ def test_trains_with_finite_metrics_under_fixed_names(trained):
 
 def test_same_seed_same_bits_whatever_the_chunks(trained):
     agent, rows, result, _ = trained
-    again = fit([agent, agent], rows, [0, 1], STEPS, chunk=70)
+    again = fit([agent, agent], rows, [0, 1], STEPS, chunk=7)
     assert same(result.states, again.states)
 
 
 @pytest.mark.slow
 def test_a_lane_equals_the_single_run_within_tolerance(trained):
     agent, rows, result, _ = trained
-    alone = fit([agent], rows, [1], 20, chunk=20)
-    both = fit([agent, agent], rows, [0, 1], 20, chunk=CHUNK)
-    for a, b in zip(jax.tree.leaves(alone.lane(0)), jax.tree.leaves(both.lane(1)), strict=True):
+    alone = fit([agent], rows, [1], STEPS, chunk=CHUNK)
+    for a, b in zip(jax.tree.leaves(alone.lane(0)), jax.tree.leaves(result.lane(1)), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-3, atol=2e-4)
 
 
+@pytest.mark.parametrize(
+    "trained", [pytest.param(n, marks=() if n in STREAMED else pytest.mark.slow) for n in golden.OFFLINE], indirect=True
+)
 def test_streamed_equals_resident_bit_for_bit(trained):
     agent, rows, result, _ = trained
     streamed = fit([agent, agent], rows, [0, 1], STEPS, chunk=CHUNK, stream=True)

@@ -11,7 +11,7 @@ from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope import FQE, LOGGED, BehaviorModel, Case, DoublyRobust, ImportanceSampling
-from deadreckon.ope.fqe import Critics
+from deadreckon.ope.fqe import Critics, Scale
 from deadreckon.ope.tables import NOISE
 from deadreckon.policies import BlackBoxPolicy, Deployed, library
 from deadreckon.policies.kinds import ClippedGaussian, Deterministic
@@ -72,7 +72,7 @@ def test_fqe_on_lqr_has_the_riccati_value():
 
 def test_members_learn_each_from_its_own_redrawn_episodes():
     """Critics that say nothing, against targets 1 and 2: squares of 1 and 4, by each member's own weights."""
-    learner = Critics(1e-3, 0.0, 0.1, 0.9, 1.0, 1.0, -9.0, 9.0, 0.0, 2, 1, (), 2)
+    learner = Critics(FQE(hidden=()), 0.9, Scale(1.0, 1.0, -9.0, 9.0), share=1.0, first=0.0, members=2, policies=1, stops=False)
     critics = MLP((jnp.zeros((2, 1, 2, 1)),), (jnp.zeros((2, 1, 1)),))
     weight = jnp.array([[2.0, 0.0], [0.0, 3.0]])  # (rows, members): the first member has the first row twice
     batch = Batch(jnp.ones((2, 1)), jnp.ones((2, 1)), jnp.zeros(2), jnp.ones((2, 1)), jnp.zeros(2), extra={"weight": weight})

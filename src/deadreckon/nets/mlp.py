@@ -69,7 +69,7 @@ class MLP(eqx.Module):
         """The network's output."""
         return self.after_first(x @ self.weights[0] + self.biases[0])
 
-    def beside(self, row: Float[Array, "b i1"], many: Float[Array, "*n b i2"]) -> Float[Array, "*n b o"]:
+    def beside(self, row: Float[Array, "*#n i1"], many: Float[Array, "*#n i2"]) -> Float[Array, "*#n o"]:
         """The output for each of `many`, joined behind its row."""
         # Doing the rows' part of the first layer once saves products of narrow inputs, and costs more than that: its gradient
         # is a sum over `many`, which XLA does slowly on a CPU (measured: 34 ms instead of 14 for 10 actions of 256 rows).
@@ -121,8 +121,8 @@ def joined(stacks: Sequence[T]) -> T:
 
 
 def q_values(
-    critics: MLP, observation: Float[Array, "b o"], action: Float[Array, "*n b a"] | Int[Array, "b"]
-) -> Float[Array, "k *n b"]:
+    critics: MLP, observation: Float[Array, "*#n o"], action: Float[Array, "*#n a"] | Int[Array, "*#n"]
+) -> Float[Array, "k *#n"]:
     """Q of every critic of an ensemble, for one action a state or for several (leading axes of `action`).
 
     Of discrete actions, which are integers, critics have an output each.
