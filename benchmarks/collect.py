@@ -247,8 +247,8 @@ def acting(name: str, policy: str) -> Any:
     import jax
 
     from deadreckon.agents.sac import SAC
+    from deadreckon.data.normalizer import Normalizer
     from deadreckon.data.spec import Spec
-    from deadreckon.data.view import View
     from deadreckon.policies import library
     from deadreckon.policies.deployed import Deployed
 
@@ -256,7 +256,7 @@ def acting(name: str, policy: str) -> Any:
         return library.snapshot(name, policy).policy()
     found = task(name)
     spec = Spec.empty(found.observation_shape, found.action_space, name)
-    return Deployed.of(SAC().policy(SAC().init(spec, jax.random.key(0))), View.of(spec))
+    return Deployed.of(SAC().policy(SAC().init(spec, jax.random.key(0))), Normalizer.of(spec))
 
 
 def perform_rows(name: str, policy: Any, steps: int, threads: int) -> tuple[float, float]:

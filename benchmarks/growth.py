@@ -14,9 +14,9 @@ import protocol
 
 from deadreckon.agents import agent_class
 from deadreckon.cli.main import cache_compiled_programs
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.view import View
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.case import Case
 from deadreckon.ope.fqe import FQE
@@ -48,13 +48,14 @@ def agent(batch: int, width: int, seeds: int, rows: int) -> Callable[[], int]:
     options = protocol.options("td3_bc", batch=batch, width=width, threads=1, rows=rows)
     log = Dataset.from_arrays(**protocol.synthetic_log(options))
     made = made.resolve(log.spec, 10**9)
-    return _walk(Fit([made] * seeds, Rows(log, made.needs(log.spec)), list(range(seeds)), 10**9, chunk=CHUNK), seeds)
+    rows = TransitionSource(log, made.needs(log.spec))
+    return _walk(Fit([made] * seeds, rows, list(range(seeds)), 10**9, chunk=CHUNK), seeds)
 
 
 def judged(policies: int) -> Callable[[], int]:
     """The same of FQE, counted in updates of one policy's critic."""
     options = protocol.options("fqe-11", batch=BASE["batch"], width=BASE["width"], threads=1, rows=20_000)
-    log, view = Dataset.from_arrays(**protocol.synthetic_log(options)), View.of
+    log, view = Dataset.from_arrays(**protocol.synthetic_log(options)), Normalizer.of
     shape = (options["observation"], (BASE["width"],) * 2, 2 * options["action"])
     nets = [MLP.create(*shape, jax.random.key(i)) for i in range(policies)]
     estimator = FQE(members=1, hidden=(BASE["width"],) * 2, batch_size=BASE["batch"])

@@ -50,7 +50,7 @@ def work(arguments: argparse.Namespace) -> None:
 
     from deadreckon.agents import agent_class
     from deadreckon.cli.main import cache_compiled_programs
-    from deadreckon.data.batch import Rows
+    from deadreckon.data.batch import TransitionSource
     from deadreckon.data.dataset import Dataset
     from deadreckon.training.fit import Fit
 
@@ -59,7 +59,7 @@ def work(arguments: argparse.Namespace) -> None:
     log = Dataset.from_arrays(**protocol.synthetic_log(shape))
     agent = agent_class(arguments.agent)(hidden=(arguments.width,) * 2).resolve(log.spec, 10**9)
     seeds = list(range(arguments.worker))
-    walk = Fit([agent] * len(seeds), Rows(log, agent.needs(log.spec)), seeds, 10**9, chunk=arguments.chunk).chunks()
+    walk = Fit([agent] * len(seeds), TransitionSource(log, agent.needs(log.spec)), seeds, 10**9, chunk=arguments.chunk).chunks()
     jax.block_until_ready(next(walk).states)
     print(json.dumps({"ready": time.perf_counter() - began}), flush=True)
     for line in sys.stdin:

@@ -59,7 +59,7 @@ def ours() -> dict[str, Any]:
     import numpy as np
 
     from deadreckon.agents import MBPO
-    from deadreckon.data.batch import Rows
+    from deadreckon.data.batch import TransitionSource
     from deadreckon.data.dataset import Dataset
     from deadreckon.data.spec import Box, Spec
     from deadreckon.dynamics import branches, packed
@@ -89,7 +89,7 @@ def ours() -> dict[str, Any]:
         terminals=columns["terminal"] > 0, final_observations=columns["next_observation"][-1:],
         timeouts=np.arange(ROWS) == ROWS - 1, action_space=space, name="noise",
     )  # fmt: skip
-    walk = Fit([agent], Rows(log, agent.needs(log.spec)), [0], 10**9, chunk=SLICE).chunks()
+    walk = Fit([agent], TransitionSource(log, agent.needs(log.spec)), [0], 10**9, chunk=SLICE).chunks()
     held["state"] = agent.init(spec, jax.random.key(0))
 
     def update() -> int:

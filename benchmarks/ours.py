@@ -12,13 +12,13 @@ import numpy as np
 import protocol
 
 from deadreckon.agents import agent_class
-from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.view import View
+from deadreckon.data.normalizer import Normalizer
+from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designer import Setting
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO
-from deadreckon.mbo.points import Points
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.case import Case
 from deadreckon.ope.fqe import FQE
@@ -53,13 +53,13 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
             "target_samples": options["target_samples"],
         }  # fmt: skip
     agent = agent_class(agent_name.split("-")[0])(**fields).resolve(log.spec, 10**9)
-    rows = Rows(log, agent.needs(log.spec))
+    rows = TransitionSource(log, agent.needs(log.spec))
     return _walker(agent, rows, ", ".join(f"{k} {v}" for k, v in fields.items()), options)
 
 
 def _fqe(log: Dataset, options: dict[str, Any]) -> Callable[[int], int]:
     """The critics of all policies, one each; what the policies do at the log's rows is asked once, and timed apart."""
-    view = View.of(log.spec)
+    view = Normalizer.of(log.spec)
     shape = (options["observation"], (options["width"],) * 2, 2 * options["action"])
     nets = [MLP.create(*shape, jax.random.key(i)) for i in range(protocol.POLICIES)]
     estimator = FQE(members=1, hidden=(options["width"],) * 2, batch_size=options["batch"])
@@ -80,7 +80,7 @@ def _nemo(options: dict[str, Any]) -> Callable[[int], int]:
     learner = designer.training(Setting(data, protocol.NEMO["designs"], [0], None, nothing))
     settings = ", ".join(f"{k} {v}" for k, v in fields.items())
     # Designs rise in every update, which a condition decides: the branch that does more is the one taken.
-    return _walker(learner, Points(data, learner.needs(data.coordinates)), settings, options, max)
+    return _walker(learner, DesignSource(data, learner.needs(data.coordinates)), settings, options, max)
 
 
 def _walker(
@@ -96,7 +96,7 @@ def _walker(
         return done
 
     columns = rows.take(np.arange(options["batch"]))
-    own = rows.extra if isinstance(rows, Rows) else list(columns)
+    own = rows.extra if isinstance(rows, TransitionSource) else list(columns)
     extra = {name: jnp.asarray(columns.pop(name)) for name in own}
     batch = Batch(**{name: jnp.asarray(column) for name, column in columns.items()}, extra=extra or None)
     state = learner.init(rows.spec, jax.random.key(0))

@@ -24,8 +24,8 @@ import numpy as np
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.agents.modelled import Modelled
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete, Spec
-from deadreckon.data.view import View
 from deadreckon.mbo import DESIGNERS, designer, problem
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.online import Online
@@ -204,7 +204,7 @@ def evaluation(name: str) -> Numbers:
     where = task(name)
     spec = Spec.empty(where.observation_shape, where.action_space, where.name)
     nets = [create_actor(spec, (8,), jax.random.key(i)) for i in range(2)]
-    policies = [Deployed.of(stochastic(net), View.of(spec)) for net in nets]
+    policies = [Deployed.of(stochastic(net), Normalizer.of(spec)) for net in nets]
     found = evaluate(policies, where, episodes=3, seed=5, greedy=False, discount=0.9)
     return {"returns": found.returns.ravel().tolist(), "discounted": found.discounted.ravel().tolist(),
             "score": [found.score(0).value, found.score(0).low, found.score(0).high]}  # fmt: skip

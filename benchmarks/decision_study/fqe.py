@@ -7,8 +7,8 @@ import numpy as np
 
 from deadreckon.data.batch import redrawn
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete
-from deadreckon.data.view import View
 from deadreckon.ope.fqe import Critics
 from deadreckon.training.fit import Fit
 from decision_study.learn import SharedRows
@@ -57,6 +57,6 @@ def _table(log: Dataset, seen: np.ndarray, policies: Sequence[Any], rows: np.nda
     if isinstance(log.action_space, Discrete):
         told = [policy.probs(seen) for policy in policies]
         return np.stack([*told, np.eye(log.action_space.n)[log.actions[rows]]], 1).astype(np.float32)
-    view = View.of(log.spec)
+    view = Normalizer.of(log.spec)
     drawn = [policy.fn(seen, rng) for policy in policies]
     return np.stack([view.to_unit(np.asarray(each)) for each in (*drawn, log.actions[rows])], 1)[:, :, None].astype(np.float32)

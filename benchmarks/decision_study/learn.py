@@ -17,7 +17,7 @@ from deadreckon.agents.bc import BC
 from deadreckon.agents.cql import CQL
 from deadreckon.agents.iql import IQL
 from deadreckon.agents.td3_bc import TD3BC
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.nets.distributions import LOG_STD_MAX, LOG_STD_MIN
@@ -38,7 +38,7 @@ def shared(observations: int, action: Box | Discrete) -> Spec:
     return Spec.empty((observations,), action, "any")
 
 
-class SharedRows(Rows):
+class SharedRows(TransitionSource):
     """Rows of a log that tells nothing of itself but its shape, once it is in view."""
 
     @property

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.agent import Agent
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.kinds import TanhGaussian
@@ -23,7 +23,7 @@ class Little(Agent):
     batch_size: Count = static(8)
 
     def needs(self, spec):
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key):
         return MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, key)

@@ -8,7 +8,7 @@ import pytest
 from deadreckon.agents.agent import backup, bellman_loss
 from deadreckon.agents.bear import BEAR, State
 from deadreckon.agents.bear_is import ISBEAR
-from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import q_values
@@ -168,7 +168,7 @@ def half_support():
     agent = BEAR(hidden=(32, 32), batch_size=128, actor_lr=1e-3, critic_lr=1e-3, behavior_lr=1e-3, discount=0.9, warm_start=100,
                  dual=False, multiplier=100.0, test_action="actor", kernel="laplacian").resolve(log.spec, 1500)  # fmt: skip
     free = agent.replace(multiplier=0.0)
-    rows = Rows(log, agent.needs(log.spec))
+    rows = TransitionSource(log, agent.needs(log.spec))
     result = fit([agent, free], rows, [0, 0], 1500, chunk=500)
     return [Deployed.of(a.policy(result.lane(i)), rows.view) for i, a in enumerate((agent, free))]
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import softmax
 
 from deadreckon.agents import DecisionTransformer
-from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
@@ -144,7 +144,7 @@ def two_ways(episodes=200, length=8):
 def test_does_what_brought_the_return_that_is_asked_for():
     log = two_ways()
     agent = DecisionTransformer(**TINY | {"hidden": (16,)}, lr=3e-3, warm_up=50, batch_size=32).resolve(log.spec, 600)
-    rows = Rows(log, agent.needs(log.spec))
+    rows = TransitionSource(log, agent.needs(log.spec))
     state = fit([agent], rows, [0], 600, chunk=200).lane(0)
     np.testing.assert_allclose([state.best, state.worst], [log.returns().max(), log.returns().min()], rtol=1e-5)
     seen = np.linspace(-1, 1, 5, dtype=np.float32)[:, None]

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import log_softmax, logsumexp, softmax
 
 from deadreckon.agents import AGENTS, BC, BCQ, CQL, IQL, REM, agent_class
-from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
@@ -151,7 +151,7 @@ def test_entropy_of_choices_is_a_tenth_of_the_most():
 
 def test_a_categorical_draws_by_its_chances_and_tells_them():
     net = MLP((jnp.zeros((1, 3)),), (jnp.log(jnp.asarray([0.2, 0.5, 0.3])),))
-    policy = Deployed.of(Categorical(net), Rows(LOG, small("bc").needs(LOG.spec)).view)
+    policy = Deployed.of(Categorical(net), TransitionSource(LOG, small("bc").needs(LOG.spec)).view)
     seen = np.zeros((6000, 1), np.float32)
     assert policy(seen).dtype == np.int32
     assert (policy(seen) == 1).all()
@@ -180,7 +180,7 @@ def test_learns_the_line_resumes_and_survives_its_file(name, tmp_path):
         agent = agent.replace(sharpness=10.0)
     if name == "cql":
         agent = agent.replace(conservatism=0.1)
-    rows = Rows(log, agent.needs(log.spec))
+    rows = TransitionSource(log, agent.needs(log.spec))
     job = Fit([agent, agent], rows, [0, 1], 2000, 500, tmp_path / "run")
     walk = job.chunks()
     next(walk), next(walk)

@@ -11,7 +11,7 @@ from deadreckon.agents import COMBO, MOBILE, MOPO, MOReL
 from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.dreaming import Dreaming
 from deadreckon.agents.mopo import deviation
-from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.dynamics import Branch
 from deadreckon.errors import UserError
@@ -39,7 +39,7 @@ LOG = walk()
 
 def prepared(kind, turns=1, **fields):
     agent = kind(**TINY | fields).resolve(LOG.spec, 10)
-    rows = Rows(LOG, agent.needs(LOG.spec))
+    rows = TransitionSource(LOG, agent.needs(LOG.spec))
     state = agent.init(LOG.spec, jax.random.key(0))
     for turn in range(turns):
         state = agent.prepare(state, rows, jax.random.key(turn), None)
@@ -150,7 +150,7 @@ def test_combo_holds_critics_down():
 
 def test_a_lane_whose_model_goes_bad_fails_alone():
     lanes = [MOPO(**TINY | {"model_lr": lr}).resolve(LOG.spec, 4) for lr in (1e-3, 1e30)]
-    fitted = fit(lanes, Rows(LOG, lanes[0].needs(LOG.spec)), [0, 1], 4)
+    fitted = fit(lanes, TransitionSource(LOG, lanes[0].needs(LOG.spec)), [0, 1], 4)
     assert fitted.failures == (None, ("model (while preparing)", 0))
     assert np.isfinite(fitted.lane(0).critics.weights[0]).all()
 

@@ -2,7 +2,7 @@
 
 from deadreckon.agents import agent_class
 from deadreckon.agents.dreaming import Dreaming
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from tests.agents.worlds import corridor
 
 LOG = corridor()
@@ -23,4 +23,4 @@ def small(name, **fields):
 
 
 def rows_of(agent, log=LOG):
-    return Rows(log, agent.needs(log.spec))
+    return TransitionSource(log, agent.needs(log.spec))

@@ -13,8 +13,8 @@ from deadreckon.collect import rollouts
 from deadreckon.collect.gym import collect_gym
 from deadreckon.collect.rollouts import Act, perform, played
 from deadreckon.data.dataset import Provenance
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Box, Spec
-from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.nets.mlp import MLP
@@ -32,7 +32,7 @@ def policy(task, seed=0):
     rng, sizes = np.random.default_rng(seed), (spec.observation_size, 8, 2 * spec.action_size)
     weights = tuple(rng.normal(0, 0.5 * i**-0.5, (i, o)).astype(np.float32) for i, o in itertools.pairwise(sizes))
     net = MLP(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:]))
-    return Deployed.of(TanhGaussian(net), View.of(spec))
+    return Deployed.of(TanhGaussian(net), Normalizer.of(spec))
 
 
 POLICY = policy(HOPPER)

@@ -9,7 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scipy import stats
 
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import AutoRegressive, Gaussian, Trainer
@@ -217,7 +217,7 @@ def test_the_autoregressive_model_knows_what_numbers_have_to_do_with_each_other(
     correlation = {}
     for kind in (AutoRegressive, Gaussian):
         model = kind(members=1, hidden=(16,), lr=1e-2)
-        params, _, _ = fit([model], Rows(log, model.needs(log.spec)), [0], 600).lane(0)
+        params, _, _ = fit([model], TransitionSource(log, model.needs(log.spec)), [0], 600).lane(0)
         change = model.draw(params, jnp.asarray(seen[None], jnp.float32), jnp.zeros((1, 2000, 1)), jax.random.key(1))
         correlation[kind] = np.corrcoef(np.asarray(change.observation[0]).T)[0, 1]
     assert correlation[AutoRegressive] > 0.9

@@ -13,7 +13,7 @@ import deadreckon as dr
 from deadreckon import agents, tasks
 from deadreckon.agents.agent import Agent
 from deadreckon.collect import gym
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.data.dataset import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
@@ -98,7 +98,7 @@ class Counter(Agent):
     batch_size: int = static(64)
 
     def needs(self, spec):
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key):
         return {"updates": jnp.zeros(()), "blank": jnp.zeros(()), "newest": jnp.zeros(()), "sum": jnp.zeros(())}
@@ -354,7 +354,8 @@ def test_agents_that_do_not_explore_are_refused(name):
 
 
 @pytest.mark.parametrize("asks", [
-    Needs(n_step=2), Needs(window=3), Needs(initial=4), Needs(standardise=True), Needs(("observation", "return_to_go")),
+    BatchSpec(n_step=2), BatchSpec(window=3), BatchSpec(initial=4), BatchSpec(standardise=True),
+    BatchSpec(("observation", "return_to_go")),
 ])  # fmt: skip
 def test_batches_that_rows_in_the_making_do_not_have_are_refused(asks):
     class Asks(Counter):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from deadreckon.data.view import View
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
@@ -20,7 +20,7 @@ from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministi
 from deadreckon.policies.policy import KINDS, Inner
 
 KEY = jax.random.key(0)
-VIEW = View(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
+VIEW = Normalizer(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
 
 
 def make(kind):
@@ -74,7 +74,7 @@ def test_a_file_tells_what_its_policy_was_taught(tmp_path):
 def constant(value, size=2):
     """Acts the same always: the bias alone counts."""
     net = MLP((jnp.zeros((3, size)),), (jnp.full(size, value),), "relu")
-    return Deployed.of(Deterministic(net), View(None, None, -np.ones(size), np.ones(size)))
+    return Deployed.of(Deterministic(net), Normalizer(None, None, -np.ones(size), np.ones(size)))
 
 
 VALUES = np.array([-1.0, 0.0, 2.0])
@@ -121,7 +121,7 @@ def test_a_mixture_draws_at_the_beginning_of_an_episode_and_keeps_to_it(player, 
 
 
 def test_a_mixtures_members_keep_their_coordinates_and_its_file_comes_back(tmp_path):
-    other = View(np.zeros(3), np.ones(3), np.array([-9.1, -9.1], "f4"), np.array([9.1, 9.1], "f4"))
+    other = Normalizer(np.zeros(3), np.ones(3), np.array([-9.1, -9.1], "f4"), np.array([9.1, 9.1], "f4"))
     members = [make("gaussian"), Deployed.of(Deterministic(MLP.create(3, (8,), 2, KEY)), other)]
     mixture = Mixture.of(members)
     for half in (False, True):
@@ -147,7 +147,7 @@ def test_a_mixtures_members_keep_their_coordinates_and_its_file_comes_back(tmp_p
 
 
 def test_a_mixture_of_choices_tells_the_chances_of_its_first(tmp_path):
-    plain = View(None, None, None, None)
+    plain = Normalizer(None, None, None, None)
     members = [Deployed.of(Categorical(MLP.create(3, (8,), 4, key)), plain) for key in jax.random.split(KEY)]
     mixture, x = Mixture.of(members), np.random.default_rng(0).normal(size=(2, 3)).astype("f4")
     told = mixture.action_probs(x)
@@ -175,7 +175,7 @@ def test_player_needs_numpy_alone(tmp_path):
 
 def test_density_over_environment_actions_integrates_to_one():
     net = MLP.create(1, (4,), 2, KEY)
-    policy = Deployed.of(TanhGaussian(net), View(None, None, np.array([-3.0]), np.array([1.0])))
+    policy = Deployed.of(TanhGaussian(net), Normalizer(None, None, np.array([-3.0]), np.array([1.0])))
     f = lambda a: float(jnp.exp(policy.log_prob(np.zeros((1, 1)), np.array([[a]], "f4")))[0])  # noqa: E731
     total, _ = integrate.quad(f, -2.9995, 0.9995, limit=50, epsabs=1e-3, epsrel=1e-3)
     assert abs(total - 1) < 5e-3

@@ -307,7 +307,7 @@ def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(l
 def test_a_policy_that_remembers_is_given_its_carry_back():
     import jax.numpy as jnp
 
-    from deadreckon.data.view import View
+    from deadreckon.data.normalizer import Normalizer
     from deadreckon.policies import Deployed
     from deadreckon.policies.policy import Inner
 
@@ -323,7 +323,7 @@ def test_a_policy_that_remembers_is_given_its_carry_back():
             push = jnp.where(carry < self.length, 1.0, 0.0)
             return jnp.stack([push, jnp.zeros_like(push)], -1), carry + 1.0
 
-    view = View(None, None, np.array([-1.0, -1.0], "f4"), np.array([1.0, 1.0], "f4"))
+    view = Normalizer(None, None, np.array([-1.0, -1.0], "f4"), np.array([1.0, 1.0], "f4"))
     short, long = (evaluate(Deployed.of(Counter(n), view), "maze2d-umaze", episodes=3, record=3) for n in (2.0, 8.0))
     both = evaluate([Deployed.of(Counter(n), view) for n in (2.0, 8.0)], "maze2d-umaze", episodes=3, record=3)
     np.testing.assert_array_equal(short.trajectories[:, :, :3], long.trajectories[:, :, :3])
@@ -334,7 +334,7 @@ def test_a_policy_that_remembers_is_given_its_carry_back():
 def test_discrete_logs_are_drawn_probed_and_acted_on():
     import jax.numpy as jnp
 
-    from deadreckon.data.batch import Needs, Rows
+    from deadreckon.data.batch import BatchSpec, TransitionSource
     from deadreckon.policies import Deployed
     from deadreckon.policies.policy import Inner
 
@@ -342,7 +342,7 @@ def test_discrete_logs_are_drawn_probed_and_acted_on():
     s = rng.normal(size=(400, 2)).astype("f4")
     choice = (s[:, 0] > 0).astype(int) + 1
     log = dr.Dataset.from_arrays(observations=s, actions=choice, rewards=np.zeros(400), terminals=np.ones(400))
-    rows = Rows(log, Needs())
+    rows = TransitionSource(log, BatchSpec())
     assert rows.take(np.arange(3))["action"].dtype == np.int32
 
     class Rule(Inner):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.data.batch import Needs, Rows
+from deadreckon.data.batch import BatchSpec, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
@@ -23,7 +23,7 @@ class Collector(eqx.Module):
     """Sums what it sees, so that every kind of batch can be looked into."""
 
     scale: float = 1.0
-    asks: Needs = static(Needs())
+    asks: BatchSpec = static(BatchSpec())
     refresh: CountOrZero = static(0)
 
     def needs(self, spec):
@@ -46,7 +46,7 @@ class Phased(Collector):
 
 
 def columns(asks, log=LOG):
-    rows = Rows(log, asks)
+    rows = TransitionSource(log, asks)
     return rows, rows.take(np.arange(rows.count))
 
 
@@ -56,7 +56,7 @@ def test_n_step_rewards_stop_at_the_episode_end():
         terminals=[0, 0, 1, 0, 0, 0], timeouts=[0, 0, 0, 0, 0, 1], final_observations=[[90.0], [91.0]],
     )  # fmt: skip
     names = ("reward", "next_observation", "terminal", "discount", "next_action", "time", "return_to_go")
-    asks = Needs(names, n_step=2, gamma=0.5)
+    asks = BatchSpec(names, n_step=2, gamma=0.5)
     _, got = columns(asks, log)
     np.testing.assert_allclose(got["reward"], [2, 4, 4, 16, 32, 32])
     np.testing.assert_allclose(got["next_observation"][:, 0], [2, 90, 90, 5, 91, 91])
@@ -69,7 +69,7 @@ def test_n_step_rewards_stop_at_the_episode_end():
 def test_what_the_log_did_next_is_known_inside_of_episodes():
     some = {"observations": np.arange(5.0), "actions": np.array([[0.1], [0.0], [0.3], [0.4], [0.5]]), "rewards": np.zeros(5),
             "terminals": [0, 0, 1, 0, 0], "timeouts": [0, 0, 0, 0, 1], "action_space": Box((-1.0,), (1.0,))}  # fmt: skip
-    asks = Needs(("next_action", "follows"))
+    asks = BatchSpec(("next_action", "follows"))
     _, got = columns(asks, Dataset.from_arrays(**some))
     np.testing.assert_allclose(got["next_action"][:, 0], [0, 0.3, 0, 0.5, 0], atol=1e-6)
     np.testing.assert_array_equal(got["follows"], [1, 1, 0, 1, 0])
@@ -80,13 +80,13 @@ def test_what_the_log_did_next_is_known_inside_of_episodes():
 def test_rows_without_successor_are_never_drawn():
     ends = [0, 0, 1, 0, 0, 1]
     log = Dataset.from_arrays(observations=np.arange(6.0), actions=np.zeros((6, 1)), rewards=np.zeros(6), timeouts=ends)
-    rows, got = columns(Needs(), log)
+    rows, got = columns(BatchSpec(), log)
     assert rows.count == 4
     np.testing.assert_array_equal(got["observation"][:, 0], [0, 1, 3, 4])
     np.testing.assert_array_equal(got["next_observation"][:, 0], [1, 2, 4, 5])
-    rows, got = columns(Needs(n_step=2), log)  # two steps on, the successor of rows 1 and 4 is unknown too
+    rows, got = columns(BatchSpec(n_step=2), log)  # two steps on, the successor of rows 1 and 4 is unknown too
     np.testing.assert_array_equal(got["next_observation"][:, 0], [2, 5])
-    assert columns(Needs(("observation", "action")), log)[0].count == 6  # cloning needs no successors
+    assert columns(BatchSpec(("observation", "action")), log)[0].count == 6  # cloning needs no successors
 
 
 @pytest.mark.parametrize("stream", [False, True])
@@ -100,9 +100,9 @@ def test_windows_are_masked_beyond_their_episode(stream):
             return state, {"broken": broken.astype(jnp.float32), "shape": shape,
                            "outside": (~inside).mean()}  # fmt: skip
 
-    asks = Needs(("observation", "time"), batch_size=8, window=7)
+    asks = BatchSpec(("observation", "time"), batch_size=8, window=7)
     seen = []
-    fit([Probe(asks=asks)], Rows(LOG, asks), [0], 20, chunk=10, stream=stream, on_chunk=seen.append)
+    fit([Probe(asks=asks)], TransitionSource(LOG, asks), [0], 20, chunk=10, stream=stream, on_chunk=seen.append)
     assert seen[-1].metrics["broken"][0] == 0
     assert seen[-1].metrics["shape"][0] == 807
     assert 0.05 < seen[-1].metrics["outside"][0] < 0.3  # episodes of 20, windows of 7: 6/2/20 = 0.15
@@ -115,15 +115,15 @@ def test_initial_observations_come_from_episode_starts():
             hit = (batch.initial_observation[:, None] == known[None]).all(-1).any(1)
             return state, {"hit": hit.mean(), "count": jnp.float32(len(hit))}
 
-    asks = Needs(("observation",), batch_size=4, initial=16)
+    asks = BatchSpec(("observation",), batch_size=4, initial=16)
     seen = []
-    fit([Probe(asks=asks)], Rows(LOG, asks), [0], 5, chunk=5, on_chunk=seen.append)
+    fit([Probe(asks=asks)], TransitionSource(LOG, asks), [0], 5, chunk=5, on_chunk=seen.append)
     assert (seen[0].metrics["hit"][0], seen[0].metrics["count"][0]) == (1.0, 16.0)
 
 
 def test_standardised_observations_and_unit_actions():
     log = Dataset.from_arrays(observations=np.arange(8.0), actions=np.linspace(10, 20, 8)[:, None], rewards=np.zeros(8))
-    rows, got = columns(Needs(standardise=True), log)
+    rows, got = columns(BatchSpec(standardise=True), log)
     assert abs(got["observation"].mean() + (7 - 3.5) / (7 * 2.29)) < 0.05  # the last row has no successor and is left out
     np.testing.assert_allclose(got["action"][[0, -1], 0], [-1 + 1e-6, 2 * 6 / 7 - 1], atol=1e-6)
     np.testing.assert_allclose(rows.view.from_unit(rows.view.to_unit(np.array([[15.0]]))), [[15.0]], rtol=1e-6)
@@ -132,12 +132,12 @@ def test_standardised_observations_and_unit_actions():
 @pytest.mark.parametrize("stream", [False, True])
 def test_phases_run_first_and_at_every_refresh_however_chunks_fall(stream):
     learner = Phased(refresh=10)
-    result = fit([learner, learner], Rows(LOG, learner.asks), [0, 1], 25, chunk=7, stream=stream)
+    result = fit([learner, learner], TransitionSource(LOG, learner.asks), [0, 1], 25, chunk=7, stream=stream)
     np.testing.assert_array_equal(result.states["prepared"], [3.0, 3.0])  # before updates 0, 10 and 20
 
 
 def test_a_kill_while_preparing_loses_one_lane_alone(tmp_path, monkeypatch):
-    rows, asked = Rows(LOG, Needs()), []
+    rows, asked = TransitionSource(LOG, BatchSpec()), []
 
     def prepare(self, state, rows, key, fit, patience=[3]):  # noqa: B006 -- counts calls
         asked.append(float(self.scale))
@@ -161,7 +161,7 @@ def test_a_kill_while_preparing_loses_one_lane_alone(tmp_path, monkeypatch):
 
 
 def test_stops_end_chunks_without_changing_bits():
-    rows = Rows(LOG, Needs())
+    rows = TransitionSource(LOG, BatchSpec())
     plain = fit([Collector()], rows, [3], 40, chunk=40).states["seen"]
     job = Fit([Collector()], rows, [3], 40, chunk=40, stops=15)
     assert [p.step for p in job.chunks()] == [15, 30, 40]
@@ -189,11 +189,11 @@ def test_lanes_take_floats_and_refuse_shapes():
 
 def test_bad_needs_are_told():
     with pytest.raises(UserError, match="unknown column 'rewards': did you mean reward"):
-        Rows(LOG, Needs(("rewards",)))
+        TransitionSource(LOG, BatchSpec(("rewards",)))
     with pytest.raises(UserError, match="batch_size and n_step"):
-        Rows(LOG, Needs(batch_size=0))
+        TransitionSource(LOG, BatchSpec(batch_size=0))
     with pytest.raises(UserError, match="behavior_log_probs"):
-        Rows(LOG, Needs(("behavior_log_prob",)))
+        TransitionSource(LOG, BatchSpec(("behavior_log_prob",)))
 
 
 def test_checkpoints_are_whole_or_absent(tmp_path):
@@ -212,7 +212,7 @@ def test_checkpoints_are_whole_or_absent(tmp_path):
 
 
 def test_a_broken_newest_checkpoint_is_passed_over(tmp_path):
-    rows = Rows(LOG, Needs())
+    rows = TransitionSource(LOG, BatchSpec())
     job = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
     for _ in job.chunks():
         pass
@@ -230,8 +230,8 @@ def test_data_is_an_argument_of_the_program_not_a_constant():
     """The same compiled chunk serves two logs of one shape."""
     from deadreckon.training import program
 
-    asks = Needs()
-    fit([Collector()], Rows(LOG, asks), [0], 5, chunk=5)
+    asks = BatchSpec()
+    fit([Collector()], TransitionSource(LOG, asks), [0], 5, chunk=5)
     before = program.advance._cached._cache_size()
-    fit([Collector()], Rows(corridor(400, seed=1), asks), [0], 5, chunk=5)
+    fit([Collector()], TransitionSource(corridor(400, seed=1), asks), [0], 5, chunk=5)
     assert program.advance._cached._cache_size() == before

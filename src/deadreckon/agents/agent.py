@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
@@ -36,7 +36,7 @@ class Agent(eqx.Module):
     offline: ClassVar[bool] = True
     supports_images: ClassVar[bool] = False
 
-    def needs(self, spec: Spec) -> Needs:
+    def needs(self, spec: Spec) -> BatchSpec:
         """What every batch must hold."""
         raise NotImplementedError
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import backup
 from deadreckon.agents.sac import SAC
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.training.hyperparameters import NonNegative, Range
@@ -40,7 +40,7 @@ class AlgaeDICE(SAC):
 
     def needs(self, spec):
         """Transitions, and the first observations of episodes."""
-        return Needs(batch_size=self.batch_size, initial=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, initial=self.batch_size)
 
     def target(self, state, batch, key) -> Any:
         """None: critics move both sides of the equation."""

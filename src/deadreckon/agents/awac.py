@@ -8,7 +8,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
@@ -41,7 +41,7 @@ class AWAC(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""

@@ -14,7 +14,7 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent, backup, capped_exp, imitation_loss, traced_advantage
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import TanhGaussian
@@ -45,7 +45,7 @@ class AWR(Agent):
 
     def needs(self, spec):
         """Windows of transitions."""
-        return Needs((*Needs.columns, "time"), max(self.batch_size // self.window, 1), window=self.window)
+        return BatchSpec((*BatchSpec.columns, "time"), max(self.batch_size // self.window, 1), window=self.window)
 
     def init(self, spec, key):
         """Fresh networks."""

@@ -7,7 +7,7 @@ import jax
 import optax
 
 from deadreckon.agents.agent import Agent
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -43,7 +43,7 @@ class BC(Agent):
 
     def needs(self, spec):
         """Observations and actions."""
-        return Needs(("observation", "action"), self.batch_size)
+        return BatchSpec(("observation", "action"), self.batch_size)
 
     def init(self, spec, key):
         """A fresh model."""

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.natural import Actor, log_prob, natural_step
 from deadreckon.agents.on_policy import Moments, advantages, folded, scaled_value
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -75,7 +75,7 @@ class DAPG(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; deviations are one until demonstrations tell better."""
@@ -184,7 +184,7 @@ class Cloning(eqx.Module):
 
     def needs(self, spec):
         """Standardised observations, and actions."""
-        return Needs(("observation", "action"), CLONED, standardise=True)
+        return BatchSpec(("observation", "action"), CLONED, standardise=True)
 
     def init(self, spec, key):
         """A fresh network."""

@@ -16,7 +16,7 @@ import optax
 from jaxtyping import Array
 
 from deadreckon.agents.agent import Agent
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
 from deadreckon.policies.sequence import Asking, Sequence
@@ -58,7 +58,7 @@ class DecisionTransformer(Agent):
     def needs(self, spec):
         """Windows with returns that are not discounted."""
         columns = ("observation", "action", "return_to_go", "time")
-        return Needs(columns, self.batch_size, window=self.window, standardise=True, gamma=1.0)
+        return BatchSpec(columns, self.batch_size, window=self.window, standardise=True, gamma=1.0)
 
     def init(self, spec, key) -> Any:
         """A fresh network; what the log's returns are is not known yet."""

@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from deadreckon.agents.modelled import Modelled
 from deadreckon.agents.sac import SAC, State
-from deadreckon.data.batch import Batch, Rows
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.dynamics import Branch, Ensemble, branches, packed
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, static
@@ -72,7 +72,7 @@ class Dreaming(Modelled, SAC):
         made = made[np.resize(rng.permutation(len(made)), slots.shape[1])]
         return state._replace(model=Dream(ensemble, slots.at[turn % self.keep].set(made), jnp.int32(turn + 1)))
 
-    def doubted(self, ensemble: Ensemble, found: list[Branch], rows: Rows) -> list[Branch]:
+    def doubted(self, ensemble: Ensemble, found: list[Branch], rows: TransitionSource) -> list[Branch]:
         """What is learned of the steps of rollouts; as they are unless an agent says otherwise."""
         return found
 

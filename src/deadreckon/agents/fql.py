@@ -16,7 +16,7 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import OneStep
@@ -51,7 +51,7 @@ class FQL(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

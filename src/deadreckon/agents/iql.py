@@ -12,7 +12,7 @@ import optax
 from jaxtyping import Array
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
@@ -48,7 +48,7 @@ class IQL(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

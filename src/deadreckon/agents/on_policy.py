@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import traced_advantage
-from deadreckon.data.view import STD_FLOOR
+from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.nets.mlp import MLP
 
 

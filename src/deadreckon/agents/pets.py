@@ -8,7 +8,7 @@ where the next step begins to plan. The reward is the ensemble's, as in MBPO, wh
 from typing import Any, ClassVar, NamedTuple, Self
 
 from deadreckon.agents.modelled import ModelledOnline
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.data.spec import Spec
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
@@ -60,7 +60,7 @@ class PETS(ModelledOnline):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key):
         """The ensemble."""

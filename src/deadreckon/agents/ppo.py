@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.on_policy import Moments, advantages, folded, scaled_value
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
@@ -60,7 +60,7 @@ class PPO(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; the actor's last layer is small, so that it begins without preferences."""

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from deadreckon.agents.agent import backup
 from deadreckon.agents.td3 import TD3
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import least, q_values
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
@@ -23,7 +23,7 @@ class ReBRAC(TD3):
 
     def needs(self, spec):
         """Transitions, and what the log did next."""
-        return Needs((*Needs.columns, "next_action", "follows"), self.batch_size, standardise=self.standardise)
+        return BatchSpec((*BatchSpec.columns, "next_action", "follows"), self.batch_size, standardise=self.standardise)
 
     def target(self, state, batch, key):
         """r + discount (min_j Q'_j(s', a') - critic_penalty |a' - a'_log|^2), a' as TD3's (eq. 5)."""

@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
@@ -57,7 +57,7 @@ class SAC(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import optax
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
@@ -42,7 +42,7 @@ class TD3(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return Needs(batch_size=self.batch_size, standardise=self.standardise)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from deadreckon.agents.bc import BC
 from deadreckon.collect.rollouts import Act, acted_in, perform
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.download import Patience, download_file
@@ -142,7 +142,7 @@ def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updat
         updates: `UPDATES` if None.
     """
     agent = BC()
-    rows = Rows(log, agent.needs(log.spec))
+    rows = TransitionSource(log, agent.needs(log.spec))
     job = Fit([agent], rows, [seed], updates or UPDATES, _CHUNK, folder)
     if folder is not None:
         job.resume()

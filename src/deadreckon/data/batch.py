@@ -1,4 +1,4 @@
-"""From columns to minibatches: what a method asks for (`Needs`), what it gets (`Batch`), and where rows come from (`Rows`)."""
+"""From columns to minibatches: what a method asks for (`BatchSpec`), what it gets (`Batch`), and who gives it (`BatchSource`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
-from deadreckon.data.view import View
 from deadreckon.errors import UserError, unknown
 
 
@@ -38,7 +38,7 @@ class Batch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Needs:
+class BatchSpec:
     """What a method wants in every batch.
 
     Attributes:
@@ -72,7 +72,7 @@ def redrawn(count: int, members: int, seed: int) -> np.ndarray:
 
 
 class BatchSource(Protocol):
-    """Rows of which batches are made: a log's (`Rows`), or designs.
+    """Rows of which batches are made: a log's (`TransitionSource`), or designs.
 
     Attributes:
         needs: what every batch holds.
@@ -100,7 +100,7 @@ class BatchSource(Protocol):
         ...
 
 
-class Rows:
+class TransitionSource:
     """A log as a method wants it: single rows or windows that `take` fetches by index, on the host.
 
     Training either keeps `take(everything)` on the device or fetches each batch with it; both see the same numbers.
@@ -121,7 +121,7 @@ class Rows:
     def __init__(
         self,
         log: Dataset,
-        needs: Needs,
+        needs: BatchSpec,
         extra: dict[str, np.ndarray] | None = None,
         initial_extra: dict[str, np.ndarray] | None = None,
     ):
@@ -132,7 +132,7 @@ class Rows:
         for name, column in (initial_extra or {}).items():
             if len(column) != log.episodes or name in Batch._fields or not needs.initial:
                 raise ValueError(f"{name}: an extra initial column has a name of its own and as many rows as the log episodes")
-        self.view = View.of(log.spec, needs.standardise)
+        self.view = Normalizer.of(log.spec, needs.standardise)
         for name in needs.columns:
             if name not in _COLUMNS:
                 raise unknown("column", name, _COLUMNS)
@@ -206,28 +206,28 @@ class Rows:
         return rows if self.needs.n_step == 1 else rows + self.span(rows) - 1
 
 
-def _discount(r: Rows, rows: np.ndarray) -> np.ndarray:
+def _discount(r: TransitionSource, rows: np.ndarray) -> np.ndarray:
     steps = r.span(rows) if r.needs.n_step > 1 else np.ones(len(rows))
     return ((r.needs.gamma**steps) * ~np.asarray(r.log.terminals[r.last(rows)])).astype(np.float32)
 
 
-def _next_action(r: Rows, rows: np.ndarray) -> np.ndarray:
+def _next_action(r: TransitionSource, rows: np.ndarray) -> np.ndarray:
     action = _action(r, np.minimum(rows + 1, len(r.log) - 1))
     inside = ~r.log._is_end[rows]
     return action * inside.reshape(-1, *[1] * (action.ndim - 1)).astype(action.dtype)
 
 
-def _action(r: Rows, rows: np.ndarray) -> np.ndarray:
+def _action(r: TransitionSource, rows: np.ndarray) -> np.ndarray:
     return r.view.to_unit(np.asarray(r.log.actions[rows]))
 
 
-def _behavior_log_prob(r: Rows, rows: np.ndarray) -> np.ndarray:
+def _behavior_log_prob(r: TransitionSource, rows: np.ndarray) -> np.ndarray:
     if "behavior_log_probs" not in r.log.extras:
         raise UserError(f"{r.log.name}: no column behavior_log_probs; give the logged propensities or learn them")
     return np.asarray(r.log.extras["behavior_log_probs"][rows], np.float32) + np.float32(r.view.log_scale)
 
 
-_COLUMNS: dict[str, Callable[[Rows, np.ndarray], np.ndarray]] = {
+_COLUMNS: dict[str, Callable[[TransitionSource, np.ndarray], np.ndarray]] = {
     "observation": lambda r, i: r.view.observe(np.asarray(r.log.observations[i])),
     "action": _action,
     "reward": lambda r, i: r.reward(i),

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.data.spec import Spec
-from deadreckon.data.view import STD_FLOOR
 from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import init_opt

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
+from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.data.spec import Spec
-from deadreckon.data.view import STD_FLOOR
 from deadreckon.nets.mlp import joined, split, stacks
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
@@ -70,9 +70,9 @@ class Model(eqx.Module):
     batch_size: Count = static(256)  # rows a batch
     layer_decay: Weights = static(())  # of half the squared weights of each layer, in the loss; none if empty
 
-    def needs(self, spec: Spec) -> Needs:
+    def needs(self, spec: Spec) -> BatchSpec:
         """Transitions, standardised."""
-        return Needs(batch_size=self.batch_size, standardise=True)
+        return BatchSpec(batch_size=self.batch_size, standardise=True)
 
     def create(self, spec: Spec, key: PRNGKeyArray) -> Any:
         """The parameters of all members."""

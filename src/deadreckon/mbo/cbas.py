@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Batch, Needs, redrawn
+from deadreckon.data.batch import Batch, BatchSpec, redrawn
 from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.designs import Coordinates
 from deadreckon.mbo.forward import Gaussian, mixture
@@ -110,7 +110,7 @@ class Autoencoding(eqx.Module):
 
     def needs(self, spec):
         """Designs."""
-        return Needs(columns=(), batch_size=self.settings.batch_size)
+        return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """A fresh generator and its optimiser."""

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.surrogate import climb
 from deadreckon.nets.mlp import MLP
@@ -41,7 +41,7 @@ class Conservative(eqx.Module):
 
     def needs(self, spec):
         """Designs and scores."""
-        return Needs(columns=(), batch_size=self.settings.batch_size)
+        return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """A fresh model, and little penalty."""

@@ -16,8 +16,8 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.errors import UserError
+from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.points import Points
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.training.checkpoint import folder_of, inherit
@@ -78,13 +78,13 @@ class Setting(NamedTuple):
         Raises:
             UserError: its numbers went bad.
         """
-        points = Points(self.data, learner.needs(self.data.coordinates), more)
+        points = DesignSource(self.data, learner.needs(self.data.coordinates), more)
         folder = None if self.out is None else self._folder(learner, points, steps, what)
         job = Fit([learner] * len(self.seeds), points, self.seeds, steps, chunk=max(1, min(500, steps // 10)), folder=folder)
         complete(job, what, lambda progress: self.watch(what, progress.step, steps))
         return [jax.tree.map(lambda leaf, i=i: leaf[i], job.states) for i in range(len(self.seeds))]
 
-    def _folder(self, learner: Any, points: Points, steps: int, what: str) -> Path:
+    def _folder(self, learner: Any, points: DesignSource, steps: int, what: str) -> Path:
         """Where checkpoints lie: a folder of its own for all data and each setting."""
         assert self.out is not None
         data = hashlib.blake2b(digest_size=16)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.mbo.designer import Designer, Proposals, Setting
 from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
@@ -48,7 +48,7 @@ class Inversion(eqx.Module):
 
     def needs(self, spec):
         """Designs, scores and how much each counts."""
-        return Needs(columns=(), batch_size=self.settings.batch_size)
+        return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """Fresh networks."""

@@ -26,7 +26,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
 from deadreckon.mbo.designs import Designs
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
@@ -163,7 +163,7 @@ class Training(eqx.Module):
 
     def needs(self, spec):
         """Designs and scores."""
-        return Needs(columns=(), batch_size=self.settings.batch_size)
+        return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
         """Fresh models; targets are copies."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.mbo.designer import Search
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -32,7 +32,7 @@ class Surrogate(eqx.Module):
 
     def needs(self, spec):
         """Designs and scores."""
-        return Needs(columns=(), batch_size=self.batch_size)
+        return BatchSpec(columns=(), batch_size=self.batch_size)
 
     def init(self, spec, key):
         """Fresh networks and their optimiser."""

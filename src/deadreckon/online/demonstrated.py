@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array
 
 from deadreckon.agents.dapg import DAPG, Cloning
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.view import STD_FLOOR
+from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.errors import DivergedError
 from deadreckon.online.on_policy import OnPolicy, observing
 from deadreckon.training.fit import fit
@@ -50,7 +50,7 @@ class Demonstrated(OnPolicy):
         action = self.shared[0]["action"]
         center, spread = action.mean(0), jnp.maximum(action.std(0), STD_FLOOR)
         lanes = [Cloning(float(lr), center, spread, self.agent.hidden) for lr in learner.clone_lr]
-        result = fit(lanes, Rows(log, lanes[0].needs(log.spec)), self.seeds, self.agent.clone_steps)
+        result = fit(lanes, TransitionSource(log, lanes[0].needs(log.spec)), self.seeds, self.agent.clone_steps)
         if any(result.failures):
             raise DivergedError(f"behavior_error: cloning {log.name} gave numbers that are not finite; lower clone_lr")
         return lift(lanes), result.states

@@ -13,9 +13,9 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete, Spec
 from deadreckon.data.step import Step
-from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.tasks.task import Task
 from deadreckon.training.program import ACT
@@ -137,7 +137,7 @@ class Exploration:
         plain = needs.n_step == 1 and not (needs.window or needs.initial or needs.standardise)
         if not agent.online or set(needs.columns) - set(fields) or not plain:
             raise UserError(f"{type(agent).__name__} does not learn online")
-        self.view = View.of(self.spec)
+        self.view = Normalizer.of(self.spec)
         self.block = settings.updates_per_block
         self.copies = settings.copies
         seeds_of = [np.random.SeedSequence([seed, ACT]).generate_state(self.copies, np.uint64) for seed in seeds]

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import softmax
 
-from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.behavior_model import BehaviorModel
@@ -52,7 +52,7 @@ class Folds(eqx.Module):
 
     def needs(self, spec):
         """Observations and actions, with the columns `weight` and `check` (folds,) beside them."""
-        return Needs(columns=("observation", "action"), batch_size=self.model.batch_size, standardise=True)
+        return BatchSpec(columns=("observation", "action"), batch_size=self.model.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh models."""
@@ -122,7 +122,7 @@ def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     learner = Folds(dataclasses.replace(model, clipped=case.clips), weight.shape[1])
     data = whole.data
     extra = {"weight": weight[data.episode_of], "check": check[data.episode_of]}
-    rows = Rows(data, learner.needs(data.spec), extra)
+    rows = TransitionSource(data, learner.needs(data.spec), extra)
     state = case.train(learner, rows, model.steps, "behaviour by folds")
     nets, view, own = tuple(best.params for best in state.best), rows.view, case.data
     which = jnp.stack([best.loss for best in state.best]).argmin(0)  # (folds,) of the models, the better

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import create_actor
@@ -25,7 +25,7 @@ class BehaviorModel(eqx.Module):
 
     def needs(self, spec):
         """Observations and actions."""
-        return Needs(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
+        return BatchSpec(columns=("observation", "action"), batch_size=self.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Network and optimiser."""

@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deadreckon.data.batch import Rows, redrawn
+from deadreckon.data.batch import TransitionSource, redrawn
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.view import View
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import Estimand, discounted_steps
@@ -291,7 +291,8 @@ class Case(Fits):
                 table = np.stack([*own, *([table[:, -1]] if self.logged else [])], 1)
             if self.logged:
                 taken = np.asarray(self.data.actions)[rows]
-                own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else View.of(self.data.spec).to_unit(taken)[:, None]
+                unit = Normalizer.of(self.data.spec).to_unit
+                own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else unit(taken)[:, None]
                 if self._habits is not None and name == "next":
                     own[self.data.ends] = self._habits
                 table[:, -1] = own if self._habits is None or name != "final" else self._habits
@@ -363,7 +364,7 @@ class Case(Fits):
         model = dataclasses.replace(model, clipped=self.clips)
 
         def make() -> Actor:
-            rows = Rows(self.data, model.needs(self.data.spec))
+            rows = TransitionSource(self.data, model.needs(self.data.spec))
             fitted, _ = self.train(model, rows, model.steps, "behaviour")
             policy = Deployed.of(models.policy(fitted), rows.view)
             return Actor([policy], ["the behaviour model"], self.data.spec, False, self.seed)

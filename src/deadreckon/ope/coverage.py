@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Rows
-from deadreckon.data.view import View
+from deadreckon.data.batch import TransitionSource
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.nets import distributions as dist
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import Case
@@ -73,10 +73,10 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
             return np.full(len(case.policies), np.nan)
         kept = data.select(held)
     part = taught.select(others[: int(np.searchsorted(np.cumsum(taught.lengths[others]), FITTED)) + 1])
-    view = View.of(data.spec)
+    view = Normalizer.of(data.spec)
     if not data.spec.discrete:
         part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -EDGE, EDGE)))
-    learned = Rows(part, model.needs(data.spec))
+    learned = TransitionSource(part, model.needs(data.spec))
     fitted, _ = case.train(model, learned, model.steps, "coverage")
     net = fitted.log_probs if isinstance(fitted, Categorical) else fitted
 

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
-from deadreckon.data.view import View
 from deadreckon.nets.mlp import MLP, ensemble
 
 LOOK_RATE, LOOK_EVERY = 0.01, 50  # of the running validation loss, and updates between two looks at it
@@ -104,7 +104,7 @@ class Fitted(NamedTuple):
 
     critics: MLP
     unit: float
-    view: View
+    view: Normalizer
 
     def values(self, observations: Any, table: np.ndarray) -> np.ndarray:
         """(members, policies, rows) values of states, of raw observations and what the policies do there."""

@@ -20,7 +20,7 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.case import Case
@@ -66,7 +66,7 @@ class Saddle(eqx.Module):
 
     def needs(self, spec):
         """Transitions and as many initial states, each with what the policies do there and the members' weights."""
-        return Needs(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
+        return BatchSpec(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh networks."""
@@ -172,14 +172,14 @@ def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray, war
     )  # fmt: skip
 
 
-def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial_samples: int) -> Rows:
+def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial_samples: int) -> TransitionSource:
     """The log for learners of occupancies: transitions and initial states, with the policies' actions and members' weights."""
     redrawn = case.redrawn(members)
     # Episodes are redrawn, not rows: where they differ in length, a member's rows do not count once each on average.
     weight = redrawn[case.data.episode_of]
     extra = {"policy": case.next_actions(samples), "weight": weight / weight[case.data.usable].mean(0)}
     initial = {"initial_policy": case.initial_actions(initial_samples), "initial_weight": redrawn}
-    return Rows(case.data, learner.needs(case.data.spec), extra, initial)
+    return TransitionSource(case.data, learner.needs(case.data.spec), extra, initial)
 
 
 def mass(terminal: Any, discount: Any) -> Any:

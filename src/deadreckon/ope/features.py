@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.view import View
+from deadreckon.data.normalizer import Normalizer
 
 TABLE = 400  # observations x actions up to which there is a feature for each
 PRODUCTS = 400  # products of two numbers, up to so many
@@ -69,7 +69,7 @@ class Features:
     def __init__(self, log: Dataset, cosines: int, seed: int):
         spec = log.spec
         self.cosines = cosines
-        self.view, self.discrete = View.of(spec, standardise=True), spec.discrete
+        self.view, self.discrete = Normalizer.of(spec, standardise=True), spec.discrete
         p, self.actions = spec.observation_size, spec.action_size
         rng = np.random.default_rng([seed, 6])
         self.table = Table.of(log)

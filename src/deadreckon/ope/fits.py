@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.ope.estimand import Estimand
 from deadreckon.progress import Watcher
@@ -46,7 +46,7 @@ class Fits:
             self._kept[key] = make()
         return self._kept[key]
 
-    def train(self, learner: Any, rows: Rows, steps: int, what: str) -> Any:
+    def train(self, learner: Any, rows: TransitionSource, steps: int, what: str) -> Any:
         """The state of a learner after `steps` updates, gone on with from its checkpoints where there are some.
 
         Raises:
@@ -56,7 +56,7 @@ class Fits:
         with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):
             return self._train(learner, rows, steps, what, folder)
 
-    def _train(self, learner: Any, rows: Rows, steps: int, what: str, folder: Path | None) -> Any:
+    def _train(self, learner: Any, rows: TransitionSource, steps: int, what: str, folder: Path | None) -> Any:
         job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
         kept = None if folder is None else folder / "metrics.json"
         known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
@@ -86,7 +86,7 @@ class Fits:
         found = f"{metric} by {100 * change:.0f} % over its last fifth"
         return [f"{what} still changes: {found}; more than {last:,} updates are needed"]
 
-    def _folder(self, learner: Any, rows: Rows, steps: int, what: str) -> Path:
+    def _folder(self, learner: Any, rows: TransitionSource, steps: int, what: str) -> Path:
         """Where a fit's checkpoints lie: a folder of its own for every log, set of policies and setting."""
         assert self.out is not None
         columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}

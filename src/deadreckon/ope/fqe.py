@@ -17,7 +17,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.behavior import masks
@@ -90,7 +90,7 @@ class Critics(eqx.Module):
 
     def needs(self, spec):
         """Transitions, with the columns `policy` and `weight` beside them, and where it is not all ones `known` (policies,)."""
-        return Needs(batch_size=self.settings.batch_size, standardise=True)
+        return BatchSpec(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh critics; targets are copies."""
@@ -144,7 +144,9 @@ class FQE(Estimator):
         """The critics of a case's policies; made once for a case, whoever asks."""
         return case.once(self, lambda: self._fit(case))
 
-    def problem(self, case: Case, weight: np.ndarray | None = None, check: np.ndarray | None = None) -> tuple[Critics, Rows]:
+    def problem(
+        self, case: Case, weight: np.ndarray | None = None, check: np.ndarray | None = None
+    ) -> tuple[Critics, TransitionSource]:
         """What is trained for a case, and the rows that it learns from.
 
         Args:
@@ -167,7 +169,7 @@ class FQE(Estimator):
             extra["known"] = np.where(np.arange(case.count) == case.count - 1, shown[:, None], True).astype(np.float32)
         if check is not None:
             extra["check"] = check[data.episode_of]
-        return learner, Rows(data, learner.needs(data.spec), extra)
+        return learner, TransitionSource(data, learner.needs(data.spec), extra)
 
     def _fit(self, case: Case) -> Fitted:
         learner, rows = self.problem(case)

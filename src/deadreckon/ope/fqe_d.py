@@ -13,7 +13,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.data.batch import Batch, Needs, Rows
+from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, copy, init_opt
 from deadreckon.ope.case import Case
@@ -90,7 +90,7 @@ class Distributions(eqx.Module):
 
     def needs(self, spec):
         """Transitions, with the columns `policy` and `weight` beside them."""
-        return Needs(batch_size=self.settings.batch_size, standardise=True)
+        return BatchSpec(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh critics; targets are copies."""
@@ -180,7 +180,7 @@ class FQED(Estimator):
         learner = Distributions(self, case.discount, scale, case.count)
         redrawn = case.redrawn(self.members)
         extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}
-        rows = Rows(data, learner.needs(data.spec), extra)
+        rows = TransitionSource(data, learner.needs(data.spec), extra)
         state = case.train(learner, rows, self.steps, "fqe-d")
         first = rows.view.observe(np.asarray(data.observations[data.starts]))
         of = lambda seen, table: _values(learner, state.critics, seen, table)  # noqa: E731

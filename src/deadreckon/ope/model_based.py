@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.dynamics import AutoRegressive, Gaussian, Model
 from deadreckon.dynamics.model import Limits
 from deadreckon.errors import UserError
@@ -40,14 +40,14 @@ class ModelBased(Estimator):
     horizon: CountOrZero | None = static(None)  # steps of an episode; None: until 1 % is left, or as the longest where all end
     model: BehaviorModel = static(BehaviorModel())  # how the log's own policy is learned, where it is judged too
 
-    def fitted(self, case: Case) -> tuple[Model, Any, Rows]:
+    def fitted(self, case: Case) -> tuple[Model, Any, TransitionSource]:
         """The model and its parameters; made once for a case."""
         return case.once(self.replace(episodes=1, horizon=None, model=None), lambda: self._fit(case))
 
-    def _fit(self, case: Case) -> tuple[Model, Any, Rows]:
+    def _fit(self, case: Case) -> tuple[Model, Any, TransitionSource]:
         model = KINDS[self.kind](self.members, self.hidden, self.lr, self.weight_decay, self.batch_size)
         extra = {"weight": case.redrawn(self.members)[case.data.episode_of]}
-        rows = Rows(case.data, model.needs(case.data.spec), extra)
+        rows = TransitionSource(case.data, model.needs(case.data.spec), extra)
         params, _, unit = case.train(model, rows, self.steps, f"model-{self.kind}")
         return model, (params, float(unit)), rows
 

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
-from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import Deployed
 from deadreckon.policies.kinds import Deterministic, Gaussian, OneStep
@@ -133,7 +133,7 @@ class Actor:
             UserError: a policy draws its actions and does not tell how likely they are.
         """
         out = np.empty((len(self.policies), len(actions)))
-        view = View.of(self.spec)
+        view = Normalizer.of(self.spec)
         for start in range(0, len(actions), BLOCK):
             seen, taken = np.asarray(observations[start : start + BLOCK]), np.asarray(actions[start : start + BLOCK])
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):
@@ -176,7 +176,7 @@ class Actor:
             step = Step(observations, np.zeros(len(observations)), np.ones(len(observations), bool))
             drawn = np.stack([policy.act(step, (), rng, greedy=self.greedy)[0] for _ in range(samples)], 1)
             self._fits(self.names[which], drawn.shape[2:])
-        return np.asarray(View.of(self.spec).to_unit(np.asarray(drawn, np.float32)))
+        return np.asarray(Normalizer.of(self.spec).to_unit(np.asarray(drawn, np.float32)))
 
     def _probabilities(self, policy: Any, observations: np.ndarray, key: list[int]) -> np.ndarray:
         """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased."""

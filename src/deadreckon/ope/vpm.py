@@ -20,7 +20,7 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.case import Case
@@ -51,7 +51,7 @@ class Power(eqx.Module):
 
     def needs(self, spec):
         """Transitions and as many initial states, each with what the policies do there and the members' weights."""
-        return Needs(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
+        return BatchSpec(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Fresh networks."""

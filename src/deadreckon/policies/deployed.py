@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
+from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.step import Step
-from deadreckon.data.view import EDGE, View
 from deadreckon.errors import UserError
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, Supported, TanhGaussian
 from deadreckon.policies.policy import Inner
@@ -32,15 +32,15 @@ class Deployed(eqx.Module):
     high: Array | None
 
     @classmethod
-    def of(cls, inner: Inner, view: View) -> "Deployed":
+    def of(cls, inner: Inner, view: Normalizer) -> "Deployed":
         """`inner` seen through `view`."""
         arrays = (None if v is None else jnp.asarray(v) for v in (view.mean, view.std, view.low, view.high))
         return cls(inner, *arrays)
 
     @property
-    def view(self) -> View:
+    def view(self) -> Normalizer:
         """The change of coordinates."""
-        return View(self.mean, self.std, self.low, self.high)  # pyright: ignore[reportArgumentType]
+        return Normalizer(self.mean, self.std, self.low, self.high)  # pyright: ignore[reportArgumentType]
 
     @property
     def has_log_prob(self) -> bool:
@@ -66,7 +66,7 @@ class Deployed(eqx.Module):
         log_prob = self.inner.log_prob(view.observe(jnp.asarray(observation)), unit)
         if self.low is None or self.high is None:
             return log_prob
-        # As `View.log_scale`, but also where the bounds are traced; what a bound has of a clipped Gaussian is no density.
+        # As `Normalizer.log_scale`, but also where the bounds are traced; what a bound has of a clipped Gaussian is no density.
         scale = jnp.log(0.5 * (self.high - self.low))
         dense = jnp.abs(unit) < EDGE if isinstance(self.inner, ClippedGaussian) else 1.0
         return log_prob - (dense * scale).sum(-1)

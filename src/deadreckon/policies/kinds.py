@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from deadreckon.data.normalizer import EDGE
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
-from deadreckon.data.view import EDGE
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.vae import VAE

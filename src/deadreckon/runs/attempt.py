@@ -25,7 +25,7 @@ import numpy as np
 from deadreckon.agents import agent_class
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
@@ -232,7 +232,7 @@ class Attempt:
         self.send("watch", [f"pilot of {candidate.name}", 0, 1])
         begun = time.perf_counter()
         agent = _agent(candidate, hidden, self.job.discount).resolve(log.spec, MOST)
-        fit = Fit([agent], Rows(log, agent.needs(log.spec)), [self.job.seed], MOST, chunk=TRIED)
+        fit = Fit([agent], TransitionSource(log, agent.needs(log.spec)), [self.job.seed], MOST, chunk=TRIED)
         first: float | None = None
         rate = 1.0
         for progress in fit.chunks():

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.view import View
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.policies.deployed import Deployed, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.stats.interval import ALPHA
@@ -111,7 +111,9 @@ def _q(agents: Agent, states: Any, observations: Array, actions: Array) -> Array
     return eqx.filter_vmap(lambda agent, state, o, a: agent.q_value(state, o, a))(agents, states, observations, actions)
 
 
-def estimated_values(agents: Agent, states: Any, view: View, policies: list[Deployed], starts: np.ndarray) -> np.ndarray | None:
+def estimated_values(
+    agents: Agent, states: Any, view: Normalizer, policies: list[Deployed], starts: np.ndarray
+) -> np.ndarray | None:
     """(lanes, episodes) each lane's Q at initial observations and its policy's own actions; None without a critic.
 
     The actions are those that `evaluate` with seed 0 takes first at these starts. Q looks through timeouts, a return in the

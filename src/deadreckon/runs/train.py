@@ -14,7 +14,7 @@ import pyarrow as pa
 from deadreckon.agents import agent_class, agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
-from deadreckon.data.batch import Rows
+from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json, safe_name
@@ -176,7 +176,7 @@ def _train(
     seeds = len(lanes) // len(folders)
     numbers = list(range(seed, seed + seeds))
     every = min(settings.evaluate_every or folders[0].period(resume) or max(steps // 10, 1), steps)
-    rows = Rows(part.learning, lanes[0].needs(part.learning.spec))
+    rows = TransitionSource(part.learning, lanes[0].needs(part.learning.spec))
 
     common = {
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from deadreckon.data.batch import BatchSource, Rows
+from deadreckon.data.batch import BatchSource, TransitionSource
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
@@ -182,13 +182,13 @@ class Fit:
         return {name: np.where(healthy, np.asarray(value, np.float64), np.nan) for name, value in means.items()}
 
     def _prepare(self) -> None:
-        assert isinstance(self.rows, Rows)  # `__post_init__` has refused anything else
+        assert isinstance(self.rows, TransitionSource)  # `__post_init__` has refused anything else
         log = self.rows.log
 
         def inner(learner: Any, steps: int, key: PRNGKeyArray) -> Any:
             seed, spec = int(jax.random.bits(key, dtype=jnp.uint32)), self.rows.spec
             learner = learner.resolve(spec, steps) if hasattr(learner, "resolve") else learner
-            rows = Rows(log, learner.needs(spec))
+            rows = TransitionSource(log, learner.needs(spec))
             result = fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream)
             if result.failures[0] is not None:
                 raise DivergedError(f"{result.failures[0].metric}: not finite")

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, PRNGKeyArray
 
-from deadreckon.data.batch import Batch, Needs
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import on_device
@@ -26,7 +26,7 @@ class Learner(Protocol):
     learner on the same rows and gives its state.
     """
 
-    def needs(self, spec: Spec) -> Needs:
+    def needs(self, spec: Spec) -> BatchSpec:
         """What every batch must hold."""
         ...
 

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from deadreckon.data.batch import Needs
+from deadreckon.data.batch import BatchSpec
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
-from deadreckon.data.view import View
 from deadreckon.errors import UserError
 from deadreckon.files import write_at
 
@@ -24,14 +24,14 @@ class Experience(Protocol):
     Attributes:
         block: updates between two turns of acting; also the unit in which runs are paused and saved.
         metrics: numbers of its own, each (lanes,), that are told with those of the updates.
-        needs, spec, view, fields: as of `Rows`.
+        needs, spec, view, fields: as of `TransitionSource`.
     """
 
     block: int
     metrics: dict[str, np.ndarray]
-    needs: Needs
+    needs: BatchSpec
     spec: Spec
-    view: View
+    view: Normalizer
     fields: dict[str, tuple[tuple[int, ...], Any]]
 
     @property

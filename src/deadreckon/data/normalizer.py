@@ -14,7 +14,7 @@ STD_FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Normalizer:
     """The two changes of coordinates between a log and a method; every method and policy uses this one object.
 
     Works on numpy and JAX arrays alike. For discrete actions the action maps are the identity.
@@ -30,8 +30,8 @@ class View:
     high: np.ndarray | None
 
     @classmethod
-    def of(cls, spec: Spec, standardise: bool = False) -> "View":
-        """The view of a log with this spec."""
+    def of(cls, spec: Spec, standardise: bool = False) -> "Normalizer":
+        """That of a log with this spec."""
         mean = std = low = high = None
         if standardise and spec.observation_dtype != "uint8":
             mean = np.asarray(spec.observation.mean, np.float32)

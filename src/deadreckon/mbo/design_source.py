@@ -8,7 +8,7 @@ import numpy as np
 from deadreckon.mbo.designs import Designs
 
 
-class Points:
+class DesignSource:
     """Designs as `training.fit` takes rows: coordinates `x` and standardised scores `y`, in a batch's `extra`.
 
     Args:
