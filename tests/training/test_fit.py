@@ -170,7 +170,7 @@ def test_stops_end_chunks_without_changing_bits():
 
 def test_learners_are_told_apart_by_all_their_fields():
     assert str(Collector()) == str(Collector(scale=1.0))
-    assert described(Collector()) == f"Collector(scale=1.0, asks={Needs()!r}, refresh=0)"
+    assert described(Collector()) == f"Collector(scale=1.0, asks={BatchSpec()!r}, refresh=0)"
     assert described(Collector(scale=2.0)) != described(Collector())
 
 

@@ -1,4 +1,4 @@
-"""From columns to minibatches: what a method asks for (`BatchSpec`), what it gets (`Batch`), and who gives it (`BatchSource`)."""
+"""From columns to minibatches: what a method asks for (`BatchSpec`), what it gets (`Batch`), who gives it (`BatchSource`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
