@@ -10,8 +10,8 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.collect import adroit, generate, recipe, recipe_names
-from deadreckon.data.download import Patience
 from deadreckon.data.formats.hdf5 import write_hdf5
+from deadreckon.data.transfer import RetryPolicy
 from deadreckon.errors import UserError
 from deadreckon.policies import load_dapg
 from deadreckon.policies.kinds import Gaussian
@@ -173,12 +173,12 @@ def test_files_come_from_the_authors_once(mirror, home):
 
 
 def test_what_does_not_come_or_is_something_else_is_told_in_one_line(mirror, home):
-    patience = Patience(tries=1, timeout=5.0, sleep=lambda seconds: None)
+    retry = RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None)
     with pytest.raises(UserError, match=r"pen-v0_demos.pickle: .*404.*may be put by hand at .*adroit/pen-v0_demos.pickle$"):
-        adroit.human(task("pen"), patience)
+        adroit.human(task("pen"), retry)
     shutil.copy(mirror / "demonstrations" / "door-v0_demos.pickle", mirror / "policies" / "door-v0.pickle")
     with pytest.raises(UserError, match=r"door-v0.pickle: no policy of DAPG in it.*the file was removed; .*by hand"):
-        adroit.policy_file(DOOR, patience)
+        adroit.policy_file(DOOR, retry)
     assert not list((home / "data" / "adroit").glob("*.p*"))
 
 

@@ -11,6 +11,7 @@ import threading
 import urllib.request
 import warnings
 from collections import deque
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import SimpleNamespace
 
@@ -25,10 +26,12 @@ from small_logs import make_log, same
 from deadreckon.cli.data import data
 from deadreckon.data import download
 from deadreckon.data.catalogue import ENTRIES, at_hand, cached_path, entry, load, record_path
+from deadreckon.data.connection import Redirects
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.download import Patience, fetch, get
+from deadreckon.data.download import get
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.formats.minari import write_minari
+from deadreckon.data.transfer import RetryPolicy, fetch
 from deadreckon.errors import UserError
 from deadreckon.tasks import task
 from deadreckon.tasks.kitchen import ELEMENTS
@@ -147,10 +150,10 @@ def twin(server, twin_files):
 
 
 @pytest.fixture
-def patience():
-    """That does not wait; `patience.waits` says how long it would have."""
+def retry():
+    """That does not wait; `retry.waits` says how long it would have."""
     waits = []
-    made = Patience(tries=3, timeout=5.0, sleep=waits.append)
+    made = RetryPolicy(tries=3, timeout=5.0, sleep=waits.append)
     object.__setattr__(made, "waits", waits)
     return made
 
@@ -160,10 +163,10 @@ def cache(home):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*")) if folder.exists() else []
 
 
-def left_alone(home, server, patience, words, name=NAME, source="d4rl", **options):
+def left_alone(home, server, retry, words, name=NAME, source="d4rl", **options):
     """`get` fails in one line with these words and leaves nothing."""
     with pytest.raises(UserError) as caught:
-        get(name, source, patience=patience, **options)
+        get(name, source, retry=retry, **options)
     text = str(caught.value)
     assert "\n" not in text
     for word in words:
@@ -178,7 +181,7 @@ def left_alone(home, server, patience, words, name=NAME, source="d4rl", **option
 def test_the_original_is_kept_byte_for_byte(server, original, home):
     told = []
     got = get(NAME, progress=lambda done, total: told.append((done, total)))
-    assert got == download.Got(f"{NAME}@d4rl", home / "data" / f"{NAME}@d4rl.hdf5", True, original.sha256, None)
+    assert got == download.Download(f"{NAME}@d4rl", home / "data" / f"{NAME}@d4rl.hdf5", True, original.sha256, None)
     assert got.path.read_bytes() == original.body
     assert cache(home) == [f"{NAME}@d4rl.hdf5", f"{NAME}@d4rl.json"]
     assert told[0] == (0, len(original.body))
@@ -269,7 +272,7 @@ def test_a_twin_with_other_numbers_is_refused(server, home, tmp_path, monkeypatc
 
 def test_the_twin_becomes_one_file_with_our_columns(server, twin, home):
     got = get(NAME, "minari")
-    assert got == download.Got(f"{NAME}@minari", home / "data" / f"{NAME}@minari.hdf5", True, twin.sha256, None)
+    assert got == download.Download(f"{NAME}@minari", home / "data" / f"{NAME}@minari.hdf5", True, twin.sha256, None)
     assert cache(home) == [f"{NAME}@minari.hdf5"]
     log = load(f"{NAME}@minari")
     same(log, twin.log)
@@ -348,10 +351,10 @@ def test_an_original_without_its_record_says_so(server, original, home):
 # ---- redirects -------------------------------------------------------------------------------------------------------
 
 
-def test_redirects_are_followed_and_hugging_face_names_the_checksum(server, twin, patience):
+def test_redirects_are_followed_and_hugging_face_names_the_checksum(server, twin, retry):
     server.files["/store/xyz"] = server.files.pop(f"{TWIN}main_data.hdf5")
     server.next += [serve, redirects("/store/xyz", X_Linked_ETag=f'"{twin.sha256}"'), drops(1000), redirects("/store/xyz")]
-    got = get(NAME, "minari", patience=patience)
+    got = get(NAME, "minari", retry=retry)
     assert got.vouched == "the server's X-Linked-ETag"
     assert [path for path, _ in server.requests[1:]] == [f"{TWIN}main_data.hdf5", "/store/xyz"] * 2
     assert server.requests[-1][1]["range"] == "bytes=1000-"
@@ -359,74 +362,74 @@ def test_redirects_are_followed_and_hugging_face_names_the_checksum(server, twin
     assert load(NAME).provenance.extra["url"] == f"{server.root}{TWIN}main_data.hdf5"
 
 
-def test_redirects_without_an_end(server, home, patience):
+def test_redirects_without_an_end(server, home, retry):
     server.next += [redirects(ORIGINAL)] * 50
-    left_alone(home, server, patience, [server.root + ORIGINAL, "redirects in a circle", OFFLINE])
+    left_alone(home, server, retry, [server.root + ORIGINAL, "redirects in a circle", OFFLINE])
     assert len(server.requests) <= 12
-    assert patience.waits == []
+    assert retry.waits == []
 
 
 @pytest.mark.parametrize("place", ["http://x.org/a", "ftp://x.org/a", "file:///etc/passwd"])
 def test_no_redirect_leads_to_a_less_safe_place(place):
     request = urllib.request.Request("https://x.org/b")
     with pytest.raises(UserError, match=f"https://x.org/b: redirects to {place}, which is less safe"):
-        download._Redirects().redirect_request(request, io.BytesIO(), 302, "Found", {}, place)
+        Redirects().redirect_request(request, io.BytesIO(), 302, "Found", {}, place)
 
 
 # ---- refusals --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("status", [404, 410, 403])
-def test_what_is_gone_names_the_recipe_that_always_works(server, home, patience, status):
+def test_what_is_gone_names_the_recipe_that_always_works(server, home, retry, status):
     server.next += [says(status)]
-    left_alone(home, server, patience, [server.root + ORIGINAL, f"the server answered {status}", OFFLINE])
-    assert patience.waits == []
+    left_alone(home, server, retry, [server.root + ORIGINAL, f"the server answered {status}", OFFLINE])
+    assert retry.waits == []
     server.next += [says(status)]
-    left_alone(home, server, patience, [f"{server.root}{TWIN}metadata.json", str(status), OFFLINE], source="minari")
+    left_alone(home, server, retry, [f"{server.root}{TWIN}metadata.json", str(status), OFFLINE], source="minari")
 
 
-def test_a_twin_of_which_one_file_is_gone(server, twin, home, patience):
+def test_a_twin_of_which_one_file_is_gone(server, twin, home, retry):
     del server.files[f"{TWIN}main_data.hdf5"]
-    left_alone(home, server, patience, ["main_data.hdf5", "404", OFFLINE], source="minari")
+    left_alone(home, server, retry, ["main_data.hdf5", "404", OFFLINE], source="minari")
 
 
-def test_no_server_there(server, home, patience, monkeypatch):
+def test_no_server_there(server, home, retry, monkeypatch):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         monkeypatch.setenv("DEADRECKON_D4RL_URL", f"http://127.0.0.1:{free.getsockname()[1]}")
-        left_alone(home, server, patience, ["connection refused", OFFLINE])
+        left_alone(home, server, retry, ["connection refused", OFFLINE])
 
     def no_name(*args, **options):
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", no_name)
     monkeypatch.setenv("DEADRECKON_D4RL_URL", "http://nowhere.invalid/")
-    left_alone(home, server, patience, ["no server of that name (Name or service not known)", OFFLINE])
-    assert patience.waits == []
+    left_alone(home, server, retry, ["no server of that name (Name or service not known)", OFFLINE])
+    assert retry.waits == []
 
 
 @pytest.mark.parametrize("root", ["file:///etc", "ftp://x.org", "x.org", "http://", "http://x.org:port", "http://[x"])
-def test_addresses_that_are_none(server, home, patience, monkeypatch, root):
+def test_addresses_that_are_none(server, home, retry, monkeypatch, root):
     monkeypatch.setenv("DEADRECKON_D4RL_URL", root)
-    left_alone(home, server, patience, [root, "address"])
+    left_alone(home, server, retry, [root, "address"])
 
 
-def test_what_cannot_be_asked_for(server, home, patience):
+def test_what_cannot_be_asked_for(server, home, retry):
     for words, name, source in (
         (["did you mean hopper-medium-v2"], "hopper-medum-v2", "d4rl"),
         (["unknown source 'mirai'", "minari"], NAME, "mirai"),
         (["has no Minari twin: --source d4rl downloads its", "collect hopper-random-v2`"], "hopper-random-v2", "minari"),
         (["contradict each other; leave @dr1 out"], f"{NAME}@dr1", "d4rl"),
     ):
-        left_alone(home, server, patience, words, name, source)
-    left_alone(home, server, patience, ["64 hexadecimal digits, got 'abc'"], sha256="abc")
+        left_alone(home, server, retry, words, name, source)
+    left_alone(home, server, retry, ["64 hexadecimal digits, got 'abc'"], sha256="abc")
     assert server.requests == []
 
 
-def test_a_log_of_ours_alone_has_no_original(server, home, patience, monkeypatch):
-    ours = download.replace(entry(NAME), original=None, minari=None)
+def test_a_log_of_ours_alone_has_no_original(server, home, retry, monkeypatch):
+    ours = replace(entry(NAME), original=None, minari=None)
     monkeypatch.setitem(ENTRIES, NAME, ours)
-    left_alone(home, server, patience, [f"{NAME} has no original at D4RL's: {OFFLINE}"])
+    left_alone(home, server, retry, [f"{NAME} has no original at D4RL's: {OFFLINE}"])
     with pytest.raises(UserError, match=f"not here yet: {OFFLINE}$"):
         load(NAME)
     with pytest.raises(UserError, match=f"unknown version 'd4rl' of {NAME}: known are {NAME}@dr1 \\(collected\\)$"):
@@ -436,17 +439,17 @@ def test_a_log_of_ours_alone_has_no_original(server, home, patience, monkeypatch
 # ---- broken transfers ------------------------------------------------------------------------------------------------
 
 
-def test_a_dropped_connection_goes_on_where_it_was(server, original, home, patience):
+def test_a_dropped_connection_goes_on_where_it_was(server, original, home, retry):
     half = len(original.body) // 2
     server.next += [drops(half)]
-    got = get(NAME, patience=patience)
+    got = get(NAME, retry=retry)
     assert got.path.read_bytes() == original.body
     assert got.sha256 == original.sha256
     (_, first), (_, second) = server.requests
     assert "range" not in first
     assert (second["range"], second["if-range"]) == (f"bytes={half}-", '"one"')
     assert server.sent == [half, len(original.body) - half]
-    assert patience.waits == [1.0]
+    assert retry.waits == [1.0]
     assert first["accept-encoding"] == "identity"
     assert cache(home) == [f"{NAME}@d4rl.hdf5", f"{NAME}@d4rl.json"]
 
@@ -459,7 +462,7 @@ def test_a_killed_process_is_gone_on_with_by_the_next(server, original, home):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        get(NAME, patience=Patience(sleep=stop))
+        get(NAME, retry=RetryPolicy(sleep=stop))
     part = f".{NAME}@d4rl.hdf5.part"
     assert cache(home) == [part, f"{part}.json"]
     assert (home / "data" / part).read_bytes() == original.body[:2000]
@@ -479,7 +482,7 @@ def test_a_twin_is_gone_on_with_too(server, twin, home):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        get(NAME, "minari", patience=Patience(sleep=stop))
+        get(NAME, "minari", retry=RetryPolicy(sleep=stop))
     assert f".{NAME}@minari.hdf5.part/data/main_data.hdf5" in cache(home)
     got = get(NAME, "minari")
     assert server.requests[-1][1]["range"] == "bytes=1500-"
@@ -498,14 +501,14 @@ def test_killed_just_before_the_end_nothing_is_fetched_again(server, original, h
     assert cache(home) == [f"{NAME}@d4rl.hdf5", f"{NAME}@d4rl.json"]
 
 
-def test_a_server_that_knows_no_ranges_starts_from_zero(server, original, patience):
+def test_a_server_that_knows_no_ranges_starts_from_zero(server, original, retry):
     server.next += [drops(3000), drops(None, ranges=False)]
-    assert get(NAME, patience=patience).path.read_bytes() == original.body
+    assert get(NAME, retry=retry).path.read_bytes() == original.body
     assert server.requests[1][1]["range"] == "bytes=3000-"
     assert server.sent == [3000, len(original.body)]
 
 
-def test_a_file_that_changed_meanwhile_starts_from_zero(server, original, patience):
+def test_a_file_that_changed_meanwhile_starts_from_zero(server, original, retry):
     newer = d4rl_file(make_log((50,), seed=8))
 
     def changed(handler):
@@ -513,7 +516,7 @@ def test_a_file_that_changed_meanwhile_starts_from_zero(server, original, patien
         serve(handler)
 
     server.next += [drops(3000), changed]
-    assert get(NAME, patience=patience).path.read_bytes() == newer
+    assert get(NAME, retry=retry).path.read_bytes() == newer
     assert server.requests[1][1]["if-range"] == '"one"'
 
 
@@ -523,34 +526,34 @@ def test_a_file_that_changed_meanwhile_starts_from_zero(server, original, patien
     {"ETag": '"one"', "Content_Range": "bytes 3000-{last}/999999"},  # another size
     {"ETag": '"one"'},
 ])  # fmt: skip
-def test_a_rest_that_does_not_fit_is_not_taken(server, original, patience, answer):
+def test_a_rest_that_does_not_fit_is_not_taken(server, original, retry, answer):
     size = len(original.body)
     headers = {key: value.format(last=size - 1, size=size) for key, value in answer.items()}
     server.next += [drops(3000), says(206, b"x" * (size - 3000), **headers)]
-    assert get(NAME, patience=patience).path.read_bytes() == original.body
+    assert get(NAME, retry=retry).path.read_bytes() == original.body
     assert "range" not in server.requests[2][1]
-    assert len(patience.waits) == 2
+    assert len(retry.waits) == 2
 
 
-def test_a_rest_that_is_not_there_is_fetched_from_zero(server, original, patience):
+def test_a_rest_that_is_not_there_is_fetched_from_zero(server, original, retry):
     server.next += [drops(3000), says(416)]
-    assert get(NAME, patience=patience).path.read_bytes() == original.body
+    assert get(NAME, retry=retry).path.read_bytes() == original.body
     assert "range" not in server.requests[2][1]
 
 
 @pytest.mark.parametrize("etag", [{}, {"ETag": 'W/"weak"'}])
-def test_the_date_stands_in_for_a_strong_etag(server, original, patience, etag):
+def test_the_date_stands_in_for_a_strong_etag(server, original, retry, etag):
     asked = "Mon, 01 Jun 2020 10:00:00 GMT"
     server.files[ORIGINAL] = (original.body, {"Last_Modified": asked, **etag})
     server.next += [drops(3000)]
-    assert get(NAME, patience=patience).sha256 == original.sha256
+    assert get(NAME, retry=retry).sha256 == original.sha256
     assert server.requests[1][1]["if-range"] == asked
 
 
-def test_without_a_sign_of_its_state_a_file_starts_from_zero(server, original, patience):
+def test_without_a_sign_of_its_state_a_file_starts_from_zero(server, original, retry):
     server.files[ORIGINAL] = (original.body, {})
     server.next += [drops(3000)]
-    assert get(NAME, patience=patience).sha256 == original.sha256
+    assert get(NAME, retry=retry).sha256 == original.sha256
     assert "range" not in server.requests[1][1]
 
 
@@ -565,7 +568,7 @@ def test_a_part_of_unknown_origin_is_not_gone_on_with(server, original, home, sp
     part.parent.mkdir(parents=True)
     server.next += [drops(3000)]
     with pytest.raises(UserError):
-        fetch(server.root + ORIGINAL, part, patience=Patience(tries=1))
+        fetch(server.root + ORIGINAL, part, retry=RetryPolicy(tries=1))
     spoil(part)
     assert get(NAME).path.read_bytes() == original.body
     assert "range" not in server.requests[-1][1]
@@ -574,22 +577,22 @@ def test_a_part_of_unknown_origin_is_not_gone_on_with(server, original, home, sp
 def test_a_part_from_another_address_is_not_gone_on_with(server, original, home, monkeypatch):
     server.next += [drops(3000)]
     with pytest.raises(UserError):
-        get(NAME, patience=Patience(tries=1))
+        get(NAME, retry=RetryPolicy(tries=1))
     server.files[ORIGINAL.replace("d4rl", "mirror")] = server.files[ORIGINAL]
     monkeypatch.setenv("DEADRECKON_D4RL_URL", f"{server.root}/mirror")
     assert get(NAME).sha256 == original.sha256
     assert "range" not in server.requests[-1][1]
 
 
-def test_a_server_in_trouble_is_asked_again(server, original, patience):
+def test_a_server_in_trouble_is_asked_again(server, original, retry):
     server.next += [says(500), says(503)]
-    assert get(NAME, patience=patience).sha256 == original.sha256
-    assert patience.waits == [1.0, 2.0]
+    assert get(NAME, retry=retry).sha256 == original.sha256
+    assert retry.waits == [1.0, 2.0]
 
 
-def test_a_server_that_stays_in_trouble(server, home, patience):
+def test_a_server_that_stays_in_trouble(server, home, retry):
     server.next += [says(503)] * 9
-    left_alone(home, server, patience, ["the server answered 503 Service Unavailable, 3 times in a row", OFFLINE])
+    left_alone(home, server, retry, ["the server answered 503 Service Unavailable, 3 times in a row", OFFLINE])
     assert len(server.requests) == 3
 
 
@@ -597,16 +600,16 @@ def test_no_answer_at_all(server, home, original):
     stop = threading.Event()
     server.next += [lambda handler: stop.wait(5)] * 2
     waits = []
-    left_alone(home, server, Patience(2, 0.05, waits.append), ["no answer for 0.05 s, 2 times in a row", OFFLINE])
+    left_alone(home, server, RetryPolicy(2, 0.05, waits.append), ["no answer for 0.05 s, 2 times in a row", OFFLINE])
     stop.set()
     assert waits == [1.0]
 
 
-def test_a_body_that_is_always_too_short(server, original, home, patience):
+def test_a_body_that_is_always_too_short(server, original, home, retry):
     server.next += [drops(3000, ranges=False)] * 9
     size = len(original.body)
     with pytest.raises(UserError) as caught:
-        get(NAME, patience=patience)
+        get(NAME, retry=retry)
     text = str(caught.value)
     assert f"broke after 3,000 of {size:,} bytes, 3 times in a row (3,000 bytes are kept, the same command goes on" in text
     assert OFFLINE in text
@@ -617,32 +620,32 @@ def test_a_body_that_is_always_too_short(server, original, home, patience):
     assert server.sent[-1] == size - 3000
 
 
-def test_as_long_as_bytes_come_it_is_not_given_up(server, original, patience):
+def test_as_long_as_bytes_come_it_is_not_given_up(server, original, retry):
     server.next += [drops(500)] * 12
-    assert get(NAME, patience=patience).sha256 == original.sha256
-    assert patience.waits == [1.0] * 12
+    assert get(NAME, retry=retry).sha256 == original.sha256
+    assert retry.waits == [1.0] * 12
 
 
-def test_a_body_without_a_length(server, original, patience):
+def test_a_body_without_a_length(server, original, retry):
     server.next += [lambda handler: handler.send(200, original.body, length="none")]
     told = []
-    assert get(NAME, patience=patience, progress=lambda *a: told.append(a)).sha256 == original.sha256
+    assert get(NAME, retry=retry, progress=lambda *a: told.append(a)).sha256 == original.sha256
     assert told[-1] == (len(original.body), None)
 
 
 # ---- checksums -------------------------------------------------------------------------------------------------------
 
 
-def test_a_checksum_of_the_user(server, original, home, patience):
+def test_a_checksum_of_the_user(server, original, home, retry):
     words = f"expected sha256 {'0' * 64} (by the caller), got {original.sha256}; the file was removed"
-    left_alone(home, server, patience, [words, server.root + ORIGINAL, OFFLINE], sha256="0" * 64)
+    left_alone(home, server, retry, [words, server.root + ORIGINAL, OFFLINE], sha256="0" * 64)
     assert get(NAME, sha256=original.sha256).vouched == "the caller"
 
 
-def test_a_checksum_of_the_catalogue(server, original, home, patience, monkeypatch):
-    monkeypatch.setitem(ENTRIES, NAME, download.replace(entry(NAME), sha256="0" * 64))
-    left_alone(home, server, patience, ["(by the catalogue), got"])
-    monkeypatch.setitem(ENTRIES, NAME, download.replace(entry(NAME), sha256=original.sha256))
+def test_a_checksum_of_the_catalogue(server, original, home, retry, monkeypatch):
+    monkeypatch.setitem(ENTRIES, NAME, replace(entry(NAME), sha256="0" * 64))
+    left_alone(home, server, retry, ["(by the catalogue), got"])
+    monkeypatch.setitem(ENTRIES, NAME, replace(entry(NAME), sha256=original.sha256))
     assert get(NAME).vouched == "the catalogue"
 
 
@@ -656,7 +659,7 @@ def base64_of(algorithm, body):
     ("Repr-Digest", "sha-256=:{base64}:", "sha256"),
     ("Content-MD5", "{base64}", "md5"),
 ])  # fmt: skip
-def test_a_checksum_of_the_server(server, original, home, patience, header, form, algorithm):
+def test_a_checksum_of_the_server(server, original, home, retry, header, form, algorithm):
     def stamp(body):
         value = form.format(hex=hashlib.new(algorithm, body).hexdigest(), base64=base64_of(algorithm, body))
         return {header.replace("-", "_"): value}
@@ -664,12 +667,12 @@ def test_a_checksum_of_the_server(server, original, home, patience, header, form
     body, headers = server.files[ORIGINAL]
     server.files[ORIGINAL] = (body, headers | stamp(b"other"))
     expected = hashlib.new(algorithm, b"other").hexdigest()
-    left_alone(home, server, patience, [f"expected {algorithm} {expected} (by the server's {header}), got"])
+    left_alone(home, server, retry, [f"expected {algorithm} {expected} (by the server's {header}), got"])
     server.files[ORIGINAL] = (body, headers | stamp(body))
     assert get(NAME).vouched == f"the server's {header}"
 
 
-def test_the_checksum_of_a_part_is_not_that_of_the_whole(server, original, patience):
+def test_the_checksum_of_a_part_is_not_that_of_the_whole(server, original, retry):
     """Content-MD5 is of what is sent, so the rest's differs; the first answer's still counts."""
     body, headers = server.files[ORIGINAL]
     half = len(body) // 2
@@ -680,7 +683,7 @@ def test_the_checksum_of_a_part_is_not_that_of_the_whole(server, original, patie
 
     server.files[ORIGINAL] = (body, headers | {"Content_MD5": base64_of("md5", body)})
     server.next += [drops(half), rest]
-    assert get(NAME, patience=patience).vouched == "the server's Content-MD5"
+    assert get(NAME, retry=retry).vouched == "the server's Content-MD5"
 
 
 @pytest.mark.parametrize(("header", "value"), [
@@ -699,18 +702,18 @@ def test_what_is_no_checksum_vouches_for_nothing(server, original, header, value
 # ---- files that are none -----------------------------------------------------------------------------------------------
 
 
-def test_a_web_page_does_not_replace_what_has_come(server, original, home, patience):
+def test_a_web_page_does_not_replace_what_has_come(server, original, home, retry):
     page = says(200, b"<html>Pay first</html>", Content_Type="text/html; charset=utf-8")
     server.next += [page]
-    left_alone(home, server, patience, [server.root + ORIGINAL, "a web page instead of the file", OFFLINE])
+    left_alone(home, server, retry, [server.root + ORIGINAL, "a web page instead of the file", OFFLINE])
     server.next += [drops(3000), page]
     with pytest.raises(UserError, match="a web page"):
-        get(NAME, patience=patience)
+        get(NAME, retry=retry)
     assert get(NAME).sha256 == original.sha256
     assert server.requests[-1][1]["range"] == "bytes=3000-"
 
 
-def test_files_that_are_no_logs(server, original, home, patience):
+def test_files_that_are_no_logs(server, original, home, retry):
     empty = io.BytesIO()
     with h5py.File(empty, "w") as file:
         file["weights"] = np.ones(3)
@@ -728,10 +731,10 @@ def test_files_that_are_no_logs(server, original, home, patience):
         (nan.getvalue(), ["rewards", "row 7"]),
     ):
         server.next += [says(200, body)]
-        left_alone(home, server, patience, [server.root + ORIGINAL, *words, OFFLINE])
+        left_alone(home, server, retry, [server.root + ORIGINAL, *words, OFFLINE])
 
 
-def test_twins_that_are_none(server, twin, home, patience):
+def test_twins_that_are_none(server, twin, home, retry):
     main, about = f"{TWIN}main_data.hdf5", f"{TWIN}metadata.json"
     good = dict(server.files)
     for place, body, words in (
@@ -744,21 +747,21 @@ def test_twins_that_are_none(server, twin, home, patience):
         (main, twin.main[:4000], ["main_data.hdf5", "damaged or cut short"]),
     ):
         server.files = good | {place: (body, {})}
-        left_alone(home, server, patience, [*words, OFFLINE], source="minari")
+        left_alone(home, server, retry, [*words, OFFLINE], source="minari")
 
 
 # ---- the disk, and others ----------------------------------------------------------------------------------------------
 
 
-def test_a_file_that_does_not_fit_is_not_begun(server, original, home, patience):
+def test_a_file_that_does_not_fit_is_not_begun(server, original, home, retry):
     with files_up_to(2000):
-        left_alone(home, server, patience, [f"no room for {len(original.body):,} bytes in {home / 'data'}"])
+        left_alone(home, server, retry, [f"no room for {len(original.body):,} bytes in {home / 'data'}"])
 
 
-def test_a_disk_that_fills_up_meanwhile(server, original, home, patience):
+def test_a_disk_that_fills_up_meanwhile(server, original, home, retry):
     server.next += [lambda handler: handler.send(200, original.body, length="none", ETag='"one"')]
     with files_up_to(2000), pytest.raises(UserError, match=r"^cannot write .*@d4rl.hdf5: .*\(what has come is kept\)$"):
-        get(NAME, patience=patience)
+        get(NAME, retry=retry)
     assert cache(home) == [f".{NAME}@d4rl.hdf5.part", f".{NAME}@d4rl.hdf5.part.json"]
     assert get(NAME).path.read_bytes() == original.body
     assert server.requests[-1][1]["range"].startswith("bytes=")

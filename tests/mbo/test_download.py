@@ -8,11 +8,11 @@ import zipfile
 import pytest
 
 from deadreckon.cli.design import design
-from deadreckon.data.download import Patience
+from deadreckon.data.transfer import RetryPolicy
 from deadreckon.errors import UserError
 from deadreckon.mbo.problems import download
 
-PATIENT = Patience(tries=1, timeout=5, sleep=lambda seconds: None)
+PATIENT = RetryPolicy(tries=1, timeout=5, sleep=lambda seconds: None)
 
 
 @pytest.fixture
@@ -40,12 +40,12 @@ def served(tmp_path, monkeypatch, home):
 
 def test_a_plain_file_and_one_in_a_zip(served, home, capsys):
     (served / "gfp").write_text("variant\tscore\n")
-    place, new = download.get("gfp", patience=PATIENT)
+    place, new = download.get("gfp", retry=PATIENT)
     assert new
     assert place == home / "designs" / "avgfp.tsv"
     assert place.read_text() == "variant\tscore\n"
     (served / "gfp").write_text("other")
-    assert download.get("gfp", patience=PATIENT) == (place, False)
+    assert download.get("gfp", retry=PATIENT) == (place, False)
     with zipfile.ZipFile(served / "superconductor", "w") as archive:
         archive.writestr("train.csv", "a,critical_temp\n")
         archive.writestr("unique_m.csv", "b\n")
@@ -62,9 +62,9 @@ def test_what_is_wrong_leaves_nothing_behind(served, home):
     for wrong in (content.getvalue(), b"no zip"):
         (served / "superconductor").write_bytes(wrong)
         with pytest.raises(UserError, match="no zip with train.csv in it; the file was removed"):
-            download.get("superconductor", patience=PATIENT)
+            download.get("superconductor", retry=PATIENT)
     with pytest.raises(UserError, match="404"):
-        download.get("molecule", patience=PATIENT)
+        download.get("molecule", retry=PATIENT)
     with pytest.raises(UserError, match="unknown problem to download 'branin'"):
         download.get("branin")
     assert not (home / "designs" / "superconductor.csv").exists()

@@ -19,8 +19,8 @@ from deadreckon.collect.rollouts import Act, acted_in, perform
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
 from deadreckon.data.dataset import Dataset, Provenance
-from deadreckon.data.download import Patience, download_file
 from deadreckon.data.formats.pickles import read_pickle
+from deadreckon.data.transfer import RetryPolicy, download_file
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.policies.dapg import load_dapg
@@ -36,30 +36,30 @@ _CHUNK = 2_000  # updates between its checkpoints
 
 
 
-def demonstrations_file(task: Adroit, patience: Patience | None = None) -> Path:
+def demonstrations_file(task: Adroit, retry: RetryPolicy | None = None) -> Path:
     """The 25 demonstrations of a task as Rajeswaran et al. published them, downloaded if they are not there.
 
     Raises:
         UserError: one line: what went wrong with which address, and where the file may be put by hand.
     """
-    return _source(f"{task.name}-v0_demos.pickle", f"demonstrations/{task.name}-v0_demos.pickle", read_pickle, patience)
+    return _source(f"{task.name}-v0_demos.pickle", f"demonstrations/{task.name}-v0_demos.pickle", read_pickle, retry)
 
 
-def policy_file(task: Adroit, patience: Patience | None = None) -> Path:
+def policy_file(task: Adroit, retry: RetryPolicy | None = None) -> Path:
     """The policy that DAPG trained for a task, downloaded if it is not there; see `demonstrations_file`."""
-    return _source(f"{task.name}-v0_dapg_policy.pickle", f"policies/{task.name}-v0.pickle", load_dapg, patience)
+    return _source(f"{task.name}-v0_dapg_policy.pickle", f"policies/{task.name}-v0.pickle", load_dapg, retry)
 
 
-def _source(name: str, address: str, check: Callable[[Path], Any], patience: Patience | None) -> Path:
+def _source(name: str, address: str, check: Callable[[Path], Any], retry: RetryPolicy | None) -> Path:
     place = home() / "data" / "adroit" / name
     variable, root = ROOT
     try:
-        return download_file(f"{os.environ.get(variable, root).rstrip('/')}/{address}", place, check, patience=patience)
+        return download_file(f"{os.environ.get(variable, root).rstrip('/')}/{address}", place, check, retry=retry)
     except UserError as error:
         raise UserError(f"{error}; the file may be put by hand at {place}") from error
 
 
-def human(task: Adroit, patience: Patience | None = None) -> Dataset:
+def human(task: Adroit, retry: RetryPolicy | None = None) -> Dataset:
     """The demonstrations of a task, with actions clipped to ±1, which is how the environment takes them and D4RL wrote them.
 
     Where D4RL's file or its Minari twin has been downloaded, that is taken; else the authors' pickle, whose last row of each
@@ -71,7 +71,7 @@ def human(task: Adroit, patience: Patience | None = None) -> Dataset:
     name = f"{task.name}-human-v1"
     copies = [f"{name}@{source}" for source in (ORIGINAL, TWIN) if cached_path(f"{name}@{source}").exists()]
     own = home() / "data" / "adroit" / f"{task.name}-v0_demos.pickle"
-    log = load(copies[0]) if copies and not own.exists() else read_pickle(demonstrations_file(task, patience))
+    log = load(copies[0]) if copies and not own.exists() else read_pickle(demonstrations_file(task, retry))
     if log.observations.shape[1:] != task.observation_shape:
         raise UserError(f"{log.name} has observations {log.observations.shape[1:]}, {task.name} has {task.observation_shape}")
     return Dataset.from_arrays(

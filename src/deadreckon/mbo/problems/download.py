@@ -4,7 +4,7 @@ import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
-from deadreckon.data.download import Patience, Progress, fetch, forget
+from deadreckon.data.transfer import Progress, RetryPolicy, fetch, forget
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone, home, replacing
 from deadreckon.mbo.problems.gfp import FILE as GFP_FILE
@@ -34,7 +34,7 @@ SOURCES = {
 
 
 def get(
-    name: str, *, force: bool = False, progress: Progress | None = None, patience: Patience | None = None
+    name: str, *, force: bool = False, progress: Progress | None = None, retry: RetryPolicy | None = None
 ) -> tuple[Path, bool]:
     """Downloads a problem's file and gives its path, and whether it came now or was there before.
 
@@ -43,8 +43,8 @@ def get(
     Args:
         name: among `SOURCES`.
         force: download it again if it is there.
-        progress: see `data.download.get`.
-        patience: see `data.download.get`.
+        progress: see `data.transfer.fetch`.
+        retry: see `data.transfer.fetch`.
 
     Raises:
         UserError: a problem without a source, or a file that does not come or holds something else.
@@ -56,7 +56,7 @@ def get(
         return place, False
     with alone(place):
         part = place.with_name(f".{place.name}.part")
-        fetch(source.url, part, progress=progress, patience=patience)
+        fetch(source.url, part, progress=progress, retry=retry)
         try:
             content = part.read_bytes() if source.member is None else _member(part, source.member)
         except (KeyError, zipfile.BadZipFile) as error:
