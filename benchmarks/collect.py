@@ -12,8 +12,8 @@ Gym-MuJoCo (`--robots`, empty for none), beside Gymnasium, both on all cores:
 
 - "raw": a process a core, each stepping an environment of its own with random actions that were drawn beforehand, without
   Gymnasium's wrappers, and resetting it where an episode ends; nothing is kept;
-- "collect": rows a second of `deadreckon.collect.rollouts.perform` with a 256x256 tanh-Gaussian policy, everything included:
-  the policy, its log-densities, and the columns on disk.
+- "collect": rows a second of `deadreckon.collect.rollouts.collect_rollouts` with a 256x256 tanh-Gaussian policy, everything
+  included: the policy, its log-densities, and the columns on disk.
 
 Robots that are led (`--led`, recipes; `door-expert-v1` too, where DAPG's policies are at hand), beside MuJoCo, on one core:
 
@@ -250,24 +250,24 @@ def acting(name: str, policy: str) -> Any:
     from deadreckon.data.normalizer import Normalizer
     from deadreckon.data.spec import Spec
     from deadreckon.policies import library
-    from deadreckon.policies.deployed import Deployed
+    from deadreckon.policies.deployed import EnvPolicy
 
     if policy != "untrained":
         return library.snapshot(name, policy).policy()
     found = task(name)
     spec = Spec.empty(found.observation_shape, found.action_space, name)
-    return Deployed.of(SAC().policy(SAC().init(spec, jax.random.key(0))), Normalizer.of(spec))
+    return EnvPolicy.of(SAC().policy(SAC().init(spec, jax.random.key(0))), Normalizer.of(spec))
 
 
 def perform_rows(name: str, policy: Any, steps: int, threads: int) -> tuple[float, float]:
     """Rows a second of a collection, and steps an episode."""
-    from deadreckon.collect.rollouts import Act, perform
+    from deadreckon.collect.rollouts import Segment, collect_rollouts
     from deadreckon.data.dataset import Provenance
 
     with tempfile.TemporaryDirectory() as scratch:
         begin = time.perf_counter()
-        log = perform(
-            task(name), [Act(policy, steps)], name=name, seed=0, provenance=Provenance(), scratch=Path(scratch),
+        log = collect_rollouts(
+            task(name), [Segment(policy, steps)], name=name, seed=0, provenance=Provenance(), scratch=Path(scratch),
             threads=threads,
         )  # fmt: skip
         return steps / (time.perf_counter() - begin), steps / log.episodes

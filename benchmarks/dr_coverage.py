@@ -25,7 +25,7 @@ def one(job: tuple[str, int], out: Path) -> None:
     from decision_study import FAMILIES
 
     from deadreckon.files import write_json
-    from deadreckon.ope import Case
+    from deadreckon.ope import OPEInput
     from deadreckon.ope.doubly_robust import DoublyRobust
     from deadreckon.ope.linear import LinearFQE
     from deadreckon.ope.registry import PROPENSITIES
@@ -37,7 +37,7 @@ def one(job: tuple[str, int], out: Path) -> None:
     forget()
     problem = FAMILIES[kind].log(seed, ROWS)
     names, policies = list(problem.candidates), list(problem.candidates.values())
-    case = Case(problem.log, policies, discount=0.0, horizon=1, names=names, logged=True, seed=seed % 2**32, noise=None)
+    case = OPEInput(problem.log, policies, discount=0.0, horizon=1, names=names, logged=True, seed=seed % 2**32, noise=None)
     found = DoublyRobust(kind="dr", fqe=LinearFQE(), model=PROPENSITIES).on(case)
     told = gains(found, ALPHA)[: len(policies)]
     true = problem.world.gains(policies, np.full(len(policies), 1e-3))[0]

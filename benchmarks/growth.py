@@ -18,9 +18,9 @@ from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.nets.mlp import MLP
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.fqe import FQE
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.fit import Fit
 
@@ -59,7 +59,7 @@ def judged(policies: int) -> Callable[[], int]:
     shape = (options["observation"], (BASE["width"],) * 2, 2 * options["action"])
     nets = [MLP.create(*shape, jax.random.key(i)) for i in range(policies)]
     estimator = FQE(members=1, hidden=(BASE["width"],) * 2, batch_size=BASE["batch"])
-    learner, rows = estimator.problem(Case(log, [Deployed.of(TanhGaussian(net), view(log.spec)) for net in nets]))
+    learner, rows = estimator.problem(OPEInput(log, [EnvPolicy.of(TanhGaussian(net), view(log.spec)) for net in nets]))
     return _walk(Fit([learner], rows, [0], 10**9, chunk=CHUNK), policies)
 
 

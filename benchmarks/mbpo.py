@@ -67,7 +67,7 @@ def ours() -> dict[str, Any]:
 
     space = Box([-1.0] * ACTION, [1.0] * ACTION)
     spec = Spec.empty((OBSERVATION,), space, "hopper")
-    agent = MBPO(ends="learned").resolve(spec, 1)
+    agent = MBPO(termination="learned").resolve(spec, 1)
     columns = rows()
     # All epochs are done: patience never ends.
     trainer = dataclasses.replace(agent.trainer, patience=10**6, most_epochs=EPOCHS)

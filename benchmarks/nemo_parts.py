@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import protocol
 
-from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO, STACKS, quantise
 from deadreckon.nets.mlp import split
@@ -58,7 +58,7 @@ def parts() -> dict[str, Callable[[], Any]]:
     x, y = protocol.synthetic_designs({"seed": 0, "rows": 5000})
     data = Designs.from_arrays(x, y, [Variable(f"x{i}") for i in range(SIZE)])
     designer = NEMO(bins=BINS, hidden=(WIDTH,) * 2, batch_size=BATCH, pretrain=0, ratio=1, lr=0.005)
-    learner = designer.training(Setting(data, protocol.NEMO["designs"], [0], None, lambda *_: None))
+    learner = designer.training(DesignInput(data, protocol.NEMO["designs"], [0], None, lambda *_: None))
     state = learner.init(data.coordinates, jax.random.key(0))
     batch, label = jnp.asarray(x[:BATCH], jnp.float32), quantise(jnp.asarray(y[:BATCH]), BINS)
     claim = state.search.x[:1]

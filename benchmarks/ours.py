@@ -16,13 +16,13 @@ from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.mbo.design_source import DesignSource
-from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import NEMO
 from deadreckon.nets.mlp import MLP
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.fqe import FQE
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.fit import Fit
 
@@ -64,7 +64,7 @@ def _fqe(log: Dataset, options: dict[str, Any]) -> Callable[[int], int]:
     nets = [MLP.create(*shape, jax.random.key(i)) for i in range(protocol.POLICIES)]
     estimator = FQE(members=1, hidden=(options["width"],) * 2, batch_size=options["batch"])
     start = time.perf_counter()
-    learner, rows = estimator.problem(Case(log, [Deployed.of(TanhGaussian(net), view) for net in nets]))
+    learner, rows = estimator.problem(OPEInput(log, [EnvPolicy.of(TanhGaussian(net), view) for net in nets]))
     asked = time.perf_counter() - start
     settings = f"{protocol.POLICIES} policies, a critic each; the policies' actions at all rows took {asked:.1f} s, once"
     return _walker(learner, rows, settings, options)
@@ -77,7 +77,7 @@ def _nemo(options: dict[str, Any]) -> Callable[[int], int]:
     fields = {"bins": protocol.NEMO["bins"], "hidden": (options["width"],) * 2, "batch_size": options["batch"]}
     designer = NEMO(**fields, pretrain=0, ratio=1, lr=0.005)
     nothing = lambda what, step, steps: None  # noqa: E731
-    learner = designer.training(Setting(data, protocol.NEMO["designs"], [0], None, nothing))
+    learner = designer.training(DesignInput(data, protocol.NEMO["designs"], [0], None, nothing))
     settings = ", ".join(f"{k} {v}" for k, v in fields.items())
     # Designs rise in every update, which a condition decides: the branch that does more is the one taken.
     return _walker(learner, DesignSource(data, learner.needs(data.coordinates)), settings, options, max)

@@ -28,7 +28,7 @@ COMPARED: dict[str, tuple[str, dict[str, Any]]] = {
     "BC": ("bc", {}),
     "SAC-off": ("sac", {}),
     "BEAR": ("bear", {}),
-    "BRAC-p": ("brac", {"value_form": False}),
+    "BRAC-p": ("brac", {"value_penalty": False}),
     "BRAC-v": ("brac", {}),
     "AWR": ("awr", {}),
     "BCQ": ("bcq", {}),
@@ -54,7 +54,7 @@ BUDGET: dict[str, dict[str, Any]] = {
     "sac_n": {"critics": 10},
     "cql": {"hidden": (256, 256)},
     "fql": {"hidden": (256,) * 4},
-    "decision_transformer": {"batch_size": 16, "lr": 1e-3, "warm_up": 1000},
+    "decision_transformer": {"batch_size": 16, "lr": 1e-3, "warmup_steps": 1000},
 }
 @dataclass
 class Options:

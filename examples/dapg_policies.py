@@ -43,12 +43,12 @@ class Made(NamedTuple):
 
 # Cloned for a moment only, the runs of the mazes and the hammer begin low enough for their snapshots to span something.
 RUNS = {
-    "maze2d-umaze-dense": Made(DAPG(clone_steps=30), 40),
-    "maze2d-medium-dense": Made(DAPG(clone_steps=30), 60),
-    "maze2d-large-dense": Made(DAPG(clone_steps=30), 80),
+    "maze2d-umaze-dense": Made(DAPG(bc_steps=30), 40),
+    "maze2d-medium-dense": Made(DAPG(bc_steps=30), 60),
+    "maze2d-large-dense": Made(DAPG(bc_steps=30), 80),
     "door": Made(DAPG(demonstration_weight=0.01), 100, "door-human-v1"),
     "pen": Made(DAPG(hidden=(64, 64)), 100, "pen-expert-v1", 2500),
-    "hammer": Made(DAPG(clone_steps=250), 100, "hammer-expert-v1", 5000),
+    "hammer": Made(DAPG(bc_steps=250), 100, "hammer-expert-v1", 5000),
     "relocate": Made(DAPG(), 100, "relocate-expert-v1", 5000),
 }
 

@@ -45,14 +45,14 @@ Runs = dict[str, tuple[Agent, Online]]
 def variants(group: str, task: str, rollouts: int | None = None, updates: float | None = None) -> Runs:
     """The runs of a group, by name."""
     acting = MBPO.acting(task) | ({} if updates is None else {"updates_per_step": updates})
-    made = {} if rollouts is None else {"rollouts": rollouts}
+    made = {} if rollouts is None else {"rollouts_per_step": rollouts}
     own = PRESETS.get(task, {}).get("target_entropy")
 
     def sac(ratio: float) -> tuple[Agent, Online]:
         return SAC(target_entropy=own), Online(**acting | {"updates_per_step": ratio})
 
     def mbpo(*length: int) -> tuple[Agent, Online]:
-        return MBPO(length=length or None, **made), Online(**acting)
+        return MBPO(rollout_length=length or None, **made), Online(**acting)
 
     return {
         # SAC with as many updates a step as MBPO, and as it usually is.
@@ -68,7 +68,7 @@ def variants(group: str, task: str, rollouts: int | None = None, updates: float 
 
 def lengths(task: str) -> dict[str, tuple[int, ...]]:
     """Rollout lengths to compare: 1, a schedule (the task's own where it has one), 200 and 500."""
-    own = PRESETS.get(task, {}).get("length", (1, 1))
+    own = PRESETS.get(task, {}).get("rollout_length", (1, 1))
     schedule = {"mbpo": ()} if own[0] < own[1] else {"mbpo-k1-15": (1, 15, 1, 5)}
     return schedule | {f"mbpo-k{k}": (k, k, 1, 2) for k in (1, 200, 500)}
 

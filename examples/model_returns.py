@@ -27,7 +27,7 @@ from deadreckon.dynamics import Ensemble, transition
 from deadreckon.errors import UserError
 from deadreckon.online.model_learning import own
 from deadreckon.policies import store
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.runs.folder import Folder
@@ -58,7 +58,7 @@ class Options:
 
 @eqx.filter_jit
 def made_up(
-    agent: ModelledOnline, ensemble: Ensemble, policy: Deployed, starts: Float[Array, "n o"], key: PRNGKeyArray, horizon: int
+    agent: ModelledOnline, ensemble: Ensemble, policy: EnvPolicy, starts: Float[Array, "n o"], key: PRNGKeyArray, horizon: int
 ) -> Float[Array, "t n"]:
     """Returns so far of episodes in the model."""
     n = len(starts)

@@ -25,7 +25,7 @@ from deadreckon.dynamics.ensemble import rows_of
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.policies import library
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.tasks import task as find_task
@@ -46,7 +46,7 @@ class Options:
     picture: str | None = None  # SVG file
 
 
-def towards(first: Deployed, later: Deployed, share: float) -> Any:
+def towards(first: EnvPolicy, later: EnvPolicy, share: float) -> Any:
     """The first policy with its network moved a share of the way to the later one's."""
     inner = jax.tree.map(lambda a, b: a + share * (b - a), first.inner, later.inner)
     return dataclasses.replace(first, inner=inner)

@@ -22,16 +22,16 @@ import jax
 import numpy as np
 
 from deadreckon.agents import AGENTS, agent_class
-from deadreckon.agents.dreaming import Dreaming
 from deadreckon.agents.modelled import Modelled
+from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete, Spec
 from deadreckon.mbo import DESIGNERS, designer, problem
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
-from deadreckon.ope import ESTIMATORS, Case, estimator
-from deadreckon.policies import Deployed
+from deadreckon.ope import ESTIMATORS, OPEInput, estimator
+from deadreckon.policies import EnvPolicy
 from deadreckon.policies.kinds import create_actor, stochastic
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.stats import betting, bootstrap, crossed, inference, means, scores
@@ -73,7 +73,7 @@ def agent(name: str) -> Numbers:
     assert last.step == tiny.STEPS
     assert last.failures == (None, None)
     after = first_lane(last.states)
-    policy = Deployed.of(made.policy(after), job.rows.view)
+    policy = EnvPolicy.of(made.policy(after), job.rows.view)
     return {
         "begin": sorted(float(value[0]) for value in first.metrics.values()),
         "end": sorted(float(value[0]) for value in last.metrics.values()),
@@ -83,13 +83,14 @@ def agent(name: str) -> Numbers:
 
 
 # Large steps, so that a few updates are seen in the estimates.
-FITTED = {"steps": 6, "members": 2, "hidden": (8,), "batch_size": 64, "lr": 0.01, "target_rate": 0.5, "average": 0.5,
-          "renew": 2, "folds": 2, "atoms": 11, "episodes": 4, "inner": 2, "cosines": 16, "redraws": 50}  # fmt: skip
+FITTED = {"steps": 6, "members": 2, "hidden": (8,), "batch_size": 64, "lr": 0.01, "tau": 0.5, "ema_rate": 0.5, "folds": 2,
+          "target_update_period": 2, "atoms": 11, "episodes": 4, "inner_updates": 2, "fourier_features": 16,
+          "n_bootstrap": 50}  # fmt: skip
 TRAINED = ("fqe", "fqe-d", "dr", "plain-dr", "magic", "dice", "dual-dice", "gen-dice", "vpm", "mb-ff", "mb-ar")
 
 
 @cache
-def case(trained: bool, propensities: bool = True) -> Case:
+def case(trained: bool, propensities: bool = True) -> OPEInput:
     """For what is trained continuous actions; for what is solved few states. Propensities are in the log, or to be learned."""
     if trained:
         log, policies = lqr(-0.5, 0.5, 40, 10), [linear(-0.5, 0.5), linear(-1.0, 0.3)]
@@ -100,7 +101,7 @@ def case(trained: bool, propensities: bool = True) -> Case:
         world = garnet(states=4, actions=2, ending=0.3, noise=0.3)
         probs = [*tables(world, 1, 0.2), *tables(world, 1, 0.7, seed=1)]
         log, policies = world.log(probs[0], 200, 20, np.random.default_rng(3)), [as_policy(each) for each in probs]
-    return Case(log, policies, discount=0.9, logged=not trained)
+    return OPEInput(log, policies, discount=0.9, logged=not trained)
 
 
 def of_estimates(found: Any) -> Numbers:
@@ -118,15 +119,16 @@ def behavior() -> Numbers:
 
 
 NETS = {"hidden": (8,), "batch_size": 16, "lr": 0.01}
-CLIMB = {"ascent": 5, "design_lr": 0.05}
-ROUNDS = {**NETS, "latent": 2, "members": 2, "steps": 4, "rounds": 2, "updates": 2, "draws": 40}
+CLIMB = {"ascent_steps": 5, "design_lr": 0.05}
+ROUNDS = {**NETS, "latent_size": 2, "members": 2, "steps": 4, "rounds": 2, "updates": 2, "samples": 40}
 DESIGNS: dict[str, dict[str, Any]] = {
     "nemo": {**NETS, "bins": 5, "pretrain": 3, "steps": 3, "design_lr": 0.05},
     "coms": {**NETS, **CLIMB, "steps": 4}, "ram": {**CLIMB, "hidden": (8,), "lr": 0.01, "list_size": 16, "steps": 4},
     **{name: {**NETS, **CLIMB, "steps": 4} for name in ("forward", "ensemble", "ensemble-min")},
-    "cbas": ROUNDS, "autofocus": ROUNDS, "gp-bo": {"rows": 40, **CLIMB}, "ddom": {**NETS, "steps": 4, "sampling": 5},
-    "mins": {**NETS, "latent": 2, "steps": 4, "turns": 2, "forward_hidden": (8,), "forward_steps": 4, "forward_lr": 0.01,
-             "ascent": 3},
+    "cbas": ROUNDS, "autofocus": ROUNDS, "gp-bo": {"max_rows": 40, **CLIMB},
+    "ddom": {**NETS, "steps": 4, "sampling_steps": 5},
+    "mins": {**NETS, "latent_size": 2, "steps": 4, "critic_updates": 2, "forward_hidden": (8,), "forward_steps": 4,
+             "forward_lr": 0.01, "ascent_steps": 3},
     "best": {}, "random": {},
 }  # fmt: skip
 
@@ -144,15 +146,15 @@ def designs() -> Designs:
 def design(name: str) -> Numbers:
     """Eight designs, and what is believed of them."""
     found = designer(name, **DESIGNS[name]).propose(designs(), 8, seed=3)
-    believed = {"predicted": found.predicted.tolist()} if found.promises else {}
+    believed = {"predicted": found.predicted.tolist()} if found.predicts else {}
     return {f"variable {i}": column.tolist() for i, column in enumerate(found.x.T)} | believed
 
 
 ONLINE = Online(copies=2, explore=20, updates_per_step=0.25, block=8)
-MODEL = {"model_hidden": (8,), "model_decay": (), "members": 2, "elites": 2, "model_epochs": 1, "model_every": 8}
+MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 1, "model_train_freq": 8}
 OF_THEIR_OWN = {
-    "mbpo": {"rollouts": 2, "keep": 16}, "slbo": {"rollouts": 2, "length": 4},
-    "pets": {"horizon": 2, "population": 6, "chosen": 2, "iterations": 1, "particles": 2},
+    "mbpo": {"rollouts_per_step": 2, "retain_steps": 16}, "slbo": {"rollouts": 2, "rollout_length": 4},
+    "pets": {"horizon": 2, "population": 6, "cem_elites": 2, "cem_iterations": 1, "particles": 2},
 }  # fmt: skip
 
 
@@ -204,7 +206,7 @@ def evaluation(name: str) -> Numbers:
     where = task(name)
     spec = Spec.empty(where.observation_shape, where.action_space, where.name)
     nets = [create_actor(spec, (8,), jax.random.key(i)) for i in range(2)]
-    policies = [Deployed.of(stochastic(net), Normalizer.of(spec)) for net in nets]
+    policies = [EnvPolicy.of(stochastic(net), Normalizer.of(spec)) for net in nets]
     found = evaluate(policies, where, episodes=3, seed=5, greedy=False, discount=0.9)
     return {"returns": found.returns.ravel().tolist(), "discounted": found.discounted.ravel().tolist(),
             "score": [found.score(0).value, found.score(0).low, found.score(0).high]}  # fmt: skip
@@ -235,7 +237,7 @@ def judged(name: str) -> Numbers:
 
 
 OFFLINE = [name for name in AGENTS if agent_class(name).offline]
-ACTING = [name for name in AGENTS if agent_class(name).online and not issubclass(agent_class(name), Dreaming)]
+ACTING = [name for name in AGENTS if agent_class(name).online and not issubclass(agent_class(name), OfflineMBRL)]
 PROBLEMS = ("ackley", "branin", "hartmann6", "rastrigin", "rosenbrock", "nk")
 
 COMPUTED: dict[str, Callable[[], Numbers]] = {

@@ -84,7 +84,7 @@ def test_dapg_policies_are_trained_published_and_shown(tmp_path, monkeypatch, ca
     from deadreckon.agents import DAPG
     from deadreckon.policies import library
 
-    small = example.Made(DAPG(hidden=(4,), critic_hidden=(4,), clone_steps=2), 10)
+    small = example.Made(DAPG(hidden=(4,), critic_hidden=(4,), bc_steps=2), 10)
     monkeypatch.setattr(example, "RUNS", {"maze2d-umaze-dense": small})
     monkeypatch.setattr(example, "BUDGETS", {"cpu": (8, 1)})
     place = tmp_path / "library"
@@ -170,11 +170,11 @@ def test_mbpo_curves_run_resume_and_are_drawn(tmp_path, monkeypatch, capsys, hom
         assert len(example.variants(group, "hopper")) == count
     assert example.variants("compare", "hopper")["sac-20"][1].updates_per_step == 20
     cheap = example.variants("length", "halfcheetah", rollouts=20, updates=5)["mbpo-k200"]
-    assert (cheap[0].rollouts, cheap[1].updates_per_step) == (20, 5)
+    assert (cheap[0].rollouts_per_step, cheap[1].updates_per_step) == (20, 5)
     with pytest.raises(SystemExit, match="no run is called mbpo-k2: choose from mbpo, sac-20, sac-1"):
         example.main(example.Options(only=("mbpo-k2",)))
-    tiny = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 2, "elites": 1,
-            "model_epochs": 1, "rollouts": 2, "model_every": 50, "keep": 50}  # fmt: skip
+    tiny = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_weight_decay": (), "members": 2, "elites": 1,
+            "model_epochs": 1, "rollouts_per_step": 2, "model_train_freq": 50, "retain_steps": 50}  # fmt: skip
 
     def variants(group, task, *_):
         settings = example.Online(copies=2, explore=50, updates_per_step=0.2, block=50)
@@ -203,10 +203,11 @@ def test_model_returns_measures_and_draws(tmp_path, monkeypatch, capsys, home):
     from deadreckon.online import Online
 
     small = {"hidden": (8,), "batch_size": 16}
-    model = {"model_hidden": (16,), "model_decay": (), "members": 2, "elites": 2, "model_epochs": 3, "model_every": 50}
+    model = {"model_hidden": (16,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 3,
+             "model_train_freq": 50}  # fmt: skip
     settings = Online(copies=2, explore=200, updates_per_step=0.2, block=50)
     plan = {"steps": 300, "settings": settings, "evaluate_every": 50, "episodes": 1}
-    agent = dr.agents.MBPO(**small, **model, rollouts=2, keep=50)
+    agent = dr.agents.MBPO(**small, **model, rollouts_per_step=2, retain_steps=50)
     run = dr.train_online(agent, "hopper", out=tmp_path / "run", **plan)
     options = example.Options(
         str(run.path), policies=2, rows=300, episodes=20, horizon=30, sequence=10, picture=str(tmp_path / "fan.svg")

@@ -22,14 +22,14 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.nets.distributions import LOG_STD_MAX, LOG_STD_MIN
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Categorical, Deterministic, TanhGaussian
 from deadreckon.training.fit import Fit
 from decision_study.problem import Choices, Normal, softmax
 
 STEPS, BATCH, HIDDEN = 600, 64, (32,)
 SMALL = {"hidden": HIDDEN, "batch_size": BATCH}
-QUICK = {"actor_lr": 3e-3, "critic_lr": 3e-3, "target_rate": 0.02}
+QUICK = {"actor_lr": 3e-3, "critic_lr": 3e-3, "tau": 0.02}
 
 
 @cache
@@ -55,7 +55,7 @@ def agents(discrete: bool, discount: float) -> dict[str, Any]:
     more = {"discount": discount, **SMALL, **QUICK}
     iql, clone = IQL(**more), BC(lr=3e-3, **SMALL)
     if discrete:
-        cql = CQL(conservatism=1.0, temperature=0.1, temperature_lr=3e-3, **more)
+        cql = CQL(cql_weight=1.0, temperature=0.1, temperature_lr=3e-3, **more)
         return {"bc": clone, "iql": iql, "cql": cql}
     return {"bc": clone, "iql": iql, "awac": AWAC(**more), "td3_bc": TD3BC(**more)}
 
@@ -71,11 +71,11 @@ def learned(log: Dataset, discount: float, seed: int) -> dict[str, Any]:
             pass
         if fit.failures[0] is None:
             state = jax.tree.map(lambda leaf: leaf[0], fit.states)
-            out[name] = plain(Deployed.of(agent.policy(state), rows.view))
+            out[name] = plain(EnvPolicy.of(agent.policy(state), rows.view))
     return out
 
 
-def plain(policy: Deployed) -> Choices | Normal:
+def plain(policy: EnvPolicy) -> Choices | Normal:
     """A policy without a compiler, which would want every number of rows anew."""
     inner, view = policy.inner, policy.view
     if isinstance(inner, Categorical):

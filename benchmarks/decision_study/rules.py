@@ -18,7 +18,7 @@ from scipy import special
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
-from deadreckon.ope import Case
+from deadreckon.ope import OPEInput
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import decide
 from deadreckon.ope.select import UNITS
@@ -292,7 +292,7 @@ def _crossed(task: Task) -> Verdict:
 
 def _card(task: Task, policies: Mapping[str, Any], held: np.ndarray) -> Verdict:
     problem, estimand = task.problem, task.problem.estimand
-    case = Case(
+    case = OPEInput(
         problem.log, list(policies.values()), discount=estimand.discount, horizon=estimand.horizon, greedy=estimand.greedy,
         names=list(policies), logged=True, held=held, clusters=problem.units, seed=task.seed % 2**32, noise=None,
     )  # fmt: skip

@@ -39,7 +39,7 @@ def log_prob(mean, log_std, pre):
 
 
 def test_td3_target_is_smoothed_clipped_masked_and_the_smaller(batch):
-    agent = TD3(hidden=(16, 16), discount=0.9, noise=0.4, noise_clip=0.5).resolve(SPEC, 10)
+    agent = TD3(hidden=(16, 16), discount=0.9, policy_noise=0.4, noise_clip=0.5).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))
     noise = np.clip(0.4 * np.asarray(jax.random.normal(KEY, (6, 1))), -0.5, 0.5)
     action = np.clip(np.tanh(numpy_mlp(state.target_actor, np.asarray(batch.next_observation))) + noise, -1, 1)

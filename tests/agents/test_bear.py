@@ -12,7 +12,7 @@ from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import q_values
-from deadreckon.policies import Deployed
+from deadreckon.policies import EnvPolicy
 from deadreckon.training.fit import fit
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
@@ -170,7 +170,7 @@ def half_support():
     free = agent.replace(multiplier=0.0)
     rows = TransitionSource(log, agent.needs(log.spec))
     result = fit([agent, free], rows, [0, 0], 1500, chunk=500)
-    return [Deployed.of(a.policy(result.lane(i)), rows.view) for i, a in enumerate((agent, free))]
+    return [EnvPolicy.of(a.policy(result.lane(i)), rows.view) for i, a in enumerate((agent, free))]
 
 
 @pytest.mark.slow

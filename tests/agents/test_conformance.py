@@ -16,7 +16,7 @@ from deadreckon.agents import agent_class
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.tables import Actor
-from deadreckon.policies import Deployed, store
+from deadreckon.policies import EnvPolicy, store
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests import golden
@@ -130,7 +130,7 @@ def test_settings_may_differ_along_the_lanes(trained):
 
 def test_policy_acts_in_bounds_and_survives_its_file(trained, tmp_path):
     agent, rows, result, _ = trained
-    policy = Deployed.of(agent.policy(result.lane(0)), rows.view)
+    policy = EnvPolicy.of(agent.policy(result.lane(0)), rows.view)
     observations = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
     actions = policy(observations)
     assert actions.shape == (9, 1)
@@ -189,14 +189,14 @@ LEARNERS = {
     "td3": (0.25, {}),
     "td3_bc": (0.35, {"alpha": 10.0}),
     "sac": (0.25, {"temperature": 0.01}),
-    "bcq": (0.25, {"reach": 0.6, "test_draws": 50}),
+    "bcq": (0.25, {"max_perturbation": 0.6, "test_samples": 50}),
     "brac": (0.35, {"penalty": 0.1, "behavior_steps": 500}),
-    "iql": (0.35, {"expectile": 0.9, "sharpness": 10.0}),
-    "xql": (0.35, {"temperature": 0.3, "sharpness": 10.0}),
+    "iql": (0.35, {"expectile": 0.9, "beta": 10.0}),
+    "xql": (0.35, {"temperature": 0.3, "beta": 10.0}),
     "awac": (0.35, {"temperature": 0.1}),
     "crr": (0.35, {}),
     "rebrac": (0.35, {"actor_penalty": 0.05, "critic_penalty": 0.05}),
-    "cql": (0.35, {"temperature": 0.01, "conservatism": 0.1}),
+    "cql": (0.35, {"temperature": 0.01, "cql_weight": 0.1}),
     "sac_n": (0.25, {"temperature": 0.01, "critics": 4}),
     "edac": (0.25, {"temperature": 0.01, "critics": 4}),
     "algae_dice": (0.25, {"temperature": 0.01}),
@@ -217,7 +217,7 @@ def test_learns_the_corridor(name):
     agent = small(name, actor_lr=1e-3, critic_lr=1e-3, discount=0.9, **fields)
     result = fit([agent], rows_of(agent), [0], 1500, chunk=500)
     assert result.failures == (None,)
-    policy = Deployed.of(agent.policy(result.lane(0)), rows_of(agent).view)
+    policy = EnvPolicy.of(agent.policy(result.lane(0)), rows_of(agent).view)
     s = np.linspace(-1, 1, 41, dtype=np.float32)[:, None]
     assert np.abs(policy(s) - np.clip(-5 * s, -1, 1)).mean() < most
 
@@ -239,6 +239,6 @@ def test_bc_copies_what_was_logged(model):
     )  # fmt: skip
     agent = agent_class("bc")(model=model, hidden=(32, 32), lr=3e-3).resolve(log.spec, 1500)
     rows = rows_of(agent, log)
-    policy = Deployed.of(agent.policy(fit([agent], rows, [0], 1500, chunk=500).lane(0)), rows.view)
+    policy = EnvPolicy.of(agent.policy(fit([agent], rows, [0], 1500, chunk=500).lane(0)), rows.view)
     grid = np.linspace(-0.9, 0.9, 50, dtype=np.float32)[:, None]
     assert np.square(policy(grid) - 0.7 * np.sin(3 * grid)).mean() < 0.01 * 0.25

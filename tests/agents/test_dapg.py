@@ -23,7 +23,7 @@ from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 
 SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "nowhere")
-AGENT = DAPG(hidden=(4,), critic_hidden=(8,), batch_size=16, discount=0.9, trace=0.8).resolve(SPEC, 10)
+AGENT = DAPG(hidden=(4,), critic_hidden=(8,), batch_size=16, discount=0.9, gae_lambda=0.8).resolve(SPEC, 10)
 
 
 def actor_and_rows(seed=0, rows=40):
@@ -142,7 +142,7 @@ def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
     off = means((shown["observation"] - shown["observation"].mean(0)) / shown["observation"].std(0)) - shown["action"]
     acting = AGENT.begun(state, means, shown).actor
     np.testing.assert_allclose(jnp.exp(acting.log_std), jnp.sqrt((off**2).mean(0)), rtol=1e-3)
-    as_shown = AGENT.replace(deviation="demonstrated").begun(state, means, shown).actor
+    as_shown = AGENT.replace(init_std="demonstrated").begun(state, means, shown).actor
     np.testing.assert_allclose(jnp.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
 
 
@@ -161,7 +161,7 @@ SETTINGS = Online(copies=4, explore=8, updates_per_step=0.25, block=80)
 
 
 def run(out, steps, shown=None, **fields):
-    agent = DAPG(hidden=(8,), critic_hidden=(8,), batch_size=16, clone_steps=300, clone_lr=1e-2, **fields)
+    agent = DAPG(hidden=(8,), critic_hidden=(8,), batch_size=16, bc_steps=300, bc_lr=1e-2, **fields)
     return dr.train_online(
         agent, MAZE, steps=steps, settings=SETTINGS, demonstrations=shown, evaluate_every=80, episodes=1, chunk=20,
         out=out, resume=True, threads=1,

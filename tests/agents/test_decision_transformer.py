@@ -13,14 +13,14 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import clip_by_norm
 from deadreckon.nets.transformer import Block, Transformer, dropped
-from deadreckon.policies import Deployed
+from deadreckon.policies import EnvPolicy
 from deadreckon.training.fit import fit
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
 
 SPEC = corridor().spec
 KEY = jax.random.key(3)
-TINY = {"window": 4, "layers": 2, "heads": 2, "hidden": (8,)}
+TINY = {"context_length": 4, "layers": 2, "heads": 2, "hidden": (8,)}
 
 
 def made(**fields):
@@ -143,13 +143,13 @@ def two_ways(episodes=200, length=8):
 @pytest.mark.slow
 def test_does_what_brought_the_return_that_is_asked_for():
     log = two_ways()
-    agent = DecisionTransformer(**TINY | {"hidden": (16,)}, lr=3e-3, warm_up=50, batch_size=32).resolve(log.spec, 600)
+    agent = DecisionTransformer(**TINY | {"hidden": (16,)}, lr=3e-3, warmup_steps=50, batch_size=32).resolve(log.spec, 600)
     rows = TransitionSource(log, agent.needs(log.spec))
     state = fit([agent], rows, [0], 600, chunk=200).lane(0)
     np.testing.assert_allclose([state.best, state.worst], [log.returns().max(), log.returns().min()], rtol=1e-5)
     seen = np.linspace(-1, 1, 5, dtype=np.float32)[:, None]
     for ask, way in ((1.0, 0.8), (0.0, -0.8)):
-        policy = Deployed.of(agent.replace(ask=ask).policy(state), rows.view)
+        policy = EnvPolicy.of(agent.replace(target_return=ask).policy(state), rows.view)
         np.testing.assert_allclose(policy(seen), way, atol=0.25)
 
 

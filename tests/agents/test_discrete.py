@@ -13,9 +13,9 @@ from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.ope.tables import Actor
-from deadreckon.policies import Deployed, store
+from deadreckon.policies import EnvPolicy, store
 from deadreckon.policies.deployed import first_actions
-from deadreckon.policies.kinds import Categorical, Supported, supported
+from deadreckon.policies.kinds import Categorical, ThresholdedPolicy, probable_enough
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests.agents.test_bear import lane
@@ -70,7 +70,7 @@ def test_q_values_of_choices(batch):
 
 
 def test_iql_imitates_choices_by_advantage(batch):
-    agent, state = started("iql", sharpness=2.0)
+    agent, state = started("iql", beta=2.0)
     advantage = np.linspace(-1, 1, 6)
     log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.observation)), -1)
     log_prob = log_prob[np.arange(6), np.asarray(batch.action)]
@@ -80,7 +80,7 @@ def test_iql_imitates_choices_by_advantage(batch):
 
 @pytest.mark.parametrize("entropy_backup", [False, True])
 def test_cql_is_sac_with_means_over_all_choices(batch, entropy_backup):
-    agent, state = started("cql", discount=0.9, temperature=0.3, entropy_backup=entropy_backup, conservatism=2.0)
+    agent, state = started("cql", discount=0.9, temperature=0.3, entropy_backup=entropy_backup, cql_weight=2.0)
     log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.next_observation)), -1)
     q = values(state.target_critics, batch.next_observation).min(0)
     value = (np.exp(log_prob) * (q - 0.3 * entropy_backup * log_prob)).sum(-1)
@@ -100,7 +100,7 @@ def test_cql_is_sac_with_means_over_all_choices(batch, entropy_backup):
 
 
 def test_cql_rho_weighs_the_policys_choices_by_their_worth(batch):
-    agent, state = started("cql", form="rho", conservatism=1.0)
+    agent, state = started("cql", form="rho", cql_weight=1.0)
     q = values(state.critics, batch.observation)
     weight = softmax(q + log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.observation)), -1), -1)
     gap = (weight * q).sum(-1) - q[:, np.arange(6), np.asarray(batch.action)]
@@ -117,7 +117,7 @@ def test_rem_has_a_target_of_every_critic(batch):
 
 
 def test_bcq_takes_the_best_of_what_is_likely_enough(batch):
-    agent, state = started("bcq", discount=0.9, share=0.98)
+    agent, state = started("bcq", discount=0.9, threshold=0.98)
     chances = softmax(numpy_mlp(state.behavior.net, np.asarray(batch.next_observation)), -1)
     likely = chances >= 0.98 * chances.max(-1, keepdims=True)
     assert likely.any(-1).all()
@@ -127,8 +127,8 @@ def test_bcq_takes_the_best_of_what_is_likely_enough(batch):
     np.testing.assert_allclose(agent.target(state, batch, KEY), future(batch, mixed.max(-1)), atol=1e-5)
     policy = agent.policy(state)
     seen = batch.observation
-    best = np.where(supported(state.behavior, 0.98, seen), values(state.critics, seen)[0], -np.inf).argmax(-1)
-    assert isinstance(policy, Supported)
+    best = np.where(probable_enough(state.behavior, 0.98, seen), values(state.critics, seen)[0], -np.inf).argmax(-1)
+    assert isinstance(policy, ThresholdedPolicy)
     np.testing.assert_array_equal(policy.probs(seen).argmax(-1), best)
 
 
@@ -151,7 +151,7 @@ def test_entropy_of_choices_is_a_tenth_of_the_most():
 
 def test_a_categorical_draws_by_its_chances_and_tells_them():
     net = MLP((jnp.zeros((1, 3)),), (jnp.log(jnp.asarray([0.2, 0.5, 0.3])),))
-    policy = Deployed.of(Categorical(net), TransitionSource(LOG, small("bc").needs(LOG.spec)).view)
+    policy = EnvPolicy.of(Categorical(net), TransitionSource(LOG, small("bc").needs(LOG.spec)).view)
     seen = np.zeros((6000, 1), np.float32)
     assert policy(seen).dtype == np.int32
     assert (policy(seen) == 1).all()
@@ -177,9 +177,9 @@ def test_learns_the_line_resumes_and_survives_its_file(name, tmp_path):
     names = {"actor_lr", "critic_lr", "lr", "behavior_lr"} & {f for f in vars(agent)}
     agent = agent.replace(**{n: 1e-3 for n in names}, **({} if name == "bc" else {"discount": 0.9}))
     if name in ("iql", "xql"):
-        agent = agent.replace(sharpness=10.0)
+        agent = agent.replace(beta=10.0)
     if name == "cql":
-        agent = agent.replace(conservatism=0.1)
+        agent = agent.replace(cql_weight=0.1)
     rows = TransitionSource(log, agent.needs(log.spec))
     job = Fit([agent, agent], rows, [0, 1], 2000, 500, tmp_path / "run")
     walk = job.chunks()
@@ -195,7 +195,7 @@ def test_learns_the_line_resumes_and_survives_its_file(name, tmp_path):
     for a, b in zip(jax.tree.leaves(again.states), jax.tree.leaves(once.states), strict=True):
         np.testing.assert_array_equal(a, b)
 
-    policy = Deployed.of(agent.policy(once.lane(0)), rows.view)
+    policy = EnvPolicy.of(agent.policy(once.lane(0)), rows.view)
     s = np.concatenate([np.linspace(-1, -0.2, 20), np.linspace(0.2, 1, 20)]).astype(np.float32)[:, None]
     assert (policy(s) == np.where(s[:, 0] < 0, 2, 0)).mean() > 0.9
     store.save(tmp_path / "p.npz", policy)

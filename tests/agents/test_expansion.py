@@ -36,8 +36,8 @@ def made(kind, pays=(1.0, 1.0), **fields):
         def model(self):
             return Paying(members=len(pays))
 
-    fields = {"members": 2, "elites": 2, "hidden": (8,), "model_hidden": (8,), "model_decay": (), "discount": DISCOUNT,
-              "entropy_backup": False, "ends": "learned"} | fields  # fmt: skip
+    fields = {"members": 2, "elites": 2, "hidden": (8,), "model_hidden": (8,), "model_weight_decay": (), "discount": DISCOUNT,
+              "entropy_backup": False, "termination": "learned"} | fields  # fmt: skip
     if kind is SAC:
         fields = {name: fields[name] for name in ("hidden", "discount", "entropy_backup")}
     agent = (SAC if kind is SAC else Knowing)(**fields).resolve(SPEC, 10)
@@ -143,8 +143,8 @@ def test_steve_weighs_horizons_by_their_certainty():
 @pytest.mark.parametrize("kind", ["mve", "steve"])
 def test_a_run_online_and_its_resume(kind, tmp_path):
     settings = Online(copies=2, explore=40, updates_per_step=0.5, block=10)
-    fields = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2,
-              "model_epochs": 2, "model_every": 20}  # fmt: skip
+    fields = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites": 2,
+              "model_epochs": 2, "model_train_freq": 20}  # fmt: skip
     agent = (MVE if kind == "mve" else STEVE)(**fields)
     whole, again = whole_and_resumed(agent, settings, tmp_path, 80, 120, 10)
     metrics = whole.metrics.to_pydict()

@@ -46,8 +46,8 @@ def logged_log_prob(actor, batch):
     return log_prob(mean, log_std, np.arctanh(np.asarray(batch.action)))
 
 
-def test_bcq_target_is_the_best_of_moved_actions_by_a_mixture(batch):
-    agent, state = made(BCQ(discount=0.9, draws=3, reach=0.4, min_weight=0.7, behavior_hidden=(8,), **SMALL))
+def test_bcq_target_is_the_best_of_perturbed_actions_by_a_mixture(batch):
+    agent, state = made(BCQ(discount=0.9, samples=3, max_perturbation=0.4, min_weight=0.7, behavior_hidden=(8,), **SMALL))
     after = np.asarray(batch.next_observation)
     latent = np.clip(np.asarray(jax.random.normal(KEY, (3, 6, 2))), -0.5, 0.5)
     values = []
@@ -62,7 +62,7 @@ def test_bcq_target_is_the_best_of_moved_actions_by_a_mixture(batch):
 
 
 def test_bcq_moves_towards_the_first_critic_and_leaves_the_vae_alone(batch):
-    agent, state = made(BCQ(reach=0.4, behavior_hidden=(8,), **SMALL))
+    agent, state = made(BCQ(max_perturbation=0.4, behavior_hidden=(8,), **SMALL))
     seen = np.asarray(batch.observation)
     latent = np.clip(np.asarray(jax.random.normal(KEY, (6, 2))), -0.5, 0.5)
     action = np.tanh(numpy_mlp(state.behavior.decoder, np.concatenate([seen, latent], -1)))
@@ -79,9 +79,9 @@ def gaussian_kl(p, q):
     return (0.5 * (ratio + ((mean - other) / np.exp(log_other)) ** 2 - 1) + log_other - log_std).sum(-1)
 
 
-@pytest.mark.parametrize("value_form", [True, False])
-def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_form):
-    agent, state = made(BRAC(discount=0.9, penalty=0.6, value_form=value_form, **SMALL))
+@pytest.mark.parametrize("value_penalty", [True, False])
+def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_penalty):
+    agent, state = made(BRAC(discount=0.9, penalty=0.6, value_penalty=value_penalty, **SMALL))
     k_act, _ = jax.random.split(KEY)
     noise = np.asarray(jax.random.normal(k_act, (6, 1)))
 
@@ -92,7 +92,7 @@ def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_fo
 
     value, away = parts(batch.next_observation, state.target_critics)
     assert away.max() > 1e-3
-    future = value - 0.6 * away if value_form else value
+    future = value - 0.6 * away if value_penalty else value
     expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
     np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
     value, away = parts(batch.observation, state.critics)
@@ -102,7 +102,7 @@ def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_fo
 
 
 def test_brac_with_the_mmd_sees_how_far_two_policies_are_apart(batch):
-    agent, state = made(BRAC(divergence="mmd", draws=200, bandwidth=1.0, **SMALL))
+    agent, state = made(BRAC(divergence="mmd", samples=200, bandwidth=1.0, **SMALL))
     d = dist.gaussian_head(state.behavior(batch.observation))
     same = agent.away(d, state.behavior, batch.observation, KEY)
     other = agent.away(d._replace(mean=d.mean + 2.0), state.behavior, batch.observation, KEY)
@@ -124,7 +124,7 @@ def test_brac_begins_as_the_model_of_the_log_that_it_is_held_to():
 
 
 def test_iql_losses(batch):
-    agent, state = made(IQL(expectile=0.8, sharpness=4.0, max_weight=2.0, **SMALL))
+    agent, state = made(IQL(expectile=0.8, beta=4.0, max_weight=2.0, **SMALL))
     target_q = least_q(state.target_critics, batch.observation, batch.action) + np.linspace(-0.5, 0.9, 6)
     gap = target_q - numpy_mlp(state.value, np.asarray(batch.observation))[:, 0]
     assert (gap > 0).any()
@@ -167,7 +167,7 @@ def test_an_expectile_of_a_half_is_the_mean_and_of_one_nearly_the_greatest():
     assert best(IQL(expectile=0.999)) == pytest.approx(4.0, abs=0.02)
     # XQL's, whose scale changes with V, has no slope there: temperature log mean exp(Q / temperature).
     soft = 2 * np.log(np.exp(np.array([0, 1, 4]) / 2).mean())
-    slope = jax.grad(lambda v: XQL(temperature=2.0).value_loss(lambda s: jnp.full((3, 1), v), one, worth))
+    slope = jax.grad(lambda v: XQL(loss_temperature=2.0).value_loss(lambda s: jnp.full((3, 1), v), one, worth))
     assert slope(soft) == pytest.approx(0.0, abs=1e-5)
     assert slope(soft - 0.1) < -1e-3
     assert slope(soft + 0.1) > 1e-3
@@ -176,9 +176,9 @@ def test_an_expectile_of_a_half_is_the_mean_and_of_one_nearly_the_greatest():
 def test_xql_loss_by_hand():
     one = Batch(observation=jnp.zeros((3, 1)))
     z = np.array([-2.0, 0.5, 7.0])  # the last of them cut
-    found = XQL(temperature=2.0).value_loss(lambda s: jnp.zeros((3, 1)), one, jnp.asarray([-4.0, 1.0, 99.0]))
+    found = XQL(loss_temperature=2.0).value_loss(lambda s: jnp.zeros((3, 1)), one, jnp.asarray([-4.0, 1.0, 99.0]))
     assert found == pytest.approx(((np.exp(z) - z - 1) / np.exp(7)).mean(), rel=1e-4)
-    low = XQL(temperature=2.0).value_loss(lambda s: jnp.zeros((3, 1)), one, jnp.asarray([-4.0, -8.0, -6.0]))
+    low = XQL(loss_temperature=2.0).value_loss(lambda s: jnp.zeros((3, 1)), one, jnp.asarray([-4.0, -8.0, -6.0]))
     z = np.array([-2.0, -4.0, -3.0])
     assert low == pytest.approx(((np.exp(z) - z - 1) * np.e).mean(), rel=1e-4)
 
@@ -192,7 +192,7 @@ def test_xql_loss_is_finite_however_wrong_a_value_is(batch):
 
 
 def test_awac_target_advantage_and_weights(batch):
-    agent, state = made(AWAC(discount=0.9, temperature=0.5, max_weight=1.3, draws=3, **SMALL))
+    agent, state = made(AWAC(discount=0.9, temperature=0.5, max_weight=1.3, samples=3, **SMALL))
     mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
     action = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (6, 1))))
     future = least_q(state.target_critics, batch.next_observation, action)
@@ -232,7 +232,7 @@ def normalised_mlp(net, x):
 
 
 def test_rebrac_target_and_actor_loss(batch):
-    agent, state = made(ReBRAC(discount=0.9, noise=0.0, actor_penalty=0.3, critic_penalty=0.7, **SMALL))
+    agent, state = made(ReBRAC(discount=0.9, policy_noise=0.0, actor_penalty=0.3, critic_penalty=0.7, **SMALL))
     assert "next_action" in agent.needs(SPEC).columns
 
     def least(critics, observation, action):
@@ -257,7 +257,7 @@ def with_held(state, **changes):
 
 
 def test_cql_penalty(batch):
-    agent, state = made(CQL(conservatism=3.0, draws=2, **SMALL))
+    agent, state = made(CQL(cql_weight=3.0, samples=2, **SMALL))
     target = jnp.arange(6.0)
     loss, metrics = agent.critic_loss(state.critics, state, batch, target, KEY)
     k_uniform, k_now, k_next = jax.random.split(jax.random.fold_in(KEY, 2), 3)
@@ -274,15 +274,15 @@ def test_cql_penalty(batch):
         expected += ((logged - np.arange(6)) ** 2).mean() + 3.0 * (logsumexp(parts, 0) - logged).mean()
     np.testing.assert_allclose(loss, expected, rtol=1e-4)
     assert not agent.entropy_backup
-    held = CQL(conservatism=1.0, lagrange=True, draws=2, **SMALL)
+    held = CQL(cql_weight=1.0, lagrange=True, samples=2, **SMALL)
     twice = held.critic_loss(state.critics, with_held(state, log_weight=jnp.log(2.0)), batch, target, KEY)[0]
     once = held.critic_loss(state.critics, with_held(state, log_weight=jnp.log(1.0)), batch, target, KEY)[0]
     np.testing.assert_allclose(twice - once, 2 * metrics["gap"], rtol=1e-3)  # a difference for each critic
 
 
 def test_cql_rho_holds_down_what_the_policy_likes(batch):
-    agent, state = made(CQL(form="rho", conservatism=3.0, draws=3, **SMALL))
-    plain, _ = CQL(form="rho", conservatism=0.0, draws=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    agent, state = made(CQL(form="rho", cql_weight=3.0, samples=3, **SMALL))
+    plain, _ = CQL(form="rho", cql_weight=0.0, samples=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
     high = weighted_mean(state.critics, state.actor, batch, 3, jax.random.fold_in(KEY, 2)).mean(-1)
     logged = [q(state.critics, j, batch.observation, batch.action).mean() for j in range(2)]
     loss, _ = agent.critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
@@ -290,7 +290,7 @@ def test_cql_rho_holds_down_what_the_policy_likes(batch):
 
 
 def test_cql_rho_weighs_the_policys_actions_by_their_worth(batch):
-    agent, state = made(CQL(form="rho", draws=3, **SMALL))
+    agent, state = made(CQL(form="rho", samples=3, **SMALL))
     mean, log_std = numpy_gaussian(state.actor, batch.observation)
     drawn = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (3, 6, 1))))
     values = np.stack([q(state.critics, 0, batch.observation, a) for a in drawn])

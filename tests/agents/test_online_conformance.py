@@ -14,11 +14,11 @@ from deadreckon.training.fit import Fit
 PENDULUM = task("inverted-pendulum")
 SETTINGS = Online(copies=2, explore=40, updates_per_step=0.5, block=20)
 UPDATES = SETTINGS.updates(100)
-MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "model_epochs": 2, "model_every": 20}
+MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites": 2, "model_epochs": 2, "model_train_freq": 20}
 OWN = {
-    "mbpo": {"rollouts": 3, "keep": 40},
-    "slbo": {"members": 1, "elites": 1, "rollouts": 2, "length": 10},
-    "pets": {"horizon": 3, "population": 10, "chosen": 2, "iterations": 2, "particles": 2},
+    "mbpo": {"rollouts_per_step": 3, "retain_steps": 40},
+    "slbo": {"members": 1, "elites": 1, "rollouts": 2, "rollout_length": 10},
+    "pets": {"horizon": 3, "population": 10, "cem_elites": 2, "cem_iterations": 2, "particles": 2},
 }
 ONLINE = [name for name in AGENTS if agent_class(name).online]
 ONLINE = [name for name in ONLINE if not (issubclass(agent_class(name), Modelled) and agent_class(name).offline)]

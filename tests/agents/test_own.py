@@ -78,16 +78,6 @@ def test_the_command_line_takes_it(mine, tmp_path, capsys):
     assert "RWR.temperature takes a finite number > 0, got 0" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("agent", "given", "meant"), [
-    ("iql", "tau", ["target-rate", "expectile"]), ("bear", "gamma", ["discount"]), ("cql", "alpha", ["conservatism"]),
-    ("td3", "learning-rate", ["actor-lr", "critic-lr"]),
-])  # fmt: skip
-def test_names_of_publications_are_understood(agent, given, meant, capsys):
-    assert main(["train", "--agent", agent, f"--agent.{given}", "0.5", "--data", "x"]) == 2
-    said = capsys.readouterr().err
-    assert all(f"--agent.{each}" in said for each in meant), said
-
-
 def test_what_is_there_is_listed():
     assert {"BEAR", "IQL", "agent_class"} <= set(dir(dr.agents))
     assert {"train", "ope", "Dataset"} <= set(dir(dr))

@@ -13,14 +13,14 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.online import Online
 from deadreckon.online.model_learning import ModelLearning
-from deadreckon.policies import Deployed, store
+from deadreckon.policies import EnvPolicy, store
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((2,), Box((-1.0,), (1.0,)), "line")
-SMALL = {"members": 2, "elites": 2, "model_hidden": (4,), "model_decay": (), "particles": 2, "ends": "learned"}
+SMALL = {"members": 2, "elites": 2, "model_hidden": (4,), "model_weight_decay": (), "particles": 2, "termination": "learned"}
 
 
 def planner(gain=(0.5, 0.5), tolls=(0.0, 0.0), **fields):
@@ -40,7 +40,7 @@ def planner(gain=(0.5, 0.5), tolls=(0.0, 0.0), **fields):
 
 
 def test_returns_are_the_sums_by_hand():
-    policy = planner(gain=(0.5, 1.0), horizon=3, population=2, chosen=1)
+    policy = planner(gain=(0.5, 1.0), horizon=3, population=2, cem_elites=1)
     actions = jnp.asarray([[0.2, -0.4, 0.9], [1.0, 1.0, -1.0]])[..., None]
     found = policy.returns(jnp.asarray([2.0, 0.0]), actions, jax.random.key(0))
     # s before each step: 2, 2 + g a0, 2 + g (a0 + a1).
@@ -74,7 +74,7 @@ def test_a_plan_is_gone_on_with_and_forgotten_when_an_episode_begins():
 
 
 def test_a_planner_survives_its_file(tmp_path):
-    policy = Deployed(planner(horizon=4), None, None, -2.0 * jnp.ones(1), 2.0 * jnp.ones(1))
+    policy = EnvPolicy(planner(horizon=4), None, None, -2.0 * jnp.ones(1), 2.0 * jnp.ones(1))
     store.save(tmp_path / "p.npz", policy)
     seen = np.ones((3, 2), np.float32)
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(seen), policy(seen))
@@ -82,7 +82,7 @@ def test_a_planner_survives_its_file(tmp_path):
         load_portable(tmp_path / "p.npz")(seen)
 
 
-FIELDS = {"ends": None, "horizon": 3, "population": 10, "chosen": 2, "model_epochs": 2, "model_every": 20}
+FIELDS = {"termination": None, "horizon": 3, "population": 10, "cem_elites": 2, "model_epochs": 2, "model_train_freq": 20}
 SETTINGS = Online(copies=2, explore=40, updates_per_step=0.1, block=10)
 
 
@@ -120,5 +120,5 @@ def test_a_run_goes_on_where_it_stopped(tmp_path):
 def test_refusals():
     with pytest.raises(UserError, match=r"PETS.particles must be a multiple of elites \(2\), got 3"):
         PETS(**SMALL | {"particles": 3}).resolve(SPEC, 1)
-    with pytest.raises(UserError, match="PETS.chosen must be 1 .. population, and horizon 1 or more, got 9 of 8 and 30"):
-        PETS(**SMALL | {"population": 8, "chosen": 9}).resolve(SPEC, 1)
+    with pytest.raises(UserError, match="PETS.cem_elites must be 1 .. population, and horizon 1 or more, got 9 of 8 and 30"):
+        PETS(**SMALL | {"population": 8, "cem_elites": 9}).resolve(SPEC, 1)

@@ -16,7 +16,7 @@ from deadreckon.training.fit import Fit
 from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "nowhere")
-AGENT = PPO(hidden=(8,), batch_size=16, discount=0.9, trace=0.8).resolve(SPEC, 10)
+AGENT = PPO(hidden=(8,), batch_size=16, discount=0.9, gae_lambda=0.8).resolve(SPEC, 10)
 
 
 def block(seed=0, steps=6, copies=2):

@@ -52,7 +52,7 @@ def test_traced_advantages_are_discounted_sums_that_end_where_rows_do():
 
 def test_awr_returns_are_td_lambda_within_episode_and_window():
     rows = windows()
-    agent, state = made(AWR(discount=0.9, trace=0.8, window=3, batch_size=6, **SMALL))
+    agent, state = made(AWR(discount=0.9, td_lambda=0.8, window=3, batch_size=6, **SMALL))
     got, advantage = agent.returns(state.value, rows)
     now, after = (numpy_mlp(state.value, np.asarray(seen))[..., 0] for seen in (rows.observation, rows.next_observation))
     reward = np.asarray(rows.reward)
@@ -163,7 +163,7 @@ def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to():
 
 
 def test_dqfd_wants_the_logged_action_above_all_others_by_a_margin(batch):
-    agent, state = made(DQfD(margin=0.3, margin_weight=0.7, draws=4, discount=0.9, **SMALL))
+    agent, state = made(DQfD(margin=0.3, margin_weight=0.7, samples=4, discount=0.9, **SMALL))
     uniform = np.asarray(jax.random.uniform(jax.random.fold_in(KEY, 1), (4, 6, 1), minval=-1.0, maxval=1.0))
     others = [np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation))), *uniform]
     target = np.asarray(agent.target(state, batch, KEY))
@@ -178,7 +178,7 @@ def test_dqfd_wants_the_logged_action_above_all_others_by_a_margin(batch):
 
 
 def test_dqfd_asks_for_nothing_where_the_margin_is_kept(batch):
-    agent, state = made(DQfD(margin=0.0, draws=3, **SMALL))
+    agent, state = made(DQfD(margin=0.0, samples=3, **SMALL))
     flat = jax.tree.map(jnp.zeros_like, state.critics)  # all actions are worth the same
     np.testing.assert_array_equal(agent.missed(flat, state.actor, batch, KEY), np.zeros((2, 6)))
 
@@ -282,7 +282,7 @@ def test_fql_follows_a_constant_field_to_its_end():
 
 
 def test_fql_actor_and_targets(batch):
-    agent, state = made(FQL(discount=0.9, imitation=3.0, flow_steps=5, scale_q=True, **SMALL))
+    agent, state = made(FQL(discount=0.9, alpha=3.0, flow_steps=5, scale_q=True, **SMALL))
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
     action = np.clip(numpy_mlp(state.actor, np.concatenate([batch.next_observation, noise], -1)), -1, 1)
     value = np.mean([q(state.target_critics, j, batch.next_observation, action) for j in range(2)], 0)

@@ -17,8 +17,8 @@ from tests.agents.resumed import whole_and_resumed
 
 PENDULUM = task("inverted-pendulum")
 SETTINGS = Online(copies=2, explore=60, updates_per_step=0.5, block=20)
-MODEL = {"model_hidden": (16,), "model_decay": (), "model_epochs": 3, "model_every": 40}
-SMALL = SLBO(hidden=(8,), batch_size=16, rollouts=3, length=12, **MODEL)
+MODEL = {"model_hidden": (16,), "model_weight_decay": (), "model_epochs": 3, "model_train_freq": 40}
+SMALL = SLBO(hidden=(8,), batch_size=16, rollouts=3, rollout_length=12, **MODEL)
 
 
 @pytest.fixture(scope="module")

@@ -1,24 +1,25 @@
 """Every agent with tiny networks on one small log: what tests compile is the same program, so that it is compiled once."""
 
 from deadreckon.agents import agent_class
-from deadreckon.agents.dreaming import Dreaming
+from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.batch import TransitionSource
 from tests.agents.worlds import corridor
 
 LOG = corridor()
 STEPS, CHUNK = 150, 50
 
-MODEL = {"model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "rollouts": 40, "model_epochs": 2, "length": 2,
-         "logged_rows": 20}  # fmt: skip
+MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites": 2, "rollout_batch_size": 40, "model_epochs": 2,
+         "rollout_length": 2, "real_batch_size": 20}  # fmt: skip
 
-OWN = {"bcq": {"behavior_hidden": (16, 16), "test_draws": 10}, "brac": {"behavior_steps": 20},
+OWN = {"bcq": {"behavior_hidden": (16, 16), "test_samples": 10}, "brac": {"behavior_steps": 20},
        "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
-       "decision_transformer": {"window": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
+       "decision_transformer": {"context_length": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
 
 
 def small(name, **fields):
     kind = agent_class(name)
-    fields = {"hidden": (16, 16), "batch_size": 64} | OWN.get(name, {}) | (MODEL if issubclass(kind, Dreaming) else {}) | fields
+    own = OWN.get(name, {}) | (MODEL if issubclass(kind, OfflineMBRL) else {})
+    fields = {"hidden": (16, 16), "batch_size": 64} | own | fields
     return kind(**fields).resolve(LOG.spec, STEPS)
 
 

@@ -29,7 +29,7 @@ UMAZE = "maze2d-umaze-v1"
 def test_all_combinations_are_tried_with_the_defaults_among_the_first():
     found = candidates("iql")
     assert len(found) == 9
-    assert found[0] == {"expectile": 0.7, "sharpness": 3.0}
+    assert found[0] == {"expectile": 0.7, "beta": 3.0}
     few = candidates("iql", most=4, seed=3)
     assert few[0] == found[0]
     assert len({named(each) for each in few}) == 4

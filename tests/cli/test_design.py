@@ -32,10 +32,10 @@ def test_from_a_table_to_proposals(table, capsys):
     assert main(["design", *FORWARD, *asked]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].startswith("alloys: 60 designs, 3 variables; best cost 0.")
-    assert out[1].startswith("Forward: 5 proposals, the best promises ")
+    assert out[1].startswith("Forward: 5 proposals, best predicted ")
     with open(out[2], newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["heat", "layers", "colour", "predicted", "doubt", "distance"]
+    assert list(rows[0]) == ["heat", "layers", "colour", "predicted", "predicted_std", "distance"]
     assert len(rows) == 5
     for row in rows:
         assert 0 <= float(row["heat"]) <= 12
@@ -53,12 +53,12 @@ def test_with_a_judge(table, capsys):
     assert main(["design", *FORWARD, "--problem", "branin", "-n", "4", "--out", "b"]) == 0
     out = capsys.readouterr().out
     assert "Forward on branin: best of 4 " in out
-    assert "the judge is exact; the greatest score is -0.397887" in out
+    assert "the oracle is exact; the greatest score is -0.397887" in out
     with open("b/proposals.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 4
-    assert f"{max(float(row['judged']) for row in rows):,.4g}" in out
-    assert "Above the dashed line more was promised than is true" in (table / "b" / "report.html").read_text()
+    assert f"{max(float(row['true']) for row in rows):,.4g}" in out
+    assert "Above the dashed line the score is overestimated" in (table / "b" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -111,4 +111,4 @@ def test_bench(tmp_path, capsys):
     out = capsys.readouterr().out
     assert out.count("| branin |") == 7  # best, median, both normalised, and three that tell whom to trust
     assert "random on nk" in out
-    assert "Median design, by the judge" in out
+    assert "Median design, by the oracle" in out

@@ -8,7 +8,7 @@ from deadreckon.collect import gym, recipe, recipe_names
 from deadreckon.errors import UserError
 from deadreckon.files import alone
 from deadreckon.policies import library, store
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.tasks import gym_mujoco, task
 
 SUITE = ("hopper", "halfcheetah", "walker2d", "ant")
@@ -138,7 +138,7 @@ def test_shipped_policies(name):
         meta = store.meta(library.ROOT / name / f"{each.name}.npz")
         assert (meta["name"], meta["updates"]) == (each.name, each.updates)
     for policy in policies:
-        assert isinstance(policy, Deployed)
+        assert isinstance(policy, EnvPolicy)
         assert policy.has_log_prob
         assert policy(seen).shape == (3, world.action_space.size)
 

@@ -11,14 +11,14 @@ import pytest
 from deadreckon import tasks
 from deadreckon.collect import rollouts
 from deadreckon.collect.gym import collect_gym
-from deadreckon.collect.rollouts import Act, perform, played
+from deadreckon.collect.rollouts import Segment, collect_rollouts, played
 from deadreckon.data.dataset import Provenance
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies import Deployed, library
+from deadreckon.policies import EnvPolicy, library
 from deadreckon.policies.kinds import TanhGaussian
 
 # Bounds that are neither symmetric nor of width 2, and episodes that end both ways.
@@ -32,11 +32,11 @@ def policy(task, seed=0):
     rng, sizes = np.random.default_rng(seed), (spec.observation_size, 8, 2 * spec.action_size)
     weights = tuple(rng.normal(0, 0.5 * i**-0.5, (i, o)).astype(np.float32) for i, o in itertools.pairwise(sizes))
     net = MLP(weights, tuple(np.zeros(o, np.float32) for o in sizes[1:]))
-    return Deployed.of(TanhGaussian(net), Normalizer.of(spec))
+    return EnvPolicy.of(TanhGaussian(net), Normalizer.of(spec))
 
 
 POLICY = policy(HOPPER)
-BOTH = [Act(POLICY, 1501), Act(None, 700)]  # neither ends with an episode
+BOTH = [Segment(POLICY, 1501), Segment(None, 700)]  # neither ends with an episode
 
 
 @eqx.filter_jit
@@ -56,8 +56,8 @@ def _small_portions():
         yield
 
 
-def log(folder, acts=BOTH, task=HOPPER, seed=0, **options):
-    return perform(task, acts, name="rolled", seed=seed, provenance=Provenance(), scratch=folder, **options)
+def log(folder, segments=BOTH, task=HOPPER, seed=0, **options):
+    return collect_rollouts(task, segments, name="rolled", seed=seed, provenance=Provenance(), scratch=folder, **options)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def by_hand(task, rows, seed):
 
 @pytest.mark.parametrize(("task", "rows"), [(HOPPER, 900), (MAZE, 400)])
 def test_uniform_actions_equal_a_rollout_by_hand(task, rows, tmp_path):
-    made = log(tmp_path, [Act(None, rows)], task, seed=3)
+    made = log(tmp_path, [Segment(None, rows)], task, seed=3)
     expected = by_hand(task, rows, 3)
     columns = made.observations, made.actions, made.rewards, made.terminals, made.timeouts, made.final_observations
     for ours, theirs in zip(columns, expected):
@@ -141,7 +141,7 @@ def test_the_policys_rows_follow_the_physics(both):
 
 @pytest.mark.parametrize("who", [POLICY, None], ids=["policy", "uniform"])
 def test_a_cut_row_is_followed_by_what_came_next(who, tmp_path):
-    whole, cut = log(tmp_path / "whole", [Act(who, 16)]), log(tmp_path / "cut", [Act(who, 5)])
+    whole, cut = log(tmp_path / "whole", [Segment(who, 16)]), log(tmp_path / "cut", [Segment(who, 5)])
     np.testing.assert_array_equal(cut.actions, whole.actions[:5])
     np.testing.assert_array_equal(cut.final_observations, whole.observations[5:6])
     assert (cut.timeouts.tolist(), whole.timeouts[:5].any()) == ([False] * 4 + [True], False)
@@ -208,8 +208,8 @@ def test_killed_and_gone_on_with_is_the_same(both, share, tmp_path):
 
 
 def test_killed_inside_an_episode_is_the_same(tmp_path):
-    acts, calls = [Act(policy(MAZE), 130), Act(None, 250)], []
-    whole = log(tmp_path / "whole", acts, MAZE, progress=lambda done, total: calls.append(done))
+    segments, calls = [Segment(policy(MAZE), 130), Segment(None, 250)], []
+    whole = log(tmp_path / "whole", segments, MAZE, progress=lambda done, total: calls.append(done))
     assert len(calls) >= 6
     assert calls == sorted(calls)  # also where episodes made more rows than their act takes
     for kill_at in (0, 2, len(calls) - 1):
@@ -221,8 +221,8 @@ def test_killed_inside_an_episode_is_the_same(tmp_path):
             left[0] -= 1
 
         with pytest.raises(Killed):
-            log(tmp_path / f"{kill_at}", acts, MAZE, progress=kill)
-        assert log(tmp_path / f"{kill_at}", acts, MAZE).fingerprint == whole.fingerprint
+            log(tmp_path / f"{kill_at}", segments, MAZE, progress=kill)
+        assert log(tmp_path / f"{kill_at}", segments, MAZE).fingerprint == whole.fingerprint
 
 
 def test_a_log_does_not_depend_on_how_many_run_side_by_side(both, tmp_path, monkeypatch):
@@ -259,27 +259,27 @@ def _kill_at(done, most):
 
 @pytest.mark.parametrize("rows", [1, 15, 16, 17])
 def test_any_number_of_rows(rows, tmp_path):
-    made = log(tmp_path, [Act(None, rows)])
+    made = log(tmp_path, [Segment(None, rows)])
     assert len(made) == rows
     assert made.timeouts[-1] != made.terminals[-1]
     assert made.dropped == 0
 
 
 def test_another_collection_is_not_gone_on_with(tmp_path):
-    log(tmp_path, [Act(None, 30)])
-    for acts, seed in (([Act(None, 31)], 0), ([Act(None, 30)], 1), ([Act(None, 15), Act(None, 15)], 0)):
+    log(tmp_path, [Segment(None, 30)])
+    for segments, seed in (([Segment(None, 31)], 0), ([Segment(None, 30)], 1), ([Segment(None, 15), Segment(None, 15)], 0)):
         with pytest.raises(UserError, match=r"holds the beginning of another collection \(.* was .*, now .*\); delete it"):
-            log(tmp_path, acts, seed=seed)
+            log(tmp_path, segments, seed=seed)
     other = Provenance(extra={"policies": ["expert"]})
     with pytest.raises(UserError, match="another collection"):
-        perform(HOPPER, [Act(None, 30)], name="rolled", seed=0, provenance=other, scratch=tmp_path)
-    assert len(log(tmp_path, [Act(None, 30)])) == 30
+        collect_rollouts(HOPPER, [Segment(None, 30)], name="rolled", seed=0, provenance=other, scratch=tmp_path)
+    assert len(log(tmp_path, [Segment(None, 30)])) == 30
 
 
 def test_a_scratch_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(UserError, match=r"cannot write .*file/.*: Not a directory$"):
-        log(tmp_path / "file" / "scratch", [Act(None, 30)])
+        log(tmp_path / "file" / "scratch", [Segment(None, 30)])
 
 
 def test_kinds_of_log_are_acts_in_equal_parts(tmp_path, monkeypatch):
@@ -309,7 +309,8 @@ def test_kinds_of_log_are_acts_in_equal_parts(tmp_path, monkeypatch):
 
 
 def test_played_is_the_same_log_in_memory(tmp_path):
-    made = perform(HOPPER, [Act(POLICY, 300)], name="x", seed=5, provenance=Provenance("collected", seed=5), scratch=tmp_path)
+    provenance = Provenance("collected", seed=5)
+    made = collect_rollouts(HOPPER, [Segment(POLICY, 300)], name="x", seed=5, provenance=provenance, scratch=tmp_path)
     found = played(HOPPER, POLICY, 300, 5)
     assert len(found) == 300
     for name in ("observations", "actions", "rewards", "terminals", "timeouts"):

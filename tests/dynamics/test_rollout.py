@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.dynamics import Ensemble, Model, branches, rollout
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 
 
 class Counting(Model):
@@ -20,11 +20,11 @@ class Counting(Model):
         return jnp.stack([steps, 0.5 * action, action], -1), jnp.full(inputs.shape[:2], jnp.inf)
 
 
-class Half(Inner):
+class Half(NormalizedPolicy):
     """Always one half."""
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         return jnp.full((*observation.shape[:-1], 1), jnp.arctanh(0.5))
 
 

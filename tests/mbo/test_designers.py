@@ -6,22 +6,22 @@ import pytest
 from deadreckon.data.batch import redrawn
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, COMs, designer
-from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.registry import CPU_BUDGET
 
 SMALL = {
     "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},
-    "coms": {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent": 5, "lr": 3e-3},
-    "gp-bo": {"rows": 100, "ascent": 50},
-    "ddom": {"hidden": (32,), "steps": 1000, "batch_size": 64, "lr": 3e-3, "sampling": 50},
-    "mins": {"hidden": (32,), "latent": 2, "steps": 2000, "batch_size": 64, "lr": 1e-3, "forward_hidden": (16,),
+    "coms": {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent_steps": 5, "lr": 3e-3},
+    "gp-bo": {"max_rows": 100, "ascent_steps": 50},
+    "ddom": {"hidden": (32,), "steps": 1000, "batch_size": 64, "lr": 3e-3, "sampling_steps": 50},
+    "mins": {"hidden": (32,), "latent_size": 2, "steps": 2000, "batch_size": 64, "lr": 1e-3, "forward_hidden": (16,),
              "forward_steps": 200, "forward_lr": 3e-3},
-    "ram": {"hidden": (16,), "steps": 200, "list_size": 32, "ascent": 20, "lr": 3e-3, "design_lr": 0.05},
-} | {name: {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent": 20, "lr": 3e-3, "design_lr": 0.05}
+    "ram": {"hidden": (16,), "steps": 200, "list_size": 32, "ascent_steps": 20, "lr": 3e-3, "design_lr": 0.05},
+} | {name: {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent_steps": 20, "lr": 3e-3, "design_lr": 0.05}
      for name in ("forward", "ensemble", "ensemble-min")} | {
-    name: {"hidden": (16,), "latent": 2, "steps": 300, "members": 2, "rounds": 5, "updates": 50, "draws": 200, "batch_size": 32,
-           "lr": 3e-3} for name in ("cbas", "autofocus")}  # fmt: skip
+    name: {"hidden": (16,), "latent_size": 2, "steps": 300, "members": 2, "rounds": 5, "updates": 50, "samples": 200,
+           "batch_size": 32, "lr": 3e-3} for name in ("cbas", "autofocus")}  # fmt: skip
 # What draws designs instead of climbing from the best ones has worse ones among them.
 DRAWN = ("cbas", "autofocus", "ddom", "mins")
 
@@ -59,7 +59,7 @@ def test_proposals(mixed, name):
     assert found.x.shape == (8, 3)
     mixed.check(found.x)
     assert (found.seed, other.seed) == (3, 4)
-    assert found.predicted.shape == found.doubt.shape == (8,)
+    assert found.predicted.shape == found.predicted_std.shape == (8,)
     if name == "random":
         assert not np.array_equal(found.x, other.x)
         return
@@ -85,7 +85,7 @@ def test_coms_learns_not_to_promise_beyond_the_data():
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 1, (300, 2))
     data = Designs.from_arrays(x, x.sum(1))
-    fields = SMALL["coms"] | {"steps": 600, "ascent": 20}
+    fields = SMALL["coms"] | {"steps": 600, "ascent_steps": 20}
     held = COMs(**fields, margin=0.0, alpha_lr=0.05).propose(data, 16)
     free = COMs(**fields, margin=1e6).propose(data, 16)
     assert held.predicted.mean() < free.predicted.mean() - 0.1 * data.y.std()
@@ -110,7 +110,7 @@ def test_beliefs_are_about_the_designs_that_are_proposed(mixed, name):
     found = small(name).propose(mixed, 40, seed=0)
     _, first, again = np.unique(found.x, axis=0, return_index=True, return_inverse=True)
     np.testing.assert_allclose(found.predicted, found.predicted[first][again.reshape(-1)], rtol=1e-3, atol=1e-3)
-    setting = Setting(mixed, 40, [0], None, lambda what, step, steps: None)
+    setting = DesignInput(mixed, 40, [0], None, lambda what, step, steps: None)
     twice = small(name).decoded(setting, 0, mixed.coordinates.encode(found.x), lambda z: (z[:, 0], None))
     np.testing.assert_allclose(twice.predicted, mixed.coordinates.score(mixed.coordinates.encode(found.x)[:, 0]), rtol=1e-5)
 
@@ -119,7 +119,7 @@ def test_few_rows_give_many_different_designs():
     rng = np.random.default_rng(0)
     x = rng.uniform(0, 1, (12, 2))
     data = Designs.from_arrays(x, x.sum(1), [Variable("a", low=0, high=1), Variable("b", low=0, high=1)])
-    found = designer("forward", hidden=(8,), steps=50, batch_size=8, ascent=1, design_lr=1e-4).propose(data, 60)
+    found = designer("forward", hidden=(8,), steps=50, batch_size=8, ascent_steps=1, design_lr=1e-4).propose(data, 60)
     data.check(found.x)
     assert len(np.unique(found.x.round(4), axis=0)) > 50
     with pytest.raises(UserError, match="designs has 12 designs, fewer than the 60 asked for"):

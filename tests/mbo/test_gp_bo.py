@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.gp_bo import GPBO, log_improvement
 
@@ -33,7 +33,7 @@ def test_posterior_is_that_of_scikit_learn(kernel):
     y = np.sin(3 * x[:, 0]) + x[:, 1] + 0.05 * rng.normal(size=60)
     data = Designs.from_arrays(x, y, [Variable("a", low=-1, high=1), Variable("b", low=-1, high=1)])
     view = data.coordinates
-    process = GPBO(kernel=kernel).fit(Setting(data, 8, [0], None, lambda what, step, steps: None))
+    process = GPBO(kernel=kernel).fit(DesignInput(data, 8, [0], None, lambda what, step, steps: None))
     kernels = gaussian_process.kernels
     near = kernels.RBF(float(view.size) ** 0.5, (1e-2, 1e3)) if kernel == "rbf" else kernels.DotProduct(1.0, (1e-3, 1e3))
     whole = kernels.ConstantKernel(1.0, (1e-6, 1e3)) * near + kernels.WhiteKernel(0.1, (1e-3, 1e1))

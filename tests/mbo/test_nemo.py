@@ -12,7 +12,7 @@ from scipy.special import expit
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
-from deadreckon.mbo.designer import Setting
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs, Variable
 from deadreckon.mbo.nemo import Fixed, Net, Training, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
 from deadreckon.nets.mlp import ensemble, joined
@@ -115,7 +115,7 @@ def test_designs_improve_and_stay_within_bounds(bowl, fields):
     assert found.x.min() >= -2
     assert found.x.max() <= 2
     assert np.isfinite(found.predicted).all()
-    assert (found.doubt > 0).all()
+    assert (found.predicted_std > 0).all()
     assert found.method == "NEMO"
 
 
@@ -124,7 +124,7 @@ def test_claims_make_what_is_searched_uncertain(bowl):
     """Each model is pulled towards its own claim about the designs: without that, nothing is NML."""
     small = NEMO(bins=8, hidden=(32,), steps=300, pretrain=300, lr=0.005, design_lr=0.02, loss="likelihood")
     none, strong = (small.replace(weight=weight).propose(bowl, 16) for weight in (0.0, 1.0))
-    assert np.median(strong.doubt) > 1.5 * np.median(none.doubt)
+    assert np.median(strong.predicted_std) > 1.5 * np.median(none.predicted_std)
     # Models that stay after pretraining know no claims, whatever these weigh.
     still = [small.replace(search_lr=0.0, weight=weight).propose(bowl, 16) for weight in (0.0, 1.0)]
     np.testing.assert_array_equal(still[0].x, still[1].x)
@@ -175,7 +175,7 @@ def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
     x = np.sort(rng.uniform(-1, 1, rows))
     data = Designs.from_arrays(x[:, None], x + 0.3 * rng.standard_normal(rows))
     still = NEMO(bins=bins, hidden=(), loss="likelihood", pretrain=0, lr=0.003, design_lr=0.0, weight=None, batch_size=256)
-    setting = Setting(data, 1, [0], None, lambda what, step, steps: None)
+    setting = DesignInput(data, 1, [0], None, lambda what, step, steps: None)
     state = setting.train(still.training(setting), 6000, "nemo")[0]
     found = np.exp(np.asarray(p_nml(joined(state.targets), state.search.x)))[0]
 
@@ -200,7 +200,7 @@ def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
 
 def test_designs_move_after_every_ratio_updates_of_the_models_and_not_while_these_are_pretrained():
     data = Designs.from_arrays(np.linspace(0, 1, 12)[:, None], np.linspace(0, 1, 12))
-    setting = Setting(data, 2, [0], None, lambda what, step, steps: None)
+    setting = DesignInput(data, 2, [0], None, lambda what, step, steps: None)
     learner = NEMO(bins=2, hidden=(), pretrain=2, ratio=3, batch_size=4).training(setting)
     view = data.coordinates
     batch = Batch(extra={"x": view.encode(data.x)[:4], "y": np.zeros(4, np.float32)})

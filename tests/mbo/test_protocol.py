@@ -7,7 +7,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import Random, designer, problem
-from deadreckon.mbo.protocol import COLUMNS, judge, markdown, published, trust
+from deadreckon.mbo.protocol import COLUMNS, evaluate_designers, markdown, published, trust
 from deadreckon.stats.means import student
 
 
@@ -19,34 +19,34 @@ def branin():
 def test_results_are_kept(branin, tmp_path, monkeypatch):
     told = []
     asked = [("best", designer("best")), ("random", designer("random"))]
-    first = judge(branin, asked, 16, seeds=range(4), out=tmp_path, told=told.append)
+    first = evaluate_designers(branin, asked, 16, seeds=range(4), out=tmp_path, told=told.append)
     assert [r.method for r in told] == ["best", "random"]
 
     def broken(self, setting):
         raise AssertionError("asked again")
 
     monkeypatch.setattr(Random, "solve", broken)
-    again = judge(branin, asked[1:], 16, seeds=range(4), out=tmp_path)
+    again = evaluate_designers(branin, asked[1:], 16, seeds=range(4), out=tmp_path)
     np.testing.assert_array_equal(again[0].true, first[1].true)
     assert len(list(tmp_path.rglob("*.json"))) == 2
     strange = dataclasses.replace(branin, name="../../x")
-    judge(strange, [("../../best", designer("best"))], 16, seeds=range(4), out=tmp_path / "out")
+    evaluate_designers(strange, [("../../best", designer("best"))], 16, seeds=range(4), out=tmp_path / "out")
     [path] = (tmp_path / "out").rglob("*.json")
     assert path.parent.name == "..-..-x"
     assert path.name.startswith("..-..-best-")
     with pytest.raises(AssertionError, match="asked again"):  # other seeds are another question
-        judge(branin, asked[1:], 16, seeds=range(5), out=tmp_path)
+        evaluate_designers(branin, asked[1:], 16, seeds=range(5), out=tmp_path)
 
 
 def test_seeds_in_several_programs_are_the_same_seeds(branin):
-    small = designer("forward", hidden=(8,), steps=20, ascent=5, batch_size=16)
-    whole = judge(branin, [("forward", small)], 4, seeds=[3, 5])[0]
-    parts = judge(branin, [("forward", small)], 4, seeds=[3, 5], together=1)[0]
+    small = designer("forward", hidden=(8,), steps=20, ascent_steps=5, batch_size=16)
+    whole = evaluate_designers(branin, [("forward", small)], 4, seeds=[3, 5])[0]
+    parts = evaluate_designers(branin, [("forward", small)], 4, seeds=[3, 5], together=1)[0]
     np.testing.assert_allclose(parts.true, whole.true, rtol=1e-4)
 
 
 def test_percentiles_and_tables(branin):
-    results = judge(branin, [("best", designer("best")), ("random", designer("random"))], 16, seeds=range(4))
+    results = evaluate_designers(branin, [("best", designer("best")), ("random", designer("random"))], 16, seeds=range(4))
     random = results[1]
     best = random.true.max(1)
     cell = random.percentile(100)
@@ -54,7 +54,7 @@ def test_percentiles_and_tables(branin):
     ranged = random.percentile(50, normalised=True).value
     assert ranged == pytest.approx((np.median(random.true, 1).mean() - branin.low) / (branin.high - branin.low))
     assert results[0].exploitation.value == pytest.approx(0.0, abs=1e-6)
-    assert np.isnan(random.exploitation.value)  # it promises nothing
+    assert np.isnan(random.exploitation.value)  # it predicts nothing
     table = markdown(results).splitlines()
     assert table[0] == "| problem | data | best | random |"
     assert table[2].startswith(f"| branin | {branin.visible.y.max():,.4g} | ")
@@ -70,7 +70,7 @@ def test_percentiles_and_tables(branin):
 def test_the_thesis_stands_below(branin):
     from dataclasses import replace
 
-    results = judge(branin, [("nemo", designer("random"))], 4, seeds=[0])
+    results = evaluate_designers(branin, [("nemo", designer("random"))], 4, seeds=[0])
     table = markdown([replace(results[0], problem="superconductor")], 100).splitlines()
     assert table[3] == "| thesis | 73.9 | 127 ± 7.292 |"
     assert published()["50"]["superconductor"]["gp-bo"] == [72.42, 0.0]

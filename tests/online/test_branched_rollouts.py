@@ -16,8 +16,9 @@ from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 
 TASK = task("inverted-pendulum")
-TINY = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_decay": (), "members": 3, "elites": 2, "model_epochs": 2,
-        "rollouts": 3, "model_every": 20, "keep": 40, "length": (1, 3, 1, 2), "target_entropy": -0.05}  # fmt: skip
+TINY = {"hidden": (8,), "batch_size": 16, "model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites": 2,
+        "model_epochs": 2, "rollouts_per_step": 3, "model_train_freq": 20, "retain_steps": 40, "rollout_length": (1, 3, 1, 2),
+        "target_entropy": -0.05}  # fmt: skip
 SETTINGS = Online(copies=2, explore=40, updates_per_step=0.5, block=10)
 UPDATES = SETTINGS.updates(120)
 
@@ -39,7 +40,7 @@ def columns(buffer):
 
 
 def test_what_is_learned_from():
-    fit, experience = job(real=0.2)
+    fit, experience = job(real_ratio=0.2)
     walk(fit)
     assert experience.environment_steps == 120
     assert sorted(experience._batches) == [2, 3]  # of fits to 40, 60, 80 and 100 steps the last two are kept
@@ -63,25 +64,26 @@ def test_what_is_learned_from():
 def test_lengths_of_rollouts():
     agent = MBPO().resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1)
     assert agent.target_entropy == -1.0
-    assert [agent.rollout_length(e) for e in (0, 20, 25, 26, 60, 99, 100, 500)] == [1, 1, 1, 2, 8, 14, 15, 15]
-    assert MBPO(length=(3, 3, 1, 2)).resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1).rollout_length(7) == 3
+    assert [agent.rollout_length_at(e) for e in (0, 20, 25, 26, 60, 99, 100, 500)] == [1, 1, 1, 2, 8, 14, 15, 15]
+    constant = MBPO(rollout_length=(3, 3, 1, 2)).resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1)
+    assert constant.rollout_length_at(7) == 3
     assert MBPO.acting("halfcheetah")["updates_per_step"] == 40
-    fit, experience = job(length=(2, 2, 1, 2))
+    fit, experience = job(rollout_length=(2, 2, 1, 2))
     walk(fit, 5)
     # Rollouts that ended after a step are made up for by others.
     assert len(experience._batches[0][0]) == 2 * 60
 
 
 def test_of_long_rollouts_no_more_is_kept_than_asked_for():
-    fit, experience = job(length=(5, 5, 1, 2), most=100)
+    fit, experience = job(rollout_length=(5, 5, 1, 2), model_buffer_size=100)
     walk(fit)
     assert [rows.shape[1] for rows in experience._batches.values()] == [50, 50]
-    real = fit.learners[0].real
+    real = fit.learners[0].real_ratio
     assert experience._buffer.shape[1] >= experience.count == 100 + round(100 * real / (1 - real))
     for rows in experience._batches.values():
         assert len(np.unique(rows[0], axis=0)) == 50  # drawn without replacement
-    with pytest.raises(UserError, match=r"most \(1\) must leave a row to each of the 2 fits"):
-        job(most=1)
+    with pytest.raises(UserError, match=r"model_buffer_size \(1\) must hold a row of each of the 2 fits"):
+        job(model_buffer_size=1)
 
 
 @pytest.mark.parametrize("ends_at_once", [False, True])
@@ -95,7 +97,7 @@ def test_long_rollouts_are_made_in_portions_until_there_are_enough(monkeypatch, 
 
     monkeypatch.setattr(branched_rollouts, "branches", branches)
     monkeypatch.setattr(branched_rollouts, "packed", lambda found: np.zeros((sum(map(len, found)), 10), np.float32))
-    _, experience = job(most=100)
+    _, experience = job(model_buffer_size=100)
     state = SimpleNamespace(actor=None, model=None)
     rows = experience._made_up(experience.agent, state, np.zeros((60, 4)), 40, jax.random.key(0))
     assert begun == [7] * (8 if ends_at_once else 1)  # 60 halved three times
@@ -139,13 +141,13 @@ def leaves(fit):
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"model_every": 25}, r"model_every \(25\) must be a multiple of block \(10\)"),
-    ({"keep": 50}, r"keep \(50\) must be a multiple of model_every \(20\)"),
-    ({"length": (1, 2, 3, 3)}, r"MBPO.length takes first, last >= first, .* got \(1, 2, 3, 3\)"),
-    ({"length": (15, 1, 20, 100)}, r"MBPO.length takes first, last >= first, .* got \(15, 1, 20, 100\)"),
-    ({"real": 1.0}, "MBPO.real must be 0 .. 1 without 1, got 1"),
+    ({"model_train_freq": 25}, r"model_train_freq \(25\) must be a multiple of block \(10\)"),
+    ({"retain_steps": 50}, r"retain_steps \(50\) must be a multiple of model_train_freq \(20\)"),
+    ({"rollout_length": (1, 2, 3, 3)}, r"MBPO.rollout_length takes first, last >= first, .* got \(1, 2, 3, 3\)"),
+    ({"rollout_length": (15, 1, 20, 100)}, r"MBPO.rollout_length takes first, last >= first, .* got \(15, 1, 20, 100\)"),
+    ({"real_ratio": 1.0}, r"MBPO.real_ratio must be in \[0, 1\), got 1"),
     ({"elites": 4}, "MBPO.elites are members at most, got 4 of 3"),
-    ({"model_decay": (0.1, 0.1, 0.1)}, "MBPO.model_decay needs 2 numbers, one a layer of the model, got 3"),
+    ({"model_weight_decay": (0.1, 0.1, 0.1)}, "MBPO.model_weight_decay needs 2 numbers, one a layer of the model, got 3"),
 ])  # fmt: skip
 def test_refusals(changes, words):
     with pytest.raises(UserError, match=words):

@@ -19,7 +19,7 @@ from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 from deadreckon.online.exploration import Exploration, Online, replay_log, row_width
 from deadreckon.policies import library
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.tasks.task import Starts, Task
 from deadreckon.training.fit import Fit
 from deadreckon.training.hyperparameters import static
@@ -79,7 +79,7 @@ class Clocks:
 TASK = Ticking("ticking", "toy", 7, (2,), Box((-1.0, 0.5), (3.0, 1.0)), "", tasks.task("hopper").reference)
 
 
-class Says(Inner):
+class Says(NormalizedPolicy):
     """Says by its first action how many updates it has seen, and draws its second."""
 
     updates: jax.Array

@@ -5,7 +5,7 @@ import pytest
 from pyarrow import csv
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.ope import FQE, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope import FQE, DoublyRobust, ImportanceSampling, OPEInput
 from deadreckon.policies import BlackBoxPolicy
 
 ITEMS = 34
@@ -62,14 +62,14 @@ ESTIMATORS = {
 def test_the_uniform_policy_from_the_thompson_sampling_log(logs, name):
     random, bts = logs
     uniform = as_policy(np.full((3, ITEMS), 1 / ITEMS), bts)
-    found = ESTIMATORS[name].on(Case(bts, uniform, discount=0.0))
+    found = ESTIMATORS[name].on(OPEInput(bts, uniform, discount=0.0))
     there = random.rewards.mean()
     error = random.rewards.std() / np.sqrt(len(random))
     # Both are estimates: their difference has the error of both.
     half = (found.high[0] - found.low[0]) / 2 / 1.96
     assert abs(found.value[0] - there) < 2.5 * np.hypot(half, error)
     assert 0.0 < found.value[0] < 0.02
-    assert found.effective[0] < 10_000
+    assert found.ess[0] < 10_000
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -77,7 +77,7 @@ def test_the_thompson_sampling_policy_from_the_uniform_log(logs, name):
     """Its probabilities changed from round to round; on average it showed what it showed."""
     random, bts = logs
     policy = as_policy(shown(bts), random)
-    found = ESTIMATORS[name].on(Case(random, policy, discount=0.0))
+    found = ESTIMATORS[name].on(OPEInput(random, policy, discount=0.0))
     error = bts.rewards.std() / np.sqrt(len(bts))
     half = (found.high[0] - found.low[0]) / 2 / 1.96
     assert abs(found.value[0] - bts.rewards.mean()) < 2.5 * np.hypot(half, error)
@@ -85,7 +85,7 @@ def test_the_thompson_sampling_policy_from_the_uniform_log(logs, name):
 
 def test_a_log_estimates_its_own_policy_as_its_mean(logs):
     for log in logs:
-        case = Case(log, as_policy(shown(log), log), discount=0.0, logged=True)
+        case = OPEInput(log, as_policy(shown(log), log), discount=0.0, logged=True)
         for estimator in (ESTIMATORS["ips"], ESTIMATORS["snips"]):
             found = estimator.on(case)
             assert found.value[-1] == pytest.approx(log.rewards.mean())

@@ -10,10 +10,10 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.ope import FQE, LOGGED, BehaviorModel, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope import FQE, LOGGED, BehaviorModel, DoublyRobust, ImportanceSampling, OPEInput
 from deadreckon.ope.fqe import Critics, Scale
 from deadreckon.ope.tables import NOISE
-from deadreckon.policies import BlackBoxPolicy, Deployed, library
+from deadreckon.policies import BlackBoxPolicy, EnvPolicy, library
 from deadreckon.policies.kinds import ClippedGaussian, Deterministic
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
@@ -62,7 +62,7 @@ def test_fqe_on_lqr_has_the_riccati_value():
     log = lqr(-0.5, 0.5, 300, 40)
     policies = [linear(-0.5, 0.5), linear(-1.0, 0.2), linear(0.0, 0.3)]
     exact = [riccati(-0.5, 0.5, 0.9), riccati(-1.0, 0.2, 0.9), riccati(0.0, 0.3, 0.9)]
-    estimator = FQE(members=2, hidden=(32, 32), steps=2000, lr=3e-3, batch_size=256, target_rate=0.03)
+    estimator = FQE(members=2, hidden=(32, 32), steps=2000, lr=3e-3, batch_size=256, tau=0.03)
     found = estimator.estimate(log, policies, discount=0.9, names=["logged", "better", "idle"])
     np.testing.assert_allclose(found.value, exact, rtol=0.08)
     assert found.names[found.best] == "better"
@@ -95,8 +95,8 @@ def test_a_clipped_policy_is_divided_by_a_clipped_model():
         action_space=Box((-1.0,), (1.0,)),
     )  # fmt: skip
     means = MLP((jnp.asarray([[1.2]]),), (jnp.zeros(1),))
-    policy = Deployed(ClippedGaussian.of(means, jnp.log(jnp.asarray([0.5]))), None, None, -jnp.ones(1), jnp.ones(1))
-    case = Case(log, [policy])
+    policy = EnvPolicy(ClippedGaussian.of(means, jnp.log(jnp.asarray([0.5]))), None, None, -jnp.ones(1), jnp.ones(1))
+    case = OPEInput(log, [policy])
     learned = case.behavior_log_probs("learned", BehaviorModel(hidden=(16,), lr=3e-3, steps=1000))
     ratio = np.exp(case.log_probs[0] - learned)
     bound = np.abs(taken[:, 0]) == 1.0
@@ -124,10 +124,10 @@ def test_importance_sampling_with_a_learned_behaviour_policy():
         ImportanceSampling(behavior="logged").estimate(log, target)
 
 
-def deterministic(size: int, observations: int = 1, scale: float = 5.0) -> Deployed:
+def deterministic(size: int, observations: int = 1, scale: float = 5.0) -> EnvPolicy:
     """scale * tanh(-0.1 s), in every number of the action."""
     net = MLP((jnp.full((observations, size), -0.1),), (jnp.zeros(size),))
-    return Deployed(Deterministic(net), None, None, -scale * jnp.ones(size), scale * jnp.ones(size))
+    return EnvPolicy(Deterministic(net), None, None, -scale * jnp.ones(size), scale * jnp.ones(size))
 
 
 @pytest.mark.parametrize("greedy", [True, False])
@@ -136,16 +136,16 @@ def test_a_policy_that_draws_nothing_gets_noise(greedy):
     done = 5.0 * np.tanh(-0.1 * log.observations[:, 0])
     z = (log.actions[:, 0] - done) / 5.0 / NOISE
     expected = -0.5 * z**2 - np.log(NOISE * np.sqrt(2 * np.pi)) - np.log(5.0)
-    np.testing.assert_allclose(Case(log, deterministic(1), greedy=greedy).log_probs[0], expected, rtol=1e-3)
+    np.testing.assert_allclose(OPEInput(log, deterministic(1), greedy=greedy).log_probs[0], expected, rtol=1e-3)
     if greedy:  # of a function it is known only where its best guess is asked for
         own = BlackBoxPolicy(lambda seen, rng: 5.0 * np.tanh(-0.1 * seen))
-        np.testing.assert_allclose(Case(log, own, greedy=True).log_probs[0], expected, rtol=1e-3)
+        np.testing.assert_allclose(OPEInput(log, own, greedy=True).log_probs[0], expected, rtol=1e-3)
 
 
 def test_what_one_policy_draws_does_not_depend_on_the_others():
     log = lqr(-0.5, 0.5, 3, 5)
-    two = Case(log, [linear(-0.5, 0.5), linear(-1.0, 0.2)]).next_actions(4)
-    one = Case(log, [linear(-0.5, 0.5)]).next_actions(4)
+    two = OPEInput(log, [linear(-0.5, 0.5), linear(-1.0, 0.2)]).next_actions(4)
+    one = OPEInput(log, [linear(-0.5, 0.5)]).next_actions(4)
     assert two.shape == (15, 2, 4, 1)
     np.testing.assert_array_equal(two[:, :1], one)
     assert np.abs(np.diff(one, axis=2)).min() > 0
@@ -159,7 +159,7 @@ def test_probabilities_that_are_not_told_are_counted():
     log = true.log(table, 20, 5, np.random.default_rng(0))
     told = as_policy(table)
     silent = BlackBoxPolicy(told.fn)
-    found = Case(log, [told, silent]).current_actions(1)
+    found = OPEInput(log, [told, silent]).current_actions(1)
     np.testing.assert_allclose(found[:, 0], table[log.observations.argmax(1)], rtol=1e-6)
     assert 0 < np.abs(found[:, 1] - found[:, 0]).max() < 0.2
     np.testing.assert_allclose(found[:, 1].sum(-1), 1.0, rtol=1e-5)
@@ -170,23 +170,23 @@ def test_best_guesses_of_functions_are_their_likeliest_actions():
     table = tables(true, 1, 1.0)[0]
     log = true.log(table, 20, 5, np.random.default_rng(0))
     told = as_policy(table)
-    found = Case(log, [told, BlackBoxPolicy(told.fn)], greedy=True).current_actions(1)
+    found = OPEInput(log, [told, BlackBoxPolicy(told.fn)], greedy=True).current_actions(1)
     likeliest = np.eye(3)[table.argmax(1)][log.observations.argmax(1)]
     np.testing.assert_array_equal(found[:, 0], likeliest)
     assert (found[:, 1] == likeliest).all(1).mean() > 0.9  # counted from draws, among which near ties are chance
     noisy = BlackBoxPolicy(lambda seen, rng: seen + rng.standard_normal(seen.shape), log_prob=lambda seen, a: a[:, 0])
     with pytest.raises(UserError, match="policy 0 samples its actions and does not tell a deterministic"):
-        Case(lqr(-0.5, 0.5, 3, 5), noisy, greedy=True)
+        OPEInput(lqr(-0.5, 0.5, 3, 5), noisy, greedy=True)
 
 
 def test_policies_that_do_not_fit_the_log_are_told_in_a_line():
     log = lqr(-0.5, 0.5, 3, 5)
     snapshot = library.library("hopper")[0].policy()
     with pytest.raises(UserError, match="policy 0 is made for observations of 11 numbers, lqr has 1"):
-        Case(log, snapshot)
+        OPEInput(log, snapshot)
     column = BlackBoxPolicy(lambda seen, rng: seen, log_prob=lambda seen, a: np.zeros((len(a), 1)))
     with pytest.raises(UserError, match=r"log_prob must give one number a row, \(15,\), got \(15, 1\)"):
-        _ = Case(log, column).log_probs
+        _ = OPEInput(log, column).log_probs
     flat = BlackBoxPolicy(lambda seen, rng: seen[:, 0])
     with pytest.raises(UserError, match=r"policy 0 gives actions that are one number, lqr has shape \(1,\)"):
         TINY.estimate(log, flat)
@@ -209,21 +209,21 @@ def test_policies_that_do_not_fit_the_log_are_told_in_a_line():
     with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(1,\), mdp has one of 2 choices"):
         ImportanceSampling().estimate(discrete, deterministic(1, observations=4))
     with pytest.raises(UserError, match="names must differ, and from 'behaviour policy', got behaviour policy"):
-        Case(log, flat, names=[LOGGED])
+        OPEInput(log, flat, names=[LOGGED])
 
 
 def test_estimators_share_what_they_fit(monkeypatch):
     true = garnet(states=4, actions=2, ending=0.2)
     log = true.log(tables(true, 1, 0.3)[0], 30, 20, np.random.default_rng(0))
-    case = Case(log, as_policy(tables(true, 1, 0.5, seed=1)[0]), discount=0.9)
+    case = OPEInput(log, as_policy(tables(true, 1, 0.5, seed=1)[0]), discount=0.9)
     fits = []
-    train = Case.train
+    train = OPEInput.train
 
     def count(self, learner, rows, steps, what):
         fits.append(what)
         return train(self, learner, rows, steps, what)
 
-    monkeypatch.setattr(Case, "train", count)
+    monkeypatch.setattr(OPEInput, "train", count)
     for estimator in (TINY, DoublyRobust(fqe=TINY), DoublyRobust(kind="magic", fqe=TINY), ImportanceSampling()):
         estimator.on(case)
     assert fits == ["fqe", "fqe by folds"]
@@ -264,13 +264,13 @@ def test_refusals():
     log = lqr(-0.5, 0.5, 3, 5)
     silent = BlackBoxPolicy(lambda seen, rng: seen)
     with pytest.raises(UserError, match="discount=1 needs episodes that end by a terminal, or a horizon: lqr has time-outs"):
-        Case(log, silent, discount=1.0)
+        OPEInput(log, silent, discount=1.0)
     with pytest.raises(UserError, match="no policy to judge"):
-        Case(log, [])
+        OPEInput(log, [])
     with pytest.raises(UserError, match="policies must be policies, policy files or runs, got int"):
-        Case(log, 3)
+        OPEInput(log, 3)
     with pytest.raises(UserError, match="2 policies need as many names, got 1"):
-        Case(log, [silent, silent], names=["a"])
+        OPEInput(log, [silent, silent], names=["a"])
     with pytest.raises(UserError, match="policy 0 draws its actions and does not tell how likely they are"):
         ImportanceSampling(behavior="auto", model=BehaviorModel(steps=1)).estimate(log, silent)
     with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(2,\), lqr has shape \(1,\)"):
@@ -287,7 +287,7 @@ def test_warnings_say_when_not_to_trust():
     true = garnet(states=4, actions=2)
     log = true.log(tables(true, 1, 0.1)[0], 40, 30, np.random.default_rng(0))
     found = ImportanceSampling(kind="trajectory").estimate(log, as_policy(tables(true, 1, 3.0, seed=1)[0]), discount=0.98)
-    assert found.effective[0] < 10
+    assert found.ess[0] < 10
     assert any("the weights of policy 0 rest on" in line for line in found.warnings)
     assert any("40 of 40 episodes are cut off, after 30 steps" in line for line in found.warnings)
 
@@ -298,8 +298,8 @@ def test_a_fit_that_still_changes_is_told():
     true = type(true)(true.transitions, np.abs(true.rewards) + 1.0, true.initial)
     table = tables(true, 1, 0.1)[0]
     log = true.log(table, 20, 50, np.random.default_rng(0))
-    short = FQE(members=1, hidden=(), steps=200, lr=1e-2, target_rate=0.02).estimate(log, as_policy(table), discount=0.98)
+    short = FQE(members=1, hidden=(), steps=200, lr=1e-2, tau=0.02).estimate(log, as_policy(table), discount=0.98)
     assert any("fqe still changes: q by" in line for line in short.warnings)
-    long = FQE(members=1, hidden=(), steps=8000, lr=1e-2, target_rate=0.05).estimate(log, as_policy(table), discount=0.98)
+    long = FQE(members=1, hidden=(), steps=8000, lr=1e-2, tau=0.05).estimate(log, as_policy(table), discount=0.98)
     assert not any("still changes" in line for line in long.warnings)
     assert short.value[0] < 0.7 * long.value[0]

@@ -8,7 +8,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import LOGGED, Case, DoublyRobust, LinearFQE, estimator
+from deadreckon.ope import LOGGED, DoublyRobust, LinearFQE, OPEInput, estimator
 from deadreckon.ope.registry import ESTIMATORS, with_fields
 from deadreckon.theory import garnet
 from tests.ope.test_case import linear, lqr
@@ -40,7 +40,7 @@ def world(request):
     true = garnet(states=5, actions=2, ending=ending, noise=0.3)
     policies = [*tables(true, 1, 0.2), *tables(true, 1, 0.7, seed=1)]
     log = true.log(policies[0], 1500, horizon or 60, np.random.default_rng(3))
-    case = Case(log, [as_policy(p) for p in policies], discount=discount, horizon=horizon, logged=True)
+    case = OPEInput(log, [as_policy(p) for p in policies], discount=discount, horizon=horizon, logged=True)
     return case, np.array([exact(true, p, discount, horizon) for p in (*policies, policies[0])])
 
 
@@ -66,7 +66,7 @@ def test_the_truth_lies_within_as_often_as_promised(name):
     rng, truth = np.random.default_rng(1), true.value(target, 0.9)
     inside = []
     for _ in range(60):
-        case = Case(true.log(behavior, 200, 60, rng), [as_policy(target)], discount=0.9)
+        case = OPEInput(true.log(behavior, 200, 60, rng), [as_policy(target)], discount=0.9)
         found = with_fields(estimator(name), {"ridge": 1.0}).on(case)
         inside.append(found.low[0] <= truth <= found.high[0])
     assert np.mean(inside) >= 0.88, np.mean(inside)
@@ -86,7 +86,8 @@ def test_critics_of_least_variance_have_less_of_it():
         log = one_step(x[:, None], action, reward, np.where(rare, chance, 1 - chance))
         always = as_policy_of(lambda seen: np.tile([0.0, 1.0], (len(seen), 1)))
         for name in errors:
-            found = with_fields(estimator(name), {"cosines": 1, "ridge": 1e-3}).on(Case(log, [always], discount=0.0))
+            made = with_fields(estimator(name), {"fourier_features": 1, "ridge": 1e-3})
+            found = made.on(OPEInput(log, [always], discount=0.0))
             errors[name].append(found.value[0] - (3.0 * 0.25 - 0.5))
     spread = {name: np.std(values) for name, values in errors.items()}
     assert spread["mrdr"] < spread["dr-linear"], spread
@@ -114,9 +115,9 @@ def test_no_overlap_is_no_knowledge(name):
     seen = np.eye(3)[rng.integers(0, 3, 200)]
     log = one_step(seen, np.zeros(200), rng.random(200), np.full(200, 0.5))
     never = as_policy(np.tile([0.0, 1.0], (3, 1)))
-    case = Case(log, [never, as_policy(np.full((3, 2), 0.5))], discount=0.0, names=["never", "half"], logged=True)
+    case = OPEInput(log, [never, as_policy(np.full((3, 2), 0.5))], discount=0.0, names=["never", "half"], logged=True)
     found = with_fields(estimator(name), SMALL).on(case)
-    assert found.effective[0] == 0.0
+    assert found.ess[0] == 0.0
     assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
     assert np.isfinite([found.low[1], found.high[1], found.low[2], found.high[2]]).all() or name == "magic"
 
@@ -124,12 +125,12 @@ def test_no_overlap_is_no_knowledge(name):
 def test_what_cannot_be_done_is_said_in_a_line():
     log = lqr(-0.5, 0.5, 30, 10)  # continuous, cut off
     log = replace(log, extras={"behavior_log_probs": linear(-0.5, 0.5).log_prob(log.observations, log.actions)})
-    case = Case(log, [linear(-0.5, 0.5)], discount=0.9)
+    case = OPEInput(log, [linear(-0.5, 0.5)], discount=0.9)
     with pytest.raises(UserError, match="smis needs discrete actions and few different observations"):
         estimator("smis").on(case)
     with pytest.raises(UserError, match="mrdr learns from returns, and 30 episodes are cut off"):
         estimator("mrdr").on(case)
-    short = Case(log, [linear(-0.6, 0.5)], discount=0.9, horizon=3)
+    short = OPEInput(log, [linear(-0.6, 0.5)], discount=0.9, horizon=3)
     assert np.isfinite(with_fields(estimator("mrdr"), {"ridge": 10.0}).on(short).value).all()
     for kind in ("switch", "mrdr"):
         with pytest.raises(UserError, match="folds of 2 or more"):
@@ -149,7 +150,7 @@ def test_cut_off_episodes_count_by_their_chance_to_go_on():
         **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}, action_space=parts[0].action_space,
         behavior_log_probs=np.concatenate([part.extras["behavior_log_probs"] for part in parts]),
     )
-    case = Case(log, [as_policy(target)], discount=0.9)
+    case = OPEInput(log, [as_policy(target)], discount=0.9)
     assert not case.episodes.even
     for name in ("switch", "dros", "dr-linear"):
         found = estimator(name).on(case)
@@ -162,10 +163,10 @@ def test_a_critic_that_memorises_is_told():
     seen = rng.standard_normal((120, 4))
     log = one_step(seen, rng.integers(0, 2, 120), rng.standard_normal(120), np.full(120, 0.5))
     half = as_policy_of(lambda x: np.full((len(x), 2), 0.5))
-    loud = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e-6)).on(Case(log, [half], discount=0.0, logged=True))
+    loud = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e-6)).on(OPEInput(log, [half], discount=0.0, logged=True))
     assert loud.diagnostics["residual"][0] > 1.5 * loud.diagnostics["training residual"][0]
     assert any("overfit" in line for line in loud.warnings)
-    quiet = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e5)).on(Case(log, [half], discount=0.0, logged=True))
+    quiet = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e5)).on(OPEInput(log, [half], discount=0.0, logged=True))
     assert not any("overfit" in line for line in quiet.warnings)
     assert LOGGED in quiet.names
     assert set(NEW) <= set(ESTIMATORS)

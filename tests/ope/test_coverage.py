@@ -7,7 +7,7 @@ from scipy.stats import norm
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import Case, coverage, select
+from deadreckon.ope import OPEInput, coverage, select
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.support import MISSING, Support
 from deadreckon.policies import BlackBoxPolicy
@@ -39,7 +39,7 @@ def likely(seen: np.ndarray, pre: np.ndarray) -> np.ndarray:
 
 def test_shares_of_gaussian_policies():
     asked = {"same": (0.0, STD), "wider": (0.0, 3 * STD), "mean": (0.0, 0.0), "beside": (2.0 * STD, STD), "far": (4 * STD, 0.0)}
-    case = Case(log(2000, 40), [bent(*each) for each in asked.values()], names=list(asked))
+    case = OPEInput(log(2000, 40), [bent(*each) for each in asked.values()], names=list(asked))
     model = BehaviorModel(hidden=(), steps=3000, lr=3e-3)
     found = coverage(case, model)
     rng = np.random.default_rng(1)
@@ -54,7 +54,7 @@ def test_shares_of_gaussian_policies():
 
 def test_a_model_that_knows_its_few_rows_by_heart_does_not_rule_out_the_logs_own_policy():
     model = BehaviorModel(hidden=(64, 64), steps=2000, lr=3e-3)
-    same, far = coverage(Case(log(40, 20), [bent(0.0, STD), bent(6 * STD, 0.0)]), model)
+    same, far = coverage(OPEInput(log(40, 20), [bent(0.0, STD), bent(6 * STD, 0.0)]), model)
     assert same > 0.95
     assert far < 0.4
 
@@ -68,7 +68,7 @@ def test_actions_at_the_bounds_are_like_those_beside_them():
         timeouts=np.arange(4000) % 20 == 19, final_observations=np.zeros((200, 1)), action_space=Box([-1.0], [1.0]), name="cut",
     )  # fmt: skip
     still = [BlackBoxPolicy(lambda seen, rng, a=a: np.full_like(seen, a)) for a in (0.0, 0.5, 0.96, 0.999, 1.0)]
-    assert (coverage(Case(cut, still), BehaviorModel(hidden=(), steps=2000, lr=3e-3)) > 0.9).all()
+    assert (coverage(OPEInput(cut, still), BehaviorModel(hidden=(), steps=2000, lr=3e-3)) > 0.9).all()
 
 
 def test_discrete_actions():
@@ -85,13 +85,13 @@ def test_discrete_actions():
         return BlackBoxPolicy(lambda seen, rng: rng.choice(4, len(seen), p=chances), action_probs=told)
 
     policies = [policy(chances) for chances in ([0.25] * 4, [0.9, 0.1, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])]
-    found = coverage(Case(taken, policies, discount=0.0), BehaviorModel(hidden=(), steps=1500, lr=1e-2))
+    found = coverage(OPEInput(taken, policies, discount=0.0), BehaviorModel(hidden=(), steps=1500, lr=1e-2))
     np.testing.assert_allclose(found, [0.5, 1.0, 0.0], atol=0.02)
 
 
 @pytest.mark.parametrize(("episodes", "length"), [(1, 500), (9, 10)])
 def test_short_logs_tell_nothing(episodes, length):
-    assert np.isnan(coverage(Case(log(episodes, length), [bent(0.0, STD)]))).all()
+    assert np.isnan(coverage(OPEInput(log(episodes, length), [bent(0.0, STD)]))).all()
 
 
 def test_a_long_episode_among_short_ones_is_learned_from():
@@ -106,7 +106,7 @@ def test_a_long_episode_among_short_ones_is_learned_from():
     )  # fmt: skip
     model, policies = BehaviorModel(hidden=(), steps=2000, lr=3e-3), [bent(0.0, STD), bent(6 * STD, 0.0)]
     for seed in range(3):
-        same, far = coverage(Case(long, policies, seed=seed), model)
+        same, far = coverage(OPEInput(long, policies, seed=seed), model)
         assert same > 0.9
         assert far < 0.2
 

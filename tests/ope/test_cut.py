@@ -7,7 +7,7 @@ import pytest
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
-from deadreckon.ope import Case
+from deadreckon.ope import OPEInput
 from deadreckon.ope.decide import automatic
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
@@ -39,7 +39,7 @@ def exact(world, table):
 def test_the_value_beyond_the_recording_is_that_of_the_world(recorded, kind):
     """Most of it lies beyond. Rows at the end of the recording count for the behaviour policy too, or it would end oftener."""
     world, own, other, log = recorded
-    case = Case(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True, names=["other"])
+    case = OPEInput(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True, names=["other"])
     found = DoublyRobust(kind=kind, fqe=LinearFQE()).on(case)
     errors = found.influence.std(0, ddof=1) / np.sqrt(len(found.influence))
     truth = np.array([exact(world, other), exact(world, own)])
@@ -54,7 +54,7 @@ def test_errors_beyond_the_recording_are_those_within_it(recorded):
     """Of `dr`, whose corrections end there: a share b beyond makes them 1 / (1 - b) times as large. `drl` corrects all."""
     _, _, other, log = recorded
     for horizon, share in ((None, None), (STEPS, 0.0)):
-        case = Case(log, [as_policy(other)], discount=DISCOUNT, horizon=horizon, logged=True, names=["other"])
+        case = OPEInput(log, [as_policy(other)], discount=DISCOUNT, horizon=horizon, logged=True, names=["other"])
         share = case.beyond if share is None else share
         plain, marginal = (DoublyRobust(kind=kind, fqe=LinearFQE()).on(case) for kind in ("dr", "marginal"))
         assert marginal.inflation is None
@@ -68,10 +68,10 @@ def test_errors_beyond_the_recording_are_those_within_it(recorded):
 def test_estimators_are_chosen_by_how_much_lies_beyond(recorded):
     world, own, other, log = recorded
     asked = {"discount": DISCOUNT, "logged": True, "names": ["own"]}
-    case = Case(log, [as_policy(own)], horizon=None, **asked)
+    case = OPEInput(log, [as_policy(own)], horizon=None, **asked)
     assert case.beyond > TAIL
     assert [each.label for each in automatic(case)] == ["DRL", "DR-linear"]
-    within = Case(log, [as_policy(own)], horizon=STEPS, **asked)
+    within = OPEInput(log, [as_policy(own)], horizon=STEPS, **asked)
     assert within.beyond == 0.0
     assert [each.label for each in automatic(within)] == ["DR-linear", "DRL"]
 
@@ -79,7 +79,7 @@ def test_estimators_are_chosen_by_how_much_lies_beyond(recorded):
 def test_what_the_behaviour_policy_would_do_next(recorded):
     """In a table by how often it does so; elsewhere nobody knows, and its critic does not learn from such rows."""
     world, own, other, log = recorded
-    case = Case(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
+    case = OPEInput(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
     table = Table.of(log)
     assert table is not None
     cut = ~np.asarray(log.terminals)[log.ends]
@@ -90,7 +90,7 @@ def test_what_the_behaviour_policy_would_do_next(recorded):
 
     # Observations that differ in every row are no table.
     many = replace(log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape))
-    case = Case(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
+    case = OPEInput(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
     assert Table.of(many) is None
     assert (case.shown == (~many._is_end | np.asarray(many.terminals))).all()
     known = FQE(steps=10).problem(case)[1].extra["known"]
@@ -105,7 +105,7 @@ def test_a_ridge_leaves_the_mean_alone(recorded, horizon):
     endless = garnet(8, 3, 3, noise=0.0, seed=4)
     log = endless.log(own, 200, STEPS, np.random.default_rng(1), "ones")
     log = replace(log, rewards=np.ones_like(log.rewards))
-    case = Case(log, [as_policy(other)], discount=0.9, horizon=horizon, names=["other"])
+    case = OPEInput(log, [as_policy(other)], discount=0.9, horizon=horizon, names=["other"])
     fit = Fit(LinearFQE(ridge=1e4), case)
     sums = fit.sums(case, np.zeros(log.episodes, int), 1)
     critic = fit.critic(sums, np.ones(1), 0, 1e4)
@@ -131,7 +131,7 @@ def test_time_that_is_not_asked_for_is_not_beyond(recorded):
         final_observations=final, action_space=log.action_space,
     )  # fmt: skip
     for discount, share in ((1.0, 0.05 / 100), (0.9, 0.05 * 0.9**99 * 0.1 / (1 - 0.9**100))):
-        case = Case(cut, [as_policy(own)], discount=discount, horizon=100, logged=True)
+        case = OPEInput(cut, [as_policy(own)], discount=discount, horizon=100, logged=True)
         assert case.beyond == pytest.approx(share, rel=1e-6)
 
 
@@ -147,8 +147,8 @@ def test_the_behaviour_policy_has_its_last_step_where_the_horizon_ends_episodes(
             observations=seen, actions=actions, rewards=rewards, final_observations=seen[last], action_space=Discrete(2),
             behavior_log_probs=np.full(600, np.log(0.5)), **{kind: last},
         )  # fmt: skip
-        case = Case(log, [flat], discount=1.0, horizon=2, logged=True)
-        small = FQE(members=2, hidden=(8,), steps=300, lr=1e-2, target_rate=0.1)
+        case = OPEInput(log, [flat], discount=1.0, horizon=2, logged=True)
+        small = FQE(members=2, hidden=(8,), steps=300, lr=1e-2, tau=0.1)
         assert "known" not in small.problem(case)[1].extra
         found.append(small.on(case).value)
         errors = DoublyRobust(kind="dr", fqe=small, folds=1).nuisances(case)[0].errors

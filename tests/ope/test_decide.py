@@ -7,7 +7,7 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import LOGGED, Case, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, estimator
+from deadreckon.ope import LOGGED, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, OPEInput, estimator
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import CrossFitted
@@ -20,7 +20,7 @@ from deadreckon.theory.tabular import softmax
 from tests.ope.worlds import as_policy, tables
 
 QUICK = BehaviorModel(hidden=(8,), steps=300, lr=1e-2)
-DRL, DR = DoublyRobust(kind="marginal", fqe=LinearFQE()), DoublyRobust(kind="dr", fqe=LinearFQE(cosines=32))
+DRL, DR = DoublyRobust(kind="marginal", fqe=LinearFQE()), DoublyRobust(kind="dr", fqe=LinearFQE(fourier_features=32))
 
 
 def finite_value(world, policy, discount, horizon):
@@ -48,7 +48,7 @@ def by_hand(horizon=None, discount=0.5):
         terminals=[0, 0, 1, 0, 0], timeouts=[0, 0, 0, 0, 1], final_observations=np.array([[9.0], [7.0]]),
         action_space=Discrete(2), behavior_log_probs=np.zeros(5),
     )  # fmt: skip
-    return Case(log, constant([1.0, 0.0]), discount=discount, horizon=horizon, logged=True)
+    return OPEInput(log, constant([1.0, 0.0]), discount=discount, horizon=horizon, logged=True)
 
 
 def test_the_discounted_return_of_an_episode_by_hand():
@@ -91,13 +91,13 @@ def test_estimands_in_words_and_what_has_no_value():
 
 
 @pytest.mark.parametrize("horizon", [None, 6])
-@pytest.mark.parametrize("estimator", [LinearFQE(redraws=200), DRL, DR], ids=["fqe-linear", "drl", "dr-linear"])
+@pytest.mark.parametrize("estimator", [LinearFQE(n_bootstrap=200), DRL, DR], ids=["fqe-linear", "drl", "dr-linear"])
 def test_linear_estimates_are_exact_in_a_table(horizon, estimator):
     true = garnet(states=5, actions=3, ending=0.1, noise=0.2)
     behavior, target = tables(true, 1, 0.3)[0], tables(true, 1, 1.0, seed=1)[0]
     discount = 0.9 if horizon is None else 1.0
     log = true.log(behavior, 3000, 12 if horizon is None else horizon, np.random.default_rng(0))
-    case = Case(log, as_policy(target), discount=discount, horizon=horizon, logged=True)
+    case = OPEInput(log, as_policy(target), discount=discount, horizon=horizon, logged=True)
     exact = [
         true.value(p, discount) if horizon is None else finite_value(true, p, discount, horizon) for p in (target, behavior)
     ]
@@ -116,7 +116,7 @@ def test_ratios_of_occupancies_are_those_of_the_world():
     true = garnet(states=4, actions=2, noise=0.1)
     behavior, target = tables(true, 1, 0.3)[0], tables(true, 1, 1.0, seed=1)[0]
     log = true.log(behavior, 4000, 20, np.random.default_rng(0))
-    case = Case(log, as_policy(target), discount=0.8, logged=True)
+    case = OPEInput(log, as_policy(target), discount=0.8, logged=True)
     weights = DRL.nuisances(case)[0].weights[0]
     state = log.observations.argmax(1)
     logged = np.bincount(state * 2 + log.actions, minlength=8).reshape(4, 2) / len(log)
@@ -143,7 +143,7 @@ def test_a_linear_quadratic_problem_is_solved_by_products_of_features():
     )  # fmt: skip
     draw = lambda seen, rng: -0.5 * seen + 0.3 * rng.standard_normal(seen.shape)  # noqa: E731
     density = lambda seen, a: stats.norm.logpdf(a, -0.5 * seen, 0.3)[:, 0]  # noqa: E731
-    found = DRL.on(Case(log, BlackBoxPolicy(draw, density), discount=1.0, horizon=steps, logged=True))
+    found = DRL.on(OPEInput(log, BlackBoxPolicy(draw, density), discount=1.0, horizon=steps, logged=True))
     mean, variance, exact = 1.0, 0.0, 0.0
     for _ in range(steps):
         second = mean**2 + variance
@@ -189,14 +189,14 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     log = bandit(np.random.default_rng(0))
     part, held = log.split(0.8)
     policy = memory(part)
-    own = decide(Case(part, policy, discount=0.0, logged=True, noise=None), model=QUICK)
+    own = decide(OPEInput(part, policy, discount=0.0, logged=True, noise=None), model=QUICK)
     assert own.choice.low > 0.2  # which is why it must be told
     known = ["it has learned from these episodes"]
-    told = decide(Case(part, policy, discount=0.0, logged=True, noise=None), seen=known, model=QUICK)
+    told = decide(OPEInput(part, policy, discount=0.0, logged=True, noise=None), seen=known, model=QUICK)
     assert not told.choice.deploy
     assert "it has learned from these episodes" in told.choice.reason
     fresh = np.isin(log.episode_ids, held.episode_ids)
-    new = decide(Case(log, policy, discount=0.0, logged=True, held=np.flatnonzero(fresh), noise=None), model=QUICK)
+    new = decide(OPEInput(log, policy, discount=0.0, logged=True, held=np.flatnonzero(fresh), noise=None), model=QUICK)
     assert not new.choice.deploy
     assert new.choice.low < 0.0 < new.choice.high
 
@@ -204,7 +204,7 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
 def test_critics_out_of_fold_leave_the_noise_to_be_corrected():
     """In sample a critic of many features explains noise; out of fold it cannot."""
     log = bandit(np.random.default_rng(1), rows=400)
-    case = Case(log, as_uniform(4), discount=0.0, logged=True)
+    case = OPEInput(log, as_uniform(4), discount=0.0, logged=True)
     flexible = LinearFQE(ridge=1e-2)
     residual = DoublyRobust(kind="dr", fqe=flexible).on(case).diagnostics["residual"][0]
     assert residual > 0.9
@@ -240,15 +240,15 @@ def test_values_are_means_of_action_values(kind):
     weights = rng.standard_normal((5, 4))
     probs = lambda x: softmax(x @ weights)  # noqa: E731
     policy = BlackBoxPolicy(lambda x, rng: probs(x).argmax(1), action_probs=probs)
-    case = Case(log, policy, discount=0.0, horizon=1, logged=True, clusters=np.repeat(np.arange(150), 4))
-    found = DoublyRobust(kind=kind, fqe=LinearFQE(cosines=32, ridge=0.1)).on(case)
+    case = OPEInput(log, policy, discount=0.0, horizon=1, logged=True, clusters=np.repeat(np.arange(150), 4))
+    found = DoublyRobust(kind=kind, fqe=LinearFQE(fourier_features=32, ridge=0.1)).on(case)
     assert found.value[0] == pytest.approx((probs(seen) * paid).sum(1).mean(), abs=1e-5)
 
 
 def test_learned_propensities_come_from_other_folds():
     """A model that is fitted for long memorises; of rows it has not seen it says what it knows, which is next to nothing."""
     log = bandit(np.random.default_rng(2), rows=300, known=False)
-    case = Case(log, as_uniform(4), discount=0.0, logged=True)
+    case = OPEInput(log, as_uniform(4), discount=0.0, logged=True)
     long = BehaviorModel(hidden=(64,), steps=2000, lr=1e-2, batch_size=64)
     held = out_of_fold(case, long, 5)
     assert held.log_probs.mean() == pytest.approx(np.log(0.25), abs=0.1)
@@ -263,7 +263,7 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
     which = np.random.default_rng(0).permutation(np.arange(900) % 3)
     policies = tuple(memory(log.select(np.flatnonzero(which != k))) for k in range(3))
     crossed = CrossFitted(policies, which)
-    case = Case(log, [crossed, policies[0]], discount=0.0, logged=True, names=["crossed", "seen"])
+    case = OPEInput(log, [crossed, policies[0]], discount=0.0, logged=True, names=["crossed", "seen"])
     found = ImportanceSampling(normalised=False).on(case)
     assert abs(found.value[0] - found.value[-1]) < 0.25
     assert found.value[1] > 0.4
@@ -272,7 +272,7 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
     assert found.value[0] == pytest.approx((4 * probs * log.rewards).mean(), rel=1e-5)
     # Folds judge each other's policies: errors count more.
     assert case.inflation.tolist() == [np.sqrt(2), 1.0, 1.0]
-    alone = ImportanceSampling(normalised=False).on(Case(log, [policies[0]], discount=0.0, logged=True, names=["seen"]))
+    alone = ImportanceSampling(normalised=False).on(OPEInput(log, [policies[0]], discount=0.0, logged=True, names=["seen"]))
     assert found.high[1] - found.low[1] == pytest.approx(alone.high[0] - alone.low[0])
     plain = inference.intervals(found.value, found.influence, seed=case.seed)
     assert found.high[0] - found.low[0] == pytest.approx(np.sqrt(2) * (plain[1][0] - plain[0][0]))
@@ -282,7 +282,7 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
         with pytest.raises(UserError, match="cross-fitted ones are one for each fold"):
             estimator(name).on(case)
     with pytest.raises(UserError, match="has no policy for some judged episodes"):
-        Case(log, [CrossFitted(policies, which - 1)], discount=0.0)
+        OPEInput(log, [CrossFitted(policies, which - 1)], discount=0.0)
 
 
 # ---- simultaneous -------------------------------------------------------------------------------------------------------
@@ -305,7 +305,7 @@ def test_intervals_of_all_policies_at_once_by_simulation():
 
 
 def test_a_look_that_has_little_error_left_still_has_an_interval():
-    """Beyond the redraws the quantile goes on as Student's: it grows with every halving of alpha, by little."""
+    """Beyond the bootstrap the quantile goes on as Student's: it grows with every halving of alpha, by little."""
     psi = np.random.default_rng(0).standard_normal((400, 5))
     reach = [inference.simultaneous(psi, 0.05 / 2**k) for k in range(1, 12)]
     assert (np.diff(reach) > 0).all()
@@ -337,7 +337,7 @@ def test_clusters_are_redrawn_as_one():
     )  # fmt: skip
     errors = {}
     for name, clusters in (("episodes", None), ("users", users)):
-        case = Case(log, as_uniform(4), discount=0.0, logged=True, clusters=clusters)
+        case = OPEInput(log, as_uniform(4), discount=0.0, logged=True, clusters=clusters)
         errors[name] = inference.errors(ImportanceSampling(normalised=False).on(case).influence)[-1]
         assert len(np.unique(case.units)) == (1000 if clusters is None else 40)
         assert clusters is None or all(len(set(case.folds(5)[users == u])) == 1 for u in range(40))
@@ -365,7 +365,7 @@ def test_actions_that_the_log_never_takes_are_told(known):
     policy = constant([0.35, 0.35, 0.3])
     for logged in (0.0, 0.15):
         log = lacking(np.random.default_rng(4), 1500, logged, known)
-        case = Case(log, policy, discount=0.0, logged=True, noise=None)
+        case = OPEInput(log, policy, discount=0.0, logged=True, noise=None)
         found = support(case, QUICK)
         if logged:
             assert found.missing[0] < 0.02
@@ -382,7 +382,7 @@ def test_actions_that_the_log_never_takes_are_told(known):
 def test_no_overlap_knows_nothing():
     """A policy that never does what was logged: minus to plus infinity, not zero to zero."""
     log = lacking(np.random.default_rng(5), 200, 0.0)
-    case = Case(log, constant([0.0, 0.0, 1.0]), discount=0.0, logged=True)
+    case = OPEInput(log, constant([0.0, 0.0, 1.0]), discount=0.0, logged=True)
     for each in (ImportanceSampling(), ImportanceSampling(normalised=False), ImportanceSampling(kind="trajectory"), DR):
         found = each.on(case)
         assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
@@ -401,19 +401,19 @@ def test_deterministic_continuous_policies_are_model_based_only():
     up = BlackBoxPolicy(lambda seen, rng: np.full((len(seen), 1), 0.9))
     half = BlackBoxPolicy(lambda seen, rng: rng.uniform(0, 1, (len(seen), 1)),
                           lambda seen, a: np.where(a[:, 0] >= 0, 0.0, -np.inf))  # fmt: skip
-    case = Case(log, [up, half], discount=0.0, logged=True, noise=None, names=["up", "half"])
+    case = OPEInput(log, [up, half], discount=0.0, logged=True, noise=None, names=["up", "half"])
     assert case.degenerate.tolist() == [True, False]
     found = decide(case, model=QUICK)
     assert any("model-based only" in line for line in found.choice.objections[0])
     assert found.choice.name == "half"
     assert found.choice.deploy
-    alone = Case(log, [up], discount=0.0, logged=True, noise=None, names=["up"])
+    alone = OPEInput(log, [up], discount=0.0, logged=True, noise=None, names=["up"])
     assert [type(e).__name__ for e in automatic(alone)] == ["FQE"]
 
 
 def test_few_clusters_decide_nothing():
     log = lacking(np.random.default_rng(7), 19, 0.4)
-    choice = decide(Case(log, constant([0.1, 0.1, 0.8]), discount=0.0, logged=True), model=QUICK).choice
+    choice = decide(OPEInput(log, constant([0.1, 0.1, 0.8]), discount=0.0, logged=True), model=QUICK).choice
     assert not choice.deploy
     assert "only 19 episodes or clusters" in choice.reason
 
@@ -438,7 +438,7 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
             observations=seen, actions=actions, rewards=rewards, terminals=np.ones(500, bool), action_space=Discrete(3),
             behavior_log_probs=np.log(base[np.arange(500), actions]),
         )  # fmt: skip
-        found = DR.on(Case(log, policy, discount=0.0, logged=True, seed=seed))
+        found = DR.on(OPEInput(log, policy, discount=0.0, logged=True, seed=seed))
         errors.append(found.value[0] - exact)
         hits += found.low[0] <= exact <= found.high[0]
     assert abs(np.mean(errors)) < 3 * np.std(errors) / np.sqrt(30) + 0.01
@@ -452,7 +452,7 @@ def test_pure_noise_is_never_praised():
         log = bandit(np.random.default_rng(seed), rows=500)
         part, _ = log.split(0.8, seed=seed)
         held = np.flatnonzero(~np.isin(log.episode_ids, part.episode_ids))
-        case = Case(log, [memory(part), memory(part, 0.6)], discount=0.0, logged=True, held=held, seed=seed, noise=None)
+        case = OPEInput(log, [memory(part), memory(part, 0.6)], discount=0.0, logged=True, held=held, seed=seed, noise=None)
         assert LOGGED in case.names
         deployed += decide(case, [DR], alpha=0.025, model=BehaviorModel(hidden=(4,), steps=50, lr=1e-2)).choice.deploy
     assert deployed <= 2

@@ -8,7 +8,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import Case
+from deadreckon.ope import OPEInput
 from deadreckon.ope.behavior import PROPENSITIES
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import CrossFitted
@@ -53,7 +53,7 @@ MOSTLY = as_policy(np.array([[0.2, 0.8], [0.2, 0.8]]))
 
 def case_of(log, policies=(SECOND, FIRST), **options):
     names = ["second", "first", "third"][: len(policies)]
-    return Case(log, policies, discount=0.0, horizon=1, names=names, logged=True, **options)
+    return OPEInput(log, policies, discount=0.0, horizon=1, names=names, logged=True, **options)
 
 
 def test_a_guarantee_holds_as_often_as_promised():
@@ -72,7 +72,7 @@ def test_a_guarantee_holds_as_often_as_promised():
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.4, seed=1)[0]
     missed = []
     for _ in range(100):
-        case = Case(true.log(behavior, 100, 4, rng), [as_policy(target)], discount=0.9, horizon=4, logged=True)
+        case = OPEInput(true.log(behavior, 100, 4, rng), [as_policy(target)], discount=0.9, horizon=4, logged=True)
         gain = exact(true, target) - exact(true, behavior)
         missed.append(guaranteed(case, 0, (-12.0, 8.0), 0.1) > gain)
     assert np.mean(missed) <= 0.1
@@ -95,7 +95,7 @@ def test_what_a_guarantee_lacks():
         (case_of(replace(log, extras={})), (0.0, 1.0), "propensities that were logged"),
         (case_of(log, clusters=np.arange(60) // 2), (0.0, 1.0), "independent episodes"),
         (case_of(log, [CrossFitted((SECOND, FIRST), np.arange(60) % 2)]), (0.0, 1.0), "those of a cross-fit"),
-        (Case(lqr(-0.5, 0.5, 30, 10), [linear(-0.5, 0.5)], discount=0.9), (0.0, 1.0), "30 are cut off; give a horizon"),
+        (OPEInput(lqr(-0.5, 0.5, 30, 10), [linear(-0.5, 0.5)], discount=0.9), (0.0, 1.0), "30 are cut off; give a horizon"),
     ]:
         with pytest.raises(UserError, match=words) as error:
             refuse(case, wanted)
@@ -162,8 +162,8 @@ def test_no_confounding_is_the_gain_itself():
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     log = true.log(behavior, 500, 4, np.random.default_rng(0))
     for case in (
-        Case(log, [as_policy(target)], discount=0.9, horizon=4, logged=True),
-        Case(log, [as_policy(target)], discount=0.0, horizon=1, logged=True),
+        OPEInput(log, [as_policy(target)], discount=0.9, horizon=4, logged=True),
+        OPEInput(log, [as_policy(target)], discount=0.0, horizon=1, logged=True),
     ):
         found = Confounding(case, PROPENSITIES)
         one, more = found.gain(0, 1.0), found.gain(0, 1.2)
@@ -226,12 +226,12 @@ def test_the_tail_beside_that_of_the_log():
         **{key: np.concatenate([getattr(part, key) for part in cut]) for key in columns}, action_space=Discrete(2),
         behavior_log_probs=np.full(sum(map(len, cut)), np.log(0.5)),
     )  # fmt: skip
-    case = Case(log, [as_policy(np.full((3, 2), 0.5))], discount=0.9, logged=True)
+    case = OPEInput(log, [as_policy(np.full((3, 2), 0.5))], discount=0.9, logged=True)
     with pytest.raises(UserError, match="tails need whole episodes"):
         tails(case, 0, 0.5, MODEL)
     with pytest.raises(UserError, match="bounds for confounding need whole episodes"):
         Confounding(case, MODEL)
-    draws_nothing = Case(lqr(-0.5, 0.5, 30, 10), [BlackBoxPolicy(lambda seen, rng: -seen)], discount=0.9, noise=None)
+    draws_nothing = OPEInput(lqr(-0.5, 0.5, 30, 10), [BlackBoxPolicy(lambda seen, rng: -seen)], discount=0.9, noise=None)
     for ask in (lambda: tails(draws_nothing, 0, 0.1, MODEL), lambda: Confounding(draws_nothing, MODEL)):
         with pytest.raises(UserError, match="need weights, which mean nothing for policies of continuous actions"):
             ask()

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.ope import DICE, FQE, FQED, VPM, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope import DICE, FQE, FQED, VPM, DoublyRobust, ImportanceSampling, OPEInput
 from deadreckon.theory import MDP, chain, garnet, gridworld
 from tests.ope.worlds import as_policy, keep_nuisances, tables
 
 DISCOUNT = 0.9
-FQE_L2 = FQE(members=1, hidden=(), steps=3000, lr=2e-2, weight_decay=0.0, target_rate=0.05, batch_size=256)
+FQE_L2 = FQE(members=1, hidden=(), steps=3000, lr=2e-2, weight_decay=0.0, tau=0.05, batch_size=256)
 DICES = {"members": 1, "hidden": (), "steps": 25_000, "lr": 1e-3, "batch_size": 128, "average": 2e-4}
 FITTED = {
     "fqe": FQE_L2,
-    "fqe-d": FQED(members=1, hidden=(), steps=3000, lr=2e-2, batch_size=256, atoms=31, renew=30),
+    "fqe-d": FQED(members=1, hidden=(), steps=3000, lr=2e-2, batch_size=256, atoms=31, target_update_period=30),
     "best-dice": DICE.preset("best", **DICES),
     "dual-dice": DICE.preset("dual", **DICES | {"lr": 3e-3}),  # without lambda its mass is slow to settle
     "gen-dice": DICE.preset("gen", **DICES),
@@ -56,7 +56,7 @@ def world(request):
     true = WORLDS[request.param]
     policies = [*tables(true, 1, 0.2), *tables(true, 2, 0.6, seed=1)]
     log = true.log(policies[0], 800, 40, np.random.default_rng(0), name=request.param)
-    case = Case(log, [as_policy(p) for p in policies], discount=DISCOUNT)
+    case = OPEInput(log, [as_policy(p) for p in policies], discount=DISCOUNT)
     return case, true, policies
 
 
@@ -107,10 +107,10 @@ def test_mean_over_many_logs(name):
     wrong = FQE_L2.replace(steps=20)  # a poor value function: doubly robust all the same
     if name in ("dr", "wdr"):
         estimator = estimator.replace(fqe=wrong)
-        critics = wrong.fitted(Case(true.log(behavior, 50, 60, rng), [as_policy(target)], discount=DISCOUNT))
+        critics = wrong.fitted(OPEInput(true.log(behavior, 50, 60, rng), [as_policy(target)], discount=DISCOUNT))
     values = []
     for _ in range(150):
-        case = Case(true.log(behavior, 50, 60, rng), [as_policy(target)], discount=DISCOUNT)
+        case = OPEInput(true.log(behavior, 50, 60, rng), [as_policy(target)], discount=DISCOUNT)
         if name in ("dr", "wdr"):
             case.once(wrong, lambda: critics)  # not of this log: its errors are independent of the log's
         values.append(estimator.on(case).value[0])
@@ -155,9 +155,9 @@ def test_members_of_episodes_of_different_lengths(name):
         **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}, action_space=parts[0].action_space
     )
     found = FITTED[name].replace(members=3).estimate(log, as_policy(policy), discount=DISCOUNT)
-    np.testing.assert_allclose(found.redraws[:, 0], 10.0, rtol=0.06)
+    np.testing.assert_allclose(found.bootstrap[:, 0], 10.0, rtol=0.06)
     # The weights of the log's own policy are the episodes' lengths: twenty of 5 rows, five of 200.
-    assert found.effective[0] == pytest.approx((20 * 5 + 5 * 200) ** 2 / (20 * 5**2 + 5 * 200**2), rel=0.1)
+    assert found.ess[0] == pytest.approx((20 * 5 + 5 * 200) ** 2 / (20 * 5**2 + 5 * 200**2), rel=0.1)
     assert any("the weights of policy 0 rest on 6." in line for line in found.warnings)
 
 
@@ -179,7 +179,7 @@ MAGIC = WEIGHTED["magic"].replace(folds=1)  # by an ensemble, whose spread is pa
 
 def with_values(log, policy, begin, q):
     """A case of one policy whose critics have been told: (members,) what they say at the start, and Q (states, actions)."""
-    case = Case(log, [as_policy(policy)], discount=DISCOUNT)
+    case = OPEInput(log, [as_policy(policy)], discount=DISCOUNT)
     state, after = log.observations.argmax(1), log.next_observations.argmax(1)
     v = (policy * q).sum(1)
     errors = log.rewards + DISCOUNT * np.where(log.terminals, 0.0, v[after]) - q[state, log.actions]

@@ -8,7 +8,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import FQE, Case, DoublyRobust, ImportanceSampling
+from deadreckon.ope import FQE, DoublyRobust, ImportanceSampling, OPEInput
 from deadreckon.ope.weights import Episodes
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, keep_nuisances, tables
@@ -32,7 +32,7 @@ def logs():
     policy = as_policy(target)
 
     def make(log):
-        case = Case(log, [policy], discount=0.9)
+        case = OPEInput(log, [policy], discount=0.9)
         # The true values with an error, as a fit of another log might have them.
         q = 0.8 * true.q(target, 0.9) + 0.2
         state, after = case.data.observations.argmax(1), case.data.next_observations.argmax(1)
@@ -87,7 +87,7 @@ def test_coverage_of_an_ensemble():
     """Members on redrawn episodes: 300 logs of equal shape, so that one compiled program does all (minutes)."""
     true = garnet(states=4, actions=2, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
-    fqe = FQE(hidden=(), steps=1500, lr=1e-2, weight_decay=0.0, target_rate=0.05, batch_size=256)
+    fqe = FQE(hidden=(), steps=1500, lr=1e-2, weight_decay=0.0, tau=0.05, batch_size=256)
     rng = np.random.default_rng(0)
     exact, policy, inside = true.value(target, 0.9), as_policy(target), []
     for seed in range(300):
@@ -131,7 +131,7 @@ def test_sums_by_hand():
     assert weighted.value() == pytest.approx((30 + 40) / 5 + 0.5 * 40 / (3 + 1))
     public = episodes.sums(log_rho, x, normalised=True, alive_only=True)
     assert public.value() == pytest.approx((30 + 40) / 5 + 0.5 * 40 / 1)
-    assert weighted.effective == pytest.approx(16 / 10)  # at the second step; 25 / 13 at the first
+    assert weighted.ess == pytest.approx(16 / 10)  # at the second step; 25 / 13 at the first
     whole = episodes.whole(log_rho, x, normalised=True)
     assert whole.value() == pytest.approx((3 * 10 + 1 * (20 + 20)) / 4)
     np.testing.assert_allclose(episodes.contributions(log_rho, x, whole=False), [30, 40 + 20])
@@ -149,7 +149,7 @@ def test_weights_do_not_overflow():
     sums = episodes.sums(episodes.cumulate(ratios), np.asarray(log.rewards, float), normalised=True)
     assert np.isfinite(sums.value())
     assert np.isfinite(sums.redraw(episodes.counts)).all()
-    assert 1.0 <= sums.effective <= 5.0
+    assert 1.0 <= sums.ess <= 5.0
     # An action that the policy never takes leaves the episode without weight from there on.
     ratios[3000] = -np.inf
     log_rho = episodes.cumulate(ratios)
@@ -177,7 +177,7 @@ def test_weights_that_collapse_late_are_told():
     rng = np.random.default_rng(0)
     log = one_state(1000, np.full(1000, 300), np.zeros(1000, bool), 0.5, rng)
     found = ImportanceSampling().estimate(log, as_policy(np.array([[0.75, 0.25]])), discount=0.995)
-    assert found.effective[0] < 5
+    assert found.ess[0] < 5
     assert any("the weights of policy 0 rest on" in line for line in found.warnings)
 
 

@@ -7,7 +7,7 @@ from sklearn.linear_model import LogisticRegression
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import BehaviorModel, Case
+from deadreckon.ope import BehaviorModel, OPEInput
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import BlackBoxPolicy
@@ -112,7 +112,7 @@ def test_a_linear_policy_is_found_by_few_rows_and_a_curved_one_by_more(curved):
         observations=x, actions=taken, rewards=np.zeros(n, np.float32), terminals=np.ones(n, bool),
         action_space=Discrete(actions),
     )  # fmt: skip
-    case = Case(log, [BlackBoxPolicy(lambda seen, rng: np.zeros(len(seen), int))], discount=0.0, horizon=1)
+    case = OPEInput(log, [BlackBoxPolicy(lambda seen, rng: np.zeros(len(seen), int))], discount=0.0, horizon=1)
     found = out_of_fold(case, BehaviorModel(hidden=(32,), lr=3e-3, steps=1_500), 3)
     excess = likelihood(logits, taken) - found.log_probs.mean()
     line = LogisticRegression(C=0.3).fit(x[: n // 2], taken[: n // 2])

@@ -8,7 +8,18 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.ope import ESTIMATORS, FQE, LOGGED, Case, DoublyRobust, ImportanceSampling, ModelBased, dope, estimator, select
+from deadreckon.ope import (
+    ESTIMATORS,
+    FQE,
+    LOGGED,
+    DoublyRobust,
+    ImportanceSampling,
+    ModelBased,
+    OPEInput,
+    dope,
+    estimator,
+    select,
+)
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
@@ -22,7 +33,7 @@ from deadreckon.theory.tabular import softmax
 from tests.ope.test_case import TINY, linear, lqr, riccati
 from tests.ope.worlds import as_policy, tables
 
-TABULAR = FQE(members=4, hidden=(), steps=2000, lr=2e-2, weight_decay=0.0, target_rate=0.05)
+TABULAR = FQE(members=4, hidden=(), steps=2000, lr=2e-2, weight_decay=0.0, tau=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +44,7 @@ def case():
     best = true.optimal(0.9)
     policies = [softmax(-best, 2.0), softmax(best, 2.0)]
     log = true.log(behavior, 300, 60, np.random.default_rng(0))
-    made = Case(log, [as_policy(p) for p in policies], discount=0.9, names=["worse", "better"], logged=True)
+    made = OPEInput(log, [as_policy(p) for p in policies], discount=0.9, names=["worse", "better"], logged=True)
     made.exact = [true.value(p, 0.9) for p in (*policies, behavior)]
     return made
 
@@ -55,22 +66,22 @@ def test_the_logs_own_policy_is_judged_like_the_others(case, estimator):
 def test_a_paired_difference_is_surer_than_two_values(case):
     """What a redrawn log does to both cancels in their difference."""
     found = ImportanceSampling().on(case)
-    apart = found.redraws[:, 1].std() ** 2 + found.redraws[:, 2].std() ** 2
-    assert (found.redraws[:, 1] - found.redraws[:, 2]).std() ** 2 < apart
+    apart = found.bootstrap[:, 1].std() ** 2 + found.bootstrap[:, 2].std() ** 2
+    assert (found.bootstrap[:, 1] - found.bootstrap[:, 2]).std() ** 2 < apart
 
 
 def test_decisions_against_deploying(case):
-    only_worse = Case(case.data, case.policies[:1], discount=0.9, names=["worse"], logged=True)
+    only_worse = OPEInput(case.data, case.policies[:1], discount=0.9, names=["worse"], logged=True)
     choice = select([TABULAR.on(only_worse)], accept_model_based=True)
     assert not choice.deploy
     assert "may be chance" in choice.reason
     assert "model-based only" in select([TABULAR.on(only_worse)]).reason
     sharp = as_policy(np.eye(3)[np.random.default_rng(1).integers(0, 3, 6)])
-    few = ImportanceSampling(kind="trajectory").on(Case(case.data, [sharp], discount=0.9, names=["sharp"], logged=True))
+    few = ImportanceSampling(kind="trajectory").on(OPEInput(case.data, [sharp], discount=0.9, names=["sharp"], logged=True))
     assert not select([few]).deploy
     assert "its weights rest on" in select([few]).reason
     with pytest.raises(UserError, match="was not asked about the behaviour policy"):
-        select([ImportanceSampling().on(Case(case.data, case.policies, discount=0.9))])
+        select([ImportanceSampling().on(OPEInput(case.data, case.policies, discount=0.9))])
     with pytest.raises(UserError, match="different policies"):
         select([few, ImportanceSampling().on(case)])
 
@@ -81,13 +92,13 @@ def test_others_are_evidence(case):
     assert choice.evidence[0].endswith("agrees that it is best")
 
 
-def estimates(method, gains, redraws, effective=None, corrected=True):
+def estimates(method, gains, bootstrap, ess=None, corrected=True):
     """Of policies a, b, ... and the log's own, which has 0."""
     value = np.array([*gains, 0.0])
     names = (*"abcdef"[: len(gains)], LOGGED)
-    effective = None if effective is None else np.array([*effective, 1000.0])
-    redraws = np.concatenate([redraws, np.zeros((len(redraws), 1))], 1)
-    known = {"redraws": redraws, "effective": effective, "corrected": corrected}
+    ess = None if ess is None else np.array([*ess, 1000.0])
+    bootstrap = np.concatenate([bootstrap, np.zeros((len(bootstrap), 1))], 1)
+    known = {"bootstrap": bootstrap, "ess": ess, "corrected": corrected}
     return Estimates(method, names, value, value, value, Estimand(0.9), **known)
 
 
@@ -95,10 +106,10 @@ def test_a_policy_without_overlap_comes_last():
     """Where rewards are negative, one that never acts as the log did has a value of 0."""
     rng = np.random.default_rng(0)
     draws = np.stack([np.full(200, 18.0), 3 + 0.1 * rng.standard_normal(200)], 1)
-    choice = select([estimates("WPDIS", [18.0, 3.0], draws, effective=[0.0, 200.0])])
+    choice = select([estimates("WPDIS", [18.0, 3.0], draws, ess=[0.0, 200.0])])
     assert choice.name == "b"
     assert choice.deploy
-    alone = select([estimates("WPDIS", [18.0], draws[:, :1], effective=[0.0])])
+    alone = select([estimates("WPDIS", [18.0], draws[:, :1], ess=[0.0])])
     assert not alone.deploy
     assert "its weights rest on 0.0 episodes" in alone.reason
 
@@ -108,32 +119,32 @@ def test_few_members_choose_by_their_mean():
     draws = np.array([[10.0, 1.01], [12.0, 1.0], [14.0, 0.99]])
     assert select([estimates("FQE-L2", [12.0, 1.0], draws)]).name == "a"
     many = np.repeat(draws, 100, 0) + np.random.default_rng(0).standard_normal((300, 1)) * [6.0, 0.0]
-    assert select([estimates("WPDIS", [12.0, 1.0], many, effective=[100.0, 100.0])]).name == "b"
+    assert select([estimates("WPDIS", [12.0, 1.0], many, ess=[100.0, 100.0])]).name == "b"
 
 
 def test_estimates_that_speak_against_the_choice():
     rng = np.random.default_rng(0)
     good, bad = (g + 0.1 * rng.standard_normal((200, 1)) for g in (2.0, -2.0))
-    for effective, deploy in (([100.0], False), ([3.0], True)):
-        choice = select([estimates("FQE-L2", [2.0], good), estimates("WDR", [-2.0], bad, effective=effective)])
+    for ess, deploy in (([100.0], False), ([3.0], True)):
+        choice = select([estimates("FQE-L2", [2.0], good), estimates("WDR", [-2.0], bad, ess=ess)])
         assert choice.deploy == deploy
         assert ("but WDR finds it worse" in choice.reason) != deploy
         assert any("the weights of a in WDR rest on 3.0 episodes" in line for line in choice.warnings) == deploy
 
 
-def weighted(gain, spread, diagnostics, effective=100.0, count=200):
+def weighted(gain, spread, diagnostics, ess=100.0, count=200):
     """Of one policy by influence functions, and the log's own."""
     psi = np.random.default_rng(0).standard_normal(count)
     psi = spread * np.sqrt(count) * (psi - psi.mean()) / psi.std()
-    value, effective = np.array([gain, 0.0]), np.array([effective, float(count)])
+    value, ess = np.array([gain, 0.0]), np.array([ess, float(count)])
     influence = np.stack([psi, np.zeros(count)], 1)
     more = {name: np.array([number, float(name != "normalising")]) for name, number in diagnostics.items()}
-    return Estimates("DR", ("a", LOGGED), value, value, value, Estimand(0.9), influence=influence, effective=effective,
+    return Estimates("DR", ("a", LOGGED), value, value, value, Estimand(0.9), influence=influence, ess=ess,
                      corrected=True, diagnostics=more)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("diagnostics", "effective", "why"),
+    ("diagnostics", "ess", "why"),
     [
         ({}, 100.0, None),
         ({"effective share": 0.1}, 40.0, "rest on 40.0 episodes, 50 or 20 % of all"),
@@ -147,8 +158,8 @@ def weighted(gain, spread, diagnostics, effective=100.0, count=200):
         ({"settled": 0.0}, 100.0, "has not settled"),
     ],
 )
-def test_what_an_interval_does_not_know_makes_it_endless(diagnostics, effective, why):
-    choice = select([weighted(1.0, 0.1, diagnostics, effective)])
+def test_what_an_interval_does_not_know_makes_it_endless(diagnostics, ess, why):
+    choice = select([weighted(1.0, 0.1, diagnostics, ess)])
     assert choice.deploy == (why is None)
     if why is None:
         assert 0.7 < choice.low < choice.high < 1.3

@@ -66,7 +66,7 @@ def test_coverage(world):
 def test_what_cannot_be_told():
     logs, g = np.zeros(100), np.arange(100.0)
     assert lower_tail(logs, g, 0.1).value == pytest.approx(4.5)
-    assert lower_tail(logs, g, 0.1).effective == pytest.approx(10.0)
+    assert lower_tail(logs, g, 0.1).ess == pytest.approx(10.0)
     with pytest.raises(UserError, match="rest on 9.0 of 100"):
         lower_tail(logs, g, 0.09)
     heavy = logs.copy()

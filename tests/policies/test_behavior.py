@@ -8,7 +8,7 @@ from scipy import stats
 from deadreckon.data.spec import Box, Spec
 from deadreckon.data.step import Step
 from deadreckon.policies import behavior
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 
 SPEC = Spec.empty((3,), Box([-1.0, -1.0], [1.0, 1.0]), "none")
 
@@ -60,7 +60,7 @@ def test_draws_are_cut_to_the_bounds_which_have_what_lies_beyond():
 def test_a_change_of_bounds_scales_densities_alone():
     """With bounds of two the density is half as large, and what the bounds have is the same."""
     inner = behavior.policy(behavior.Clipped.create(SPEC, (8,), jax.random.key(0)))
-    one, two = (Deployed(inner, None, None, -bound * jnp.ones(2), bound * jnp.ones(2)) for bound in (1.0, 2.0))
+    one, two = (EnvPolicy(inner, None, None, -bound * jnp.ones(2), bound * jnp.ones(2)) for bound in (1.0, 2.0))
     seen, actions = jnp.zeros((3, 3)), jnp.asarray([[0.5, 0.1], [1.0, 0.1], [-1.0, 1.0]])
     apart = one.log_prob(seen, actions) - two.log_prob(seen, 2.0 * actions)
     np.testing.assert_allclose(apart, np.log(2.0) * np.array([2, 1, 0]), atol=1e-5)

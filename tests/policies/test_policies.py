@@ -1,6 +1,7 @@
 """Policies: the numpy player equals the package, files are safe, black boxes fit, densities are right."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -14,10 +15,20 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies import BlackBoxPolicy, Deployed, Policy, Step, portable, store
+from deadreckon.policies import BlackBoxPolicy, EnvPolicy, Policy, Step, portable, store
 from deadreckon.policies.deployed import Mixture
-from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, GreedyQ, Moved, TanhGaussian, VAEDecoder
-from deadreckon.policies.policy import KINDS, Inner
+from deadreckon.policies.kinds import (
+    Categorical,
+    ClippedGaussian,
+    Deterministic,
+    GreedyQ,
+    PerturbedPolicy,
+    TanhGaussian,
+    ThresholdedPolicy,
+    VAEDecoder,
+)
+from deadreckon.policies.planner import Planner
+from deadreckon.policies.policy import KINDS, NormalizedPolicy
 
 KEY = jax.random.key(0)
 VIEW = Normalizer(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
@@ -30,14 +41,14 @@ def make(kind):
         "gaussian": TanhGaussian(actor),
         "clipped": ClippedGaussian.of(MLP.create(3, (8,), 2, KEY), jnp.zeros(2)),
         "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
-        "moved": Moved(VAE.create(3, 2, (8,), KEY), MLP.create(5, (8,), 2, KEY), jnp.asarray(0.3)),
+        "perturbed": PerturbedPolicy(VAE.create(3, 2, (8,), KEY), MLP.create(5, (8,), 2, KEY), jnp.asarray(0.3)),
         "normalised": Deterministic(MLP.create(3, (8, 8), 2, KEY, normalise=True)),
         "greedy": GreedyQ(TanhGaussian(actor), MLP.create(5, (8,), 1, KEY), 5),
     }[kind]
-    return Deployed.of(inner, VIEW)
+    return EnvPolicy.of(inner, VIEW)
 
 
-@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "clipped", "vae", "moved", "normalised", "greedy"])
+@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "clipped", "vae", "perturbed", "normalised", "greedy"])
 def test_file_round_trip_and_numpy_player(kind, tmp_path):
     policy = make(kind)
     assert isinstance(policy, Policy)
@@ -52,6 +63,46 @@ def test_file_round_trip_and_numpy_player(kind, tmp_path):
         ours = np.asarray(policy.act(Step(jnp.asarray(many), None, None), (), jax.random.key(1), greedy=True)[0])
         np.testing.assert_allclose(play(many).mean(0), ours.mean(0), atol=0.06)
     assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
+
+
+OLD = {now: (old, {new: before for before, new in fields.items()}) for old, (now, fields) in portable.RENAMED.items()}
+
+
+def with_old_names(node):
+    """A policy's tree as files of older versions have it."""
+    if isinstance(node, list):
+        return [with_old_names(part) for part in node]
+    if not isinstance(node, dict):
+        return node
+    kind, fields = OLD.get(node["kind"], (node["kind"], {}))
+    return {fields.get(name, name): with_old_names(part) for name, part in node.items()} | {"kind": kind}
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "perturbed", "greedy of perturbed", "thresholded", "planner", "mixture"])
+def test_files_with_old_names_are_read(kind, tmp_path):
+    net = MLP.create(3, (8,), 2, KEY)
+    inner = {
+        "thresholded": ThresholdedPolicy(Categorical(net), net, jnp.asarray(0.3)),
+        "planner": Planner(net, jnp.zeros((2, 2)), jnp.zeros(3), jnp.ones(3), 1, "learned", 3, 4, 2, 1, 2, 0.1),
+        "greedy of perturbed": GreedyQ(make("perturbed").inner, MLP.create(5, (8,), 1, KEY), 5),
+    }.get(kind)
+    policy = Mixture.of([make("perturbed"), make("gaussian")]) if kind == "mixture" else (
+        make(kind) if inner is None else EnvPolicy.of(inner, VIEW))  # fmt: skip
+    store.save(tmp_path / "now.npz", policy)
+    with np.load(tmp_path / "now.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    tree = json.loads(arrays.pop("policy.json").tobytes())
+    old = tree | {"policy": with_old_names(tree["policy"])}
+    assert {"Deployed"} <= set(re.findall(r'"kind": "(\w+)"', json.dumps(old))) <= {*portable.RENAMED, *KINDS, "MLP", "VAE"}
+    assert "EnvPolicy" not in json.dumps(old)
+    np.savez(tmp_path / "old.npz", **{"policy.json": np.frombuffer(json.dumps(old).encode(), np.uint8)}, **arrays)
+
+    again = store.load(tmp_path / "old.npz")
+    assert jax.tree.structure(again) == jax.tree.structure(policy)
+    assert all(map(np.array_equal, jax.tree.leaves(again), jax.tree.leaves(policy)))
+    if kind in ("perturbed", "thresholded"):
+        x = np.random.default_rng(0).normal(size=(6, 3)).astype("f4")
+        np.testing.assert_array_equal(portable.load(tmp_path / "old.npz")(x), portable.load(tmp_path / "now.npz")(x))
 
 
 def test_a_file_tells_what_its_policy_was_taught(tmp_path):
@@ -74,7 +125,7 @@ def test_a_file_tells_what_its_policy_was_taught(tmp_path):
 def constant(value, size=2):
     """Acts the same always: the bias alone counts."""
     net = MLP((jnp.zeros((3, size)),), (jnp.full(size, value),), "relu")
-    return Deployed.of(Deterministic(net), Normalizer(None, None, -np.ones(size), np.ones(size)))
+    return EnvPolicy.of(Deterministic(net), Normalizer(None, None, -np.ones(size), np.ones(size)))
 
 
 VALUES = np.array([-1.0, 0.0, 2.0])
@@ -122,7 +173,7 @@ def test_a_mixture_draws_at_the_beginning_of_an_episode_and_keeps_to_it(player, 
 
 def test_a_mixtures_members_keep_their_coordinates_and_its_file_comes_back(tmp_path):
     other = Normalizer(np.zeros(3), np.ones(3), np.array([-9.1, -9.1], "f4"), np.array([9.1, 9.1], "f4"))
-    members = [make("gaussian"), Deployed.of(Deterministic(MLP.create(3, (8,), 2, KEY)), other)]
+    members = [make("gaussian"), EnvPolicy.of(Deterministic(MLP.create(3, (8,), 2, KEY)), other)]
     mixture = Mixture.of(members)
     for half in (False, True):
         store.save(tmp_path / "m.npz", mixture, half=half)
@@ -148,7 +199,7 @@ def test_a_mixtures_members_keep_their_coordinates_and_its_file_comes_back(tmp_p
 
 def test_a_mixture_of_choices_tells_the_chances_of_its_first(tmp_path):
     plain = Normalizer(None, None, None, None)
-    members = [Deployed.of(Categorical(MLP.create(3, (8,), 4, key)), plain) for key in jax.random.split(KEY)]
+    members = [EnvPolicy.of(Categorical(MLP.create(3, (8,), 4, key)), plain) for key in jax.random.split(KEY)]
     mixture, x = Mixture.of(members), np.random.default_rng(0).normal(size=(2, 3)).astype("f4")
     told = mixture.action_probs(x)
     np.testing.assert_allclose(told, (members[0].action_probs(x) + members[1].action_probs(x)) / 2, rtol=1e-6)
@@ -175,7 +226,7 @@ def test_player_needs_numpy_alone(tmp_path):
 
 def test_density_over_environment_actions_integrates_to_one():
     net = MLP.create(1, (4,), 2, KEY)
-    policy = Deployed.of(TanhGaussian(net), Normalizer(None, None, np.array([-3.0]), np.array([1.0])))
+    policy = EnvPolicy.of(TanhGaussian(net), Normalizer(None, None, np.array([-3.0]), np.array([1.0])))
     f = lambda a: float(jnp.exp(policy.log_prob(np.zeros((1, 1)), np.array([[a]], "f4")))[0])  # noqa: E731
     total, _ = integrate.quad(f, -2.9995, 0.9995, limit=50, epsabs=1e-3, epsrel=1e-3)
     assert abs(total - 1) < 5e-3
@@ -226,17 +277,17 @@ def test_files_of_other_kinds_are_told_apart(content, tmp_path):
 
 
 def test_a_kind_of_policy_of_ones_own_is_saved_and_read_and_takes_no_name_that_there_is(tmp_path):
-    class Constant(Inner):
+    class Constant(NormalizedPolicy):
         level: jnp.ndarray
 
         def pre_actions(self, observation, key, *, greedy, count=()):
             return jnp.broadcast_to(self.level, (*count, len(observation), 1))
 
-    policy = Deployed(Constant(jnp.ones(1)), None, None, None, None)
+    policy = EnvPolicy(Constant(jnp.ones(1)), None, None, None, None)
     store.save(tmp_path / "p.npz", policy)
     found = store.load(tmp_path / "p.npz")
     assert type(found.inner) is Constant
     np.testing.assert_array_equal(found(np.zeros((2, 3))), policy(np.zeros((2, 3))))
     with pytest.raises(TypeError, match="deadreckon.policies.kinds has a kind of policy called Gaussian already"):
-        type("Gaussian", (Inner,), {})
+        type("Gaussian", (NormalizedPolicy,), {})
     assert KINDS["Gaussian"].__module__ == "deadreckon.policies.kinds"

@@ -23,7 +23,7 @@ from deadreckon.runs import recommend as module
 from deadreckon.runs.attempt import Attempt, Candidate, Job
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
-from deadreckon.runs.recorder import Enough
+from deadreckon.runs.recorder import StopTraining
 
 
 def a_log(episodes=40, length=10, seed=0):
@@ -366,7 +366,7 @@ def test_clusters_are_held_out_whole(small, tmp_path):
 def test_a_run_may_be_ended_early(tmp_path):
     def watch(progress, steps):
         if progress.step == 40:
-            raise Enough
+            raise StopTraining
 
     asked = {"steps": 100, "chunk": 20, "evaluate_every": 100}
     run = dr.train("bc", a_log(), out=tmp_path / "run", watch=watch, **asked)

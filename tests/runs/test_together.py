@@ -6,7 +6,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.collect import generate
 from deadreckon.report.entries import read
-from deadreckon.runs.recorder import Enough
+from deadreckon.runs.recorder import StopTraining
 from deadreckon.training.learner import lift
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}
@@ -94,7 +94,7 @@ def test_interrupted_and_resumed_is_the_same_as_unbroken(runs, log, tmp_path):
 def test_a_watcher_that_has_seen_enough_ends_all(log, tmp_path):
     def watch(progress, steps):
         if progress.step == 20:
-            raise Enough
+            raise StopTraining
 
     for run in dr.train_together(AGENTS, log, out=tmp_path / "r", watch=watch, **SETTINGS).values():
         assert run.config["steps"] == 20
@@ -108,8 +108,8 @@ def test_what_cannot_share_a_program_is_refused_and_nothing_is_written(log, tmp_
     for name in ("", ".", "..", "a/b", "a\\b", "/a", "a\0", "a" * 300, "checkpoints"):
         with pytest.raises(dr.UserError, match="agents are named as folders are"):
             dr.train_together({name: td3_bc()}, log, out=out, **SETTINGS)
-    with pytest.raises(dr.UserError, match=r"MOBILE.floor shapes the program"):
-        lift([dr.agents.MOBILE(floor=None), dr.agents.MOBILE(floor=0.0)])
+    with pytest.raises(dr.UserError, match=r"MOBILE.min_target shapes the program"):
+        lift([dr.agents.MOBILE(min_target=None), dr.agents.MOBILE(min_target=0.0)])
     with pytest.raises(dr.UserError, match="no agent to train"):
         dr.train_together({}, log, out=out, **SETTINGS)
     (out / "b").mkdir(parents=True)

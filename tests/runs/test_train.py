@@ -210,10 +210,10 @@ def test_lanes_are_judged_by_their_own_settings(log, tmp_path):
 
 
 def test_a_policy_of_another_size_is_refused(run):
-    from deadreckon.policies import Deployed
+    from deadreckon.policies import EnvPolicy
     from deadreckon.policies.kinds import Deterministic
 
-    narrow = Deployed.of(Deterministic(run.policies[0].inner.net), run.policies[0].view)
+    narrow = EnvPolicy.of(Deterministic(run.policies[0].inner.net), run.policies[0].view)
     wide = evaluate(narrow, "maze2d-umaze", episodes=1)
     assert wide.returns.shape == (1, 1)
     from dataclasses import replace
@@ -308,10 +308,10 @@ def test_a_policy_that_remembers_is_given_its_carry_back():
     import jax.numpy as jnp
 
     from deadreckon.data.normalizer import Normalizer
-    from deadreckon.policies import Deployed
-    from deadreckon.policies.policy import Inner
+    from deadreckon.policies import EnvPolicy
+    from deadreckon.policies.policy import NormalizedPolicy
 
-    class Counter(Inner):
+    class Counter(NormalizedPolicy):
         """Pushes along x for its first `length` steps, then never again."""
 
         length: float = 5.0
@@ -324,8 +324,8 @@ def test_a_policy_that_remembers_is_given_its_carry_back():
             return jnp.stack([push, jnp.zeros_like(push)], -1), carry + 1.0
 
     view = Normalizer(None, None, np.array([-1.0, -1.0], "f4"), np.array([1.0, 1.0], "f4"))
-    short, long = (evaluate(Deployed.of(Counter(n), view), "maze2d-umaze", episodes=3, record=3) for n in (2.0, 8.0))
-    both = evaluate([Deployed.of(Counter(n), view) for n in (2.0, 8.0)], "maze2d-umaze", episodes=3, record=3)
+    short, long = (evaluate(EnvPolicy.of(Counter(n), view), "maze2d-umaze", episodes=3, record=3) for n in (2.0, 8.0))
+    both = evaluate([EnvPolicy.of(Counter(n), view) for n in (2.0, 8.0)], "maze2d-umaze", episodes=3, record=3)
     np.testing.assert_array_equal(short.trajectories[:, :, :3], long.trajectories[:, :, :3])
     assert (short.trajectories[:, :, 4, 2] < long.trajectories[:, :, 4, 2]).all()
     np.testing.assert_allclose(both.trajectories[1], long.trajectories[0], atol=1e-6)
@@ -335,8 +335,8 @@ def test_discrete_logs_are_drawn_probed_and_acted_on():
     import jax.numpy as jnp
 
     from deadreckon.data.batch import BatchSpec, TransitionSource
-    from deadreckon.policies import Deployed
-    from deadreckon.policies.policy import Inner
+    from deadreckon.policies import EnvPolicy
+    from deadreckon.policies.policy import NormalizedPolicy
 
     rng = np.random.default_rng(0)
     s = rng.normal(size=(400, 2)).astype("f4")
@@ -345,7 +345,7 @@ def test_discrete_logs_are_drawn_probed_and_acted_on():
     rows = TransitionSource(log, BatchSpec())
     assert rows.take(np.arange(3))["action"].dtype == np.int32
 
-    class Rule(Inner):
+    class Rule(NormalizedPolicy):
         """Action 1 or 2 by the sign of the first number, or the other way round."""
 
         swap: float = 0.0
@@ -355,7 +355,7 @@ def test_discrete_logs_are_drawn_probed_and_acted_on():
             return jnp.where(self.swap > 0, 3 - right, right), carry
 
     probe = LogProbe(log)
-    same, other = (Deployed.of(Rule(swap), rows.view) for swap in (0.0, 1.0))
+    same, other = (EnvPolicy.of(Rule(swap), rows.view) for swap in (0.0, 1.0))
     np.testing.assert_array_equal(same(s[:5]), log.actions[:5])
     assert probe(same)["mmd_to_data"] < 0.1 < probe(other)["mmd_to_data"]
     assert probe(same)["outside_range"] == 0.0

@@ -30,7 +30,7 @@ def test_an_ensembles_interval_is_the_interval_of_one_more_draw():
 
 
 def test_percentiles_and_what_lies_beyond_them():
-    """Exactly percentiles where there are redraws enough, a normal's continuation where not, wider for few episodes."""
+    """Exactly percentiles where there are samples enough, a normal's continuation where not, wider for few episodes."""
     draws = np.arange(1000) / 999.0
     assert bootstrap.percentile_interval(draws, np.inf) == pytest.approx((0.025, 0.975))
     normal = stats.norm.ppf((np.arange(1000) + 0.5) / 1000)
@@ -39,6 +39,6 @@ def test_percentiles_and_what_lies_beyond_them():
         assert bootstrap.percentile_interval(normal, np.inf, alpha) == pytest.approx((-end, end), rel=0.01)
     few = np.sqrt(5 / 4) * stats.t.ppf(1 - 0.05 / 22, 4)
     assert bootstrap.percentile_interval(normal, 5.0, 0.05 / 11) == pytest.approx((-few, few), rel=0.01)
-    # Skewed redraws give a skewed interval, also beyond.
+    # Skewed samples give a skewed interval, also beyond.
     low, high = bootstrap.percentile_interval(np.exp(normal), np.inf, 0.05 / 200)
     assert 3.0 * (1.0 - low) < high - 1.0

@@ -179,7 +179,7 @@ def test_paired_is_the_paired_t_test_on_one_task():
     band = test.confidence_interval(0.95)
     assert found.value == pytest.approx(np.mean(x + 0.8 - y))
     assert (found.low, found.high) == (pytest.approx(band.low), pytest.approx(band.high))
-    assert (found.p, found.freedom) == (pytest.approx(test.pvalue), 6.0)
+    assert (found.p, found.dof) == (pytest.approx(test.pvalue), 6.0)
     assert found.p_better == pytest.approx(stats.ttest_rel(x + 0.8, y, alternative="greater").pvalue)
     back = s.paired([y], [x + 0.8])
     assert (back.value, back.p, back.p_better) == (-found.value, pytest.approx(found.p), pytest.approx(1 - found.p_better))
@@ -195,7 +195,7 @@ def test_paired_over_two_tasks_is_welchs_test():
     )
     band = test.confidence_interval(0.95)
     assert (found.low, found.high) == (pytest.approx(band.low / 2), pytest.approx(band.high / 2))
-    assert (found.p, found.freedom) == (pytest.approx(test.pvalue), pytest.approx(test.df))
+    assert (found.p, found.dof) == (pytest.approx(test.pvalue), pytest.approx(test.df))
 
 
 def test_paired_does_not_count_differences_between_tasks_as_noise():

@@ -62,10 +62,10 @@ def measured(many):
 
 def test_theorems_hold_on_thousands_of_random_worlds(many, measured):
     discount = many[-1]
-    value, promised, branched = measured.value, measured.promised, measured.branched
+    value, estimated, branched = measured.value, measured.estimated, measured.branched
     under_old, under_new, policy, r_max = measured.under_old, measured.under_new, measured.policy, measured.r_max
     for bound in (full_bound, sharp_full_bound):
-        assert (value >= promised - bound(under_old, policy, discount, r_max) - SLACK).all()
+        assert (value >= estimated - bound(under_old, policy, discount, r_max) - SLACK).all()
     k = np.arange(LENGTH + 1)[:, None]
     averaged = branched.cumsum(1).T / (k + 1)
     for bound in (branched_bound, sharp_branched_bound):
@@ -75,8 +75,8 @@ def test_theorems_hold_on_thousands_of_random_worlds(many, measured):
     assert (value >= averaged - averaged_bound(k, under_new, policy, discount, r_max) - SLACK).all()
     assert (value >= averaged - averaged_bound(k, under_old, policy, discount, r_max, shifted=False) - SLACK).all()
     # The other side holds as well, and the model is wrong enough for all of this to say something.
-    assert (promised >= value - sharp_full_bound(under_old, policy, discount, r_max) - SLACK).all()
-    assert (np.abs(promised - value) > 0.01).mean() > 0.3
+    assert (estimated >= value - sharp_full_bound(under_old, policy, discount, r_max) - SLACK).all()
+    assert (np.abs(estimated - value) > 0.01).mean() > 0.3
 
 
 def test_sharper_forms_are_sharper():
@@ -98,8 +98,8 @@ def test_sharper_forms_are_met(model, policy, k, discount):
         world, old, wrong, new = tight(model, policy, under=under)
         error = model_error(world, wrong, old if under == "old" else new)
         assert error == pytest.approx(model, rel=1e-3)
-        promised = (branched_occupancy(world, old, wrong, new, k, discount) * world.rewards).sum() / (1 - discount)
-        lost, most = promised - world.value(new, discount), bound(k, error, policy, discount)
+        estimated = (branched_occupancy(world, old, wrong, new, k, discount) * world.rewards).sum() / (1 - discount)
+        lost, most = estimated - world.value(new, discount), bound(k, error, policy, discount)
         assert 0.98 * most <= lost <= most + 1e-12
     world, old, wrong, new = tight(model, policy)
     lost = wrong.value(new, discount) - world.value(new, discount)
@@ -124,8 +124,8 @@ def test_the_model_s_error_must_be_measured_where_the_new_policy_goes():
     """5.2.3 with the old policy's states: a model that is wrong about an action that this never takes has no error there."""
     world, old, wrong, new = tight(0.0, 0.1)
     assert model_error(world, wrong, old) == 0.0
-    promised = (branched_occupancy(world, old, wrong, new, 30, 0.8) * world.rewards).sum() / 0.2
-    lost = promised - world.value(new, 0.8)
+    estimated = (branched_occupancy(world, old, wrong, new, 30, 0.8) * world.rewards).sum() / 0.2
+    lost = estimated - world.value(new, 0.8)
     assert lost > 100 * generalising_bound(30, 0.0, 0.1, 0.8)
     assert lost <= generalising_bound(30, model_error(world, wrong, new), 0.1, 0.8)
     assert lost <= sharp_branched_bound(30, 0.0, 0.1, 0.8)
@@ -134,18 +134,18 @@ def test_the_model_s_error_must_be_measured_where_the_new_policy_goes():
 def test_learned_rewards_cost_more():
     """One state that pays 1 or -1; the model thinks the better 0.2 likelier: the error is seen at once, not a step later."""
     error, discount = 0.2, 0.3
-    promised = 2 * error / (1 - discount)
-    assert promised > full_bound(error, 0.0, discount)
-    assert promised <= full_bound(error, 0.0, discount) + learned_rewards(error, discount)
+    estimated = 2 * error / (1 - discount)
+    assert estimated > full_bound(error, 0.0, discount)
+    assert estimated <= full_bound(error, 0.0, discount) + learned_rewards(error, discount)
 
 
 def test_learned_rewards_cost_the_sharper_forms_the_last_action_too():
     """One state; the new policy takes with 0.1 an action that costs 1. The model, which never saw it, thinks that it pays 1."""
     for discount in (0.2, 0.4, 0.9):
-        promised = 2 * 0.1 / (1 - discount)
-        assert (promised > sharp_full_bound(0.0, 0.1, discount)) == (discount < 0.5)
-        assert promised <= sharp_full_bound(0.0, 0.1, discount) + learned_rewards(0.0, discount, policy=0.1)
-        assert promised <= full_bound(0.0, 0.1, discount)  # as printed it pays for that action anyway
+        estimated = 2 * 0.1 / (1 - discount)
+        assert (estimated > sharp_full_bound(0.0, 0.1, discount)) == (discount < 0.5)
+        assert estimated <= sharp_full_bound(0.0, 0.1, discount) + learned_rewards(0.0, discount, policy=0.1)
+        assert estimated <= full_bound(0.0, 0.1, discount)  # as printed it pays for that action anyway
 
 
 # ---- lemmas -----------------------------------------------------------------------------------------------------------

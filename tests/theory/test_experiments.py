@@ -110,10 +110,10 @@ def test_the_printed_penalty_holds_every_policy_where_it_is():
     worlds, old = garnets(2000, rng, states=4, actions=2), policies(2000, rng, states=4, actions=2)
     discount, radii = rng.uniform(0.05, 0.6, 2000), np.array([0.0, 0.01, 0.3, 1.0])
     run = solve.exactly(monotonic._candidates, over=(0, 0, 0, 0, None, 0))
-    found, promised = run(worlds.transitions, worlds.rewards, worlds.initial, old, radii, discount)
+    found, estimated = run(worlds.transitions, worlds.rewards, worlds.initial, old, radii, discount)
     far = np.minimum(branching.policy_divergence(old[:, None], found), 1.0)
     r_max = np.abs(worlds.rewards).max((1, 2))[:, None]
-    gain = promised - promised[:, :1]
+    gain = estimated - estimated[:, :1]
     assert (gain[far > 1e-9] > 0.0).mean() > 0.5
     for penalty, moves in ((branching.full_bound, False), (branching.sharp_full_bound, True)):
         cost = penalty(0.0, far, discount[:, None], r_max) - penalty(0.0, far[:, :1], discount[:, None], r_max)

@@ -23,7 +23,8 @@ MADE = {
 }
 # Numbers of any sign.
 FREE = {
-    "ask", "floor", "log_ratio_range", "multiplier_max", "multiplier_min", "return_range", "target_entropy", "threshold",
+    "log_ratio_range", "min_target", "multiplier_max", "multiplier_min", "return_range", "target_entropy", "target_return",
+    "threshold",
 }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
 from deadreckon.policies.kinds import Categorical
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
 
@@ -48,7 +48,7 @@ class Agent(eqx.Module):
         """One pure update."""
         raise NotImplementedError
 
-    def policy(self, state: Any) -> Inner:
+    def policy(self, state: Any) -> NormalizedPolicy:
         """What acts, in the coordinates of the batches; `runs` puts it between raw observations and actions."""
         raise NotImplementedError
 

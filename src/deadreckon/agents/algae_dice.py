@@ -34,9 +34,9 @@ class AlgaeDICE(SAC):
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor
     critic_lr: NonNegative = 1e-3  # learning rate of the critics
-    temperature_lr: NonNegative = 1e-3  # learning rate of the log-temperature
-    regularisation: NonNegative = 0.01  # alpha: weight of the divergence from the log's distribution
-    exponent: Annotated[float, Range(gt=1)] = 1.5  # p of f, above 1
+    temperature_lr: NonNegative = 1e-3  # learning rate of the logarithm of the entropy temperature
+    regularisation: NonNegative = 0.01  # weight of the divergence from the distribution of the log (alpha in the paper)
+    exponent: Annotated[float, Range(gt=1)] = 1.5  # exponent p of the divergence function f, above 1
 
     def needs(self, spec):
         """Transitions, and the first observations of episodes."""

@@ -1,6 +1,6 @@
 """AWAC (Nair et al. 2020): critics of the present policy, and imitation weighted by how much better than it an action is."""
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -29,15 +29,17 @@ class State(NamedTuple):
 class AWAC(Agent):
     """Twin critics, and imitation weighted by exp(advantage / temperature)."""
 
+    other_names: ClassVar[dict[str, str]] = {"draws": "samples", "lambda": "temperature"}
+
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the target critics
-    temperature: Positive = 1.0  # lambda: what an advantage is divided by
-    max_weight: Positive = 100.0  # of a row in the actor's loss
-    draws: Count = static(1)  # actions of the policy that its value is the mean of
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
+    temperature: Positive = 1.0  # temperature that divides the advantage (lambda in the paper)
+    max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
+    samples: Count = static(1)  # actions sampled from the policy to estimate its value
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     def needs(self, spec):
         """Transitions."""
@@ -57,7 +59,7 @@ class AWAC(Agent):
 
     def advantage(self, state, batch: Batch, key: PRNGKeyArray) -> Float[Array, "b"]:
         """min_j Q_j(s, a) less the mean of min_j Q_j(s, a_i) over actions of the actor."""
-        drawn = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.observation)), key, (self.draws,)))
+        drawn = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.observation)), key, (self.samples,)))
         own = least(q_values(state.critics, batch.observation, drawn)).mean(0)
         return least(q_values(state.critics, batch.observation, batch.action)) - own
 
@@ -75,7 +77,7 @@ class AWAC(Agent):
         weight = self.weights(self.advantage(state, batch, k_actor))
         loss, grads = jax.value_and_grad(imitation_loss)(state.actor, batch, weight)
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
-        targets = polyak_update(state.target_critics, critics, self.target_rate)
+        targets = polyak_update(state.target_critics, critics, self.tau)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
         return state, metrics | {"actor_loss": loss, "weight": weight.mean()}
 

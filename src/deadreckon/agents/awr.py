@@ -6,7 +6,7 @@ window of consecutive rows, an action counts for the actor by
     w = min(exp(A / temperature), max_weight),   A = (TD(lambda) return - V(s)), standardised over the batch.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import TanhGaussian
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -33,15 +33,17 @@ class State(NamedTuple):
 class AWR(Agent):
     """Advantage-weighted regression."""
 
+    other_names: ClassVar[dict[str, str]] = {"trace": "td_lambda", "lambda": "td_lambda", "beta": "temperature"}
+
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of the values
-    discount: Share = 0.99  # per step
-    trace: Share = 0.95  # lambda of the returns: 0 trusts the values after one step, 1 what was recorded
-    temperature: Positive = 1.0  # beta: what a standardised advantage is divided by
-    max_weight: Positive = 20.0  # of a row in the actor's loss
-    window: Count = static(16)  # consecutive rows, at whose end the value stands for what follows
+    discount: UnitInterval = 0.99  # discount factor per step
+    td_lambda: UnitInterval = 0.95  # lambda of the TD(lambda) returns: 0 trusts the values, 1 the logged returns
+    temperature: Positive = 1.0  # temperature that divides the standardised advantage (beta in the paper)
+    max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor
+    window: Count = static(16)  # consecutive transitions after which the value stands for the rest of the return
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch, of batch_size / window windows
+    batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
 
     def needs(self, spec):
         """Windows of transitions."""
@@ -61,7 +63,7 @@ class AWR(Agent):
         error = backup(batch, self.discount, following) - now
         # A row hands its advantage back to the one before it in the same episode and window.
         goes_on = jnp.concatenate([batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])], 1)
-        advantage = traced_advantage(error.T, goes_on.T, self.discount * self.trace).T
+        advantage = traced_advantage(error.T, goes_on.T, self.discount * self.td_lambda).T
         return advantage + now, advantage
 
     def update(self, state, batch, *, step, key):

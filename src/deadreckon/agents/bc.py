@@ -30,10 +30,11 @@ class BC(Agent):
 
     supports_discrete: ClassVar[bool] = True
 
-    lr: NonNegative = 3e-4  # learning rate
-    model: Literal["gaussian", "vae", "clipped"] = static("gaussian")  # a tanh-Gaussian, a VAE (thesis A.4), a Gaussian
+    lr: NonNegative = 3e-4  # learning rate of the policy
+    model: Literal["gaussian", "vae", "clipped"] = static("gaussian")
+    """model of the policy: tanh-Gaussian, VAE (thesis A.4) or clipped Gaussian"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     def resolve(self, spec, steps):
         """Of discrete actions there is one model."""

@@ -1,8 +1,8 @@
-"""BCQ (Fujimoto et al. 2019; thesis 7.4): the critics' choice of a few actions that a model of the log makes, a little moved.
+"""BCQ (Fujimoto et al. 2019; thesis 7.4): the critics' choice of a few actions that a model of the log samples, perturbed.
 
-A VAE makes actions like the log's; a network moves each by `reach` at most, towards what the critics like better. Of discrete
-actions (Fujimoto et al. 2019b) the choice is among those that a model of the log finds at least `share` times as likely as the
-likeliest; nothing is moved.
+A VAE makes actions like the log's; a network perturbs each by `max_perturbation` at most, towards higher values. Of
+discrete actions (Fujimoto et al. 2019b) the choice is among those that a model of the log finds at least `threshold` times as
+probable as the most probable one; none is perturbed.
 """
 
 from typing import ClassVar, NamedTuple
@@ -18,8 +18,8 @@ from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
-from deadreckon.policies.kinds import Categorical, GreedyQ, Moved, Supported, moved, supported
-from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
+from deadreckon.policies.kinds import Categorical, GreedyQ, PerturbedPolicy, ThresholdedPolicy, perturbed, probable_enough
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -39,20 +39,25 @@ class BCQ(Agent):
     """Batch-constrained Q-learning."""
 
     supports_discrete: ClassVar[bool] = True
+    other_names: ClassVar[dict[str, str]] = {
+        "reach": "max_perturbation", "phi": "max_perturbation", "share": "threshold", "lambda": "min_weight",
+        "lmbda": "min_weight", "draws": "samples", "test_draws": "test_samples",
+    }  # fmt: skip
 
-    actor_lr: NonNegative = 1e-3  # learning rate of what moves actions
+    actor_lr: NonNegative = 1e-3  # learning rate of the perturbation network
     critic_lr: NonNegative = 1e-3  # learning rate of the critics
-    behavior_lr: NonNegative = 1e-3  # learning rate of the VAE
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the targets
-    min_weight: Share = 0.75  # lambda: of the smaller critic in targets; the rest is of the larger
-    reach: NonNegative = 0.05  # Phi: how far an action is moved at most
-    share: Fraction = 0.3  # tau: of the likeliest discrete action's probability, which others need
-    draws: Count = static(10)  # actions of the VAE that targets take the best of
-    test_draws: Count = static(100)  # actions that the policy takes the best of
+    behavior_lr: NonNegative = 1e-3  # learning rate of the model of the log
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target networks, per update
+    min_weight: UnitInterval = 0.75  # weight of the smaller critic in the targets (lambda); the rest is of the larger
+    max_perturbation: NonNegative = 0.05  # largest change of an action by the perturbation network (Phi)
+    threshold: Fraction = 0.3
+    """smallest probability of a discrete action, relative to the most probable one (tau in the paper)"""
+    samples: Count = static(10)  # actions sampled from the VAE for the targets, of which the best counts
+    test_samples: Count = static(100)  # actions sampled by the policy, of which the best is taken
     hidden: Sizes = static((400, 300))  # width of each hidden layer
-    behavior_hidden: Sizes = static((750, 750))  # of the VAE's layers
-    batch_size: Count = static(100)  # rows a batch
+    behavior_hidden: Sizes = static((750, 750))  # width of each hidden layer of the VAE
+    batch_size: Count = static(100)  # batch size (transitions per update)
 
     def needs(self, spec):
         """Transitions."""
@@ -71,16 +76,16 @@ class BCQ(Agent):
         return State(behavior, mover, critics, copy(mover), copy(critics), *opts)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
-        """r + discount max_i (lambda min_j Q'_j + (1 - lambda) max_j Q'_j)(s', a_i), a_i of the VAE, moved (eq. 13).
+        """r + discount max_i (lambda min_j Q'_j + (1 - lambda) max_j Q'_j)(s', a_i), a_i of the VAE, perturbed (eq. 13).
 
         Of discrete actions a_i are those that are likely enough.
         """
         if isinstance(state.behavior, Categorical):
             mixed = self.mixed(all_q_values(state.target_critics, batch.next_observation))
-            likely = supported(state.behavior, self.share, batch.next_observation)
+            likely = probable_enough(state.behavior, self.threshold, batch.next_observation)
             return backup(batch, self.discount, jnp.where(likely, mixed, -jnp.inf).max(-1))
-        drawn = jnp.tanh(state.behavior.sample(batch.next_observation, key, (self.draws,)))
-        action = moved(state.target_mover, self.reach, batch.next_observation, drawn)
+        drawn = jnp.tanh(state.behavior.sample(batch.next_observation, key, (self.samples,)))
+        action = perturbed(state.target_mover, self.max_perturbation, batch.next_observation, drawn)
         q = q_values(state.target_critics, batch.next_observation, action)
         return backup(batch, self.discount, self.mixed(q).max(0))
 
@@ -92,7 +97,7 @@ class BCQ(Agent):
         """-Q_1(s, a + move), a drawn from the VAE (eq. 12)."""
         drawn = jax.lax.stop_gradient(jnp.tanh(state.behavior.sample(batch.observation, key)))
         first = jax.tree.map(lambda w: w[:1], state.critics)
-        return -q_values(first, batch.observation, moved(mover, self.reach, batch.observation, drawn))[0].mean()
+        return -q_values(first, batch.observation, perturbed(mover, self.max_perturbation, batch.observation, drawn))[0].mean()
 
     def update(self, state, batch, *, step, key):
         """VAE, critics, mover, targets."""
@@ -106,20 +111,21 @@ class BCQ(Agent):
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
         if state.mover is None:
-            target_critics = polyak_update(state.target_critics, critics, self.target_rate)
+            target_critics = polyak_update(state.target_critics, critics, self.tau)
             return state._replace(target_critics=target_critics), metrics | of_behavior
         loss, grads = jax.value_and_grad(self.mover_loss)(state.mover, state, batch, k_mover)
         mover, mover_opt = apply_gradients(state.mover, grads, state.mover_opt, self.actor_lr)
-        targets = polyak_update((state.target_mover, state.target_critics), (mover, critics), self.target_rate)
+        targets = polyak_update((state.target_mover, state.target_critics), (mover, critics), self.tau)
         state = state._replace(mover=mover, mover_opt=mover_opt, target_mover=targets[0], target_critics=targets[1])
         return state, metrics | of_behavior | {"actor_loss": loss}
 
     def policy(self, state):
-        """The best of some actions of the VAE, moved, by the first critic; or of the discrete ones that are likely enough."""
+        """The best by the first critic of perturbed actions of the VAE, or of discrete ones that are probable enough."""
         first = jax.tree.map(lambda w: w[0], state.critics)
         if isinstance(state.behavior, Categorical):
-            return Supported(state.behavior, first, jnp.asarray(self.share))
-        return GreedyQ(Moved(state.behavior, state.mover, jnp.asarray(self.reach)), first, self.test_draws)
+            return ThresholdedPolicy(state.behavior, first, jnp.asarray(self.threshold))
+        actor = PerturbedPolicy(state.behavior, state.mover, jnp.asarray(self.max_perturbation))
+        return GreedyQ(actor, first, self.test_samples)
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""

@@ -5,7 +5,7 @@ dual gradient descent. Where the thesis misprints (missing terminal mask, the me
 over states), the right form is used; `docs/agents/bear.md` lists every difference.
 """
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import GreedyQ, TanhGaussian
-from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Number, Positive, Range, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Positive, Range, Sizes, UnitInterval, static
 from deadreckon.training.learner import Metrics
 
 WARM_STEPS, WARM_SHARE = 40_000, 0.2  # of the run, whichever is smaller (the D4RL version: 40,000 of 500,000 and more)
@@ -44,42 +44,44 @@ class State(NamedTuple):
 class BEAR(Agent):
     """Bootstrapping error accumulation reduction, with every option that the thesis describes."""
 
-    base: Literal["td3", "sac"] = static("td3")  # framework: "td3" no entropy (Algorithm 1), "sac" adds an entropy bonus
+    other_names: ClassVar[dict[str, str]] = {"epsilon": "threshold", "lambda": "min_weight"}
+
+    base: Literal["td3", "sac"] = static("td3")  # base algorithm: "td3" has no entropy (Algorithm 1), "sac" a bonus for it
     actor_lr: NonNegative = 1e-4  # learning rate of the actor (D4RL version)
     critic_lr: NonNegative = 3e-4  # learning rate of the critics (D4RL version)
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model (D4RL version)
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate tau of all target networks
-    critics: Count = static(2)  # K, the number of critics
-    min_weight: Share = 0.75  # lambda: target = lambda min + (1 - lambda) max over critics
-    target_samples: Count = static(10)  # p, actions from the target actor whose best value is the target
-    actor_value: Literal["min", "mean"] = static("min")  # over critics; "mean" is better on Walker2d (A.4)
-    actor_samples: Count = static(1)  # actions a state that estimate E_a [Q] in the actor's loss (official code: 1)
-    behavior: models.Kind = static("gaussian")  # model of the log: "gaussian" (tanh-Gaussian, A.4) or "vae" (official)
-    behavior_hidden: Sizes | None = static(None)  # its hidden layers; None: as `hidden`, for a VAE 750,750
-    constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # KL forms need the gaussian behaviour model
-    threshold: Number | None = None  # epsilon; None is 0.05 (thesis), for cross_entropy -2 (official code)
-    mmd_actions: Literal["before_tanh", "after_tanh"] = static("before_tanh")  # before works better (A.4)
-    mmd_reference: Literal["model", "logged"] = static("model")  # the fitted model (works better, A.4), or the logged action
-    kernel: Kernel = static("laplacian")  # see nets/mmd.py; "laplacian" works in all cases, "gaussian" on expert data (A.4)
-    bandwidth: Positive = 20.0  # the Laplacian's scale, or the Gaussian's VARIANCE (20 in all settings, A.4)
-    mixture: Annotated[tuple[float, ...], Range(gt=0)] = static((1.0, 10.0, 50.0))  # scales of the mixture kernel (A.4)
-    policy_samples: Count = static(4)  # m, actions of the policy in the MMD
-    behavior_samples: Count = static(4)  # n, actions of the behaviour model in the MMD; 4 or 5 is best (4.4)
-    dual: bool = static(True)  # adapt the multiplier; False keeps it at its first value (tuned, Figure A.5)
-    multiplier: NonNegative = 1.0  # first value of the Lagrange multiplier alpha
-    multiplier_lr: NonNegative = 1e-3  # its learning rate, on the logarithm (A.4)
-    multiplier_min: Number = -5.0  # clip of its logarithm (A.4)
-    multiplier_max: Number = 10.0  # clip of its logarithm (A.4)
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of all target networks, per update
+    critics: Count = static(2)  # number of critics (K)
+    min_weight: UnitInterval = 0.75  # weight of the smallest critic in the targets (lambda); the rest is of the largest
+    target_samples: Count = static(10)  # actions sampled from the target actor (p), of which the best value is the target
+    actor_value: Literal["min", "mean"] = static("min")  # minimum or mean over the critics; mean suits Walker2d (A.4)
+    actor_samples: Count = static(1)  # actions per state that estimate the value in the actor loss (official code: 1)
+    behavior: models.Kind = static("gaussian")  # model of the log: "gaussian" (tanh-Gaussian, A.4) or "vae" (official code)
+    behavior_hidden: Sizes | None = static(None)  # width of its hidden layers; None: hidden, for a VAE 750,750
+    constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # distance to the log; KL forms need the gaussian model
+    threshold: float | None = None  # threshold epsilon; None: 0.05 (thesis), for cross_entropy -2 (official code)
+    mmd_actions: Literal["before_tanh", "after_tanh"] = static("before_tanh")  # actions compared; before works better (A.4)
+    mmd_reference: Literal["model", "logged"] = static("model")  # reference actions; those of the model work better (A.4)
+    kernel: Kernel = static("laplacian")  # kernel of the MMD: "laplacian" works in all cases, "gaussian" on expert data (A.4)
+    bandwidth: Positive = 20.0  # scale of the Laplacian kernel, or VARIANCE of the Gaussian one (20 in all settings, A.4)
+    mixture: Annotated[tuple[float, ...], Range(gt=0)] = static((1.0, 10.0, 50.0))  # bandwidths of the mixture kernel (A.4)
+    policy_samples: Count = static(4)  # actions sampled from the policy in the MMD (m)
+    behavior_samples: Count = static(4)  # actions sampled from the behaviour model in the MMD (n); 4 or 5 is best (4.4)
+    dual: bool = static(True)  # whether the multiplier is adapted; otherwise it keeps its initial value (tuned, Figure A.5)
+    multiplier: NonNegative = 1.0  # initial value of the Lagrange multiplier (alpha)
+    multiplier_lr: NonNegative = 1e-3  # learning rate of the logarithm of the multiplier (A.4)
+    multiplier_min: float = -5.0  # lower limit of the logarithm of the multiplier (A.4)
+    multiplier_max: float = 10.0  # upper limit of the logarithm of the multiplier (A.4)
     warm_start: CountOrZero | None = static(None)  # updates with the constraint alone; None: min(40,000, 20 % of the run)
-    density_weighting: bool = static(False)  # weight Bellman errors by 1 / behaviour density (A.3, Figure A.6)
-    density_clip: Annotated[float, Range(ge=1)] = 10.0  # largest such weight, in multiples of the batch's mean
-    temperature: Positive = 0.2  # first value of the entropy temperature, base "sac" only
-    temperature_lr: NonNegative = 3e-4  # its learning rate, base "sac" only
-    test_action: Literal["greedy_q", "actor"] = static("greedy_q")  # best of several by Q_1 (A.4), or the actor itself
-    test_samples: Count = static(10)  # candidates of greedy_q: p (4.3); the D4RL version takes 100
+    density_weighting: bool = static(False)  # whether Bellman errors are weighted by 1 / behaviour density (A.3, Figure A.6)
+    density_clip: Annotated[float, Range(ge=1)] = 10.0  # largest such weight, in multiples of the mean over the batch
+    temperature: Positive = 0.2  # initial entropy temperature, with base="sac"
+    temperature_lr: NonNegative = 3e-4  # learning rate of the logarithm of the temperature, with base="sac"
+    test_action: Literal["greedy_q", "actor"] = static("greedy_q")  # best of several by Q_1 (A.4), or the actor alone
+    test_samples: Count = static(10)  # actions sampled for greedy_q (p, 4.3); the D4RL version takes 100
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     # ---- the log ----------------------------------------------------------------------------------------------------
 
@@ -222,7 +224,7 @@ class BEAR(Agent):
             rested = (log_temperature, opts["temperature"])
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, rested, step)
 
-        targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+        targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
         metrics |= {
             "actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_multiplier),
         }  # fmt: skip

@@ -38,10 +38,10 @@ class ISBEAR(bear.BEAR):
     on the set policy, and `actor_samples` has no part.
     """
 
-    delta: Fraction = 0.5  # confidence of the bound on the critics' disagreement; the thesis leaves it undeclared
-    ratio_min: NonNegative = 0.5  # beta_1, lower clip of the importance ratio; undeclared in the thesis
-    ratio_max: NonNegative = 2.0  # beta_2, its upper clip; undeclared in the thesis
-    policy_samples: Count = static(10)  # m, actions of the set policy (n << m, line 7)
+    delta: Fraction = 0.5  # confidence of the bound on the disagreement of the critics; undeclared in the thesis
+    ratio_min: NonNegative = 0.5  # lower clip of the importance ratio (beta_1); undeclared in the thesis
+    ratio_max: NonNegative = 2.0  # upper clip of the importance ratio (beta_2); undeclared in the thesis
+    policy_samples: Count = static(10)  # actions of the set policy (m); n << m, line 7
 
     def resolve(self, spec, steps):
         """As BEAR's; the algorithm has no entropy."""
@@ -103,7 +103,7 @@ class ISBEAR(bear.BEAR):
         loss, grads = jax.value_and_grad(self.weighted_loss)(state.actor, state, batch, step, k_actor)
         actor, opts["actor"] = apply_gradients(state.actor, grads, opts["actor"], self.actor_lr)
 
-        targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+        targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
         metrics |= {
             "actor_loss": loss, "critic_spread": spread, self.constraint: divergence,
             "multiplier": jnp.exp(log_multiplier),

@@ -7,7 +7,7 @@ The model is fitted first and stays. With D an estimate of a divergence at each 
 and the actor minimises E[ penalty D(s) - min_j Q_j(s, a) ].
 """
 
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.mmd import mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -39,19 +39,21 @@ class State(NamedTuple):
 class BRAC(Agent):
     """Behaviour-regularised actor-critic; the value form is BRAC-v, the other BRAC-p."""
 
+    other_names: ClassVar[dict[str, str]] = {"value_form": "value_penalty", "draws": "samples"}
+
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the target critics
-    penalty: NonNegative = 1.0  # alpha: weight of the divergence; which one is best depends on the task
-    bandwidth: Positive = 20.0  # of the kernel, with divergence="mmd"
-    value_form: bool = static(True)  # whether targets pay too (BRAC-v), or the actor alone (BRAC-p)
-    divergence: Literal["kl", "mmd"] = static("kl")  # from the behaviour model
-    draws: Count = static(10)  # actions of each, for the MMD
-    behavior_steps: Count = static(100_000)  # updates of the behaviour model, before all others
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
+    penalty: NonNegative = 1.0  # weight of the divergence (alpha in the paper); the best one depends on the task
+    bandwidth: Positive = 20.0  # bandwidth of the kernel, with divergence="mmd"
+    value_penalty: bool = static(True)  # whether the targets are penalised too (BRAC-v), or the actor alone (BRAC-p)
+    divergence: Literal["kl", "mmd"] = static("kl")  # divergence from the behaviour model that is penalised
+    samples: Count = static(10)  # actions sampled from each policy to estimate the MMD
+    behavior_steps: Count = static(100_000)  # updates of the behaviour model before all others
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     def needs(self, spec):
         """Transitions."""
@@ -75,7 +77,7 @@ class BRAC(Agent):
         if self.divergence == "kl":
             return dist.kl(d, model)
         k_own, k_model = jax.random.split(key)
-        own, other = (jnp.tanh(dist.sample(each, k, (self.draws,))) for each, k in ((d, k_own), (model, k_model)))
+        own, other = (jnp.tanh(dist.sample(each, k, (self.samples,))) for each, k in ((d, k_own), (model, k_model)))
         return mmd(own, other, "laplacian", self.bandwidth)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
@@ -83,7 +85,7 @@ class BRAC(Agent):
         k_act, k_away = jax.random.split(key)
         d = dist.gaussian_head(state.actor(batch.next_observation))
         future = least(q_values(state.target_critics, batch.next_observation, jnp.tanh(dist.sample(d, k_act))))
-        if self.value_form:
+        if self.value_penalty:
             future = future - self.penalty * self.away(d, state.behavior, batch.next_observation, k_away)
         return backup(batch, self.discount, future)
 
@@ -104,7 +106,7 @@ class BRAC(Agent):
         state = state._replace(critics=critics, critics_opt=critics_opt)
         (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
-        targets = polyak_update(state.target_critics, critics, self.target_rate)
+        targets = polyak_update(state.target_critics, critics, self.tau)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
         return state, metrics | {"actor_loss": loss, "divergence": away}
 

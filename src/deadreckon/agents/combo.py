@@ -2,40 +2,46 @@
 
 To the squared errors of each critic j comes
 
-    conservatism ( E_s[ log sum_a exp Q_j(s, a) ] - E_log[ Q_j(s, a) ] )
+    cql_weight ( E_s[ log sum_a exp Q_j(s, a) ] - E_log[ Q_j(s, a) ] )
 
-with s of the whole batch, logged and made up, and the sum estimated from `draws` actions each: uniform, of the policy at s, and
-of the policy at s', each divided by its density (the penalty of CQL, Kumar et al. 2020). The model's doubts are not asked.
+with s of the whole batch, logged and made up, and the sum estimated from `samples` actions each: uniform, of the policy at s,
+and of the policy at s', each divided by its density (the penalty of CQL, Kumar et al. 2020). No uncertainty of the model is
+used.
 """
+
+from typing import ClassVar
 
 import jax
 
 from deadreckon.agents.cql import soft_maximum
-from deadreckon.agents.dreaming import Dreaming
+from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import q_values
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 
-class COMBO(Dreaming):
+class COMBO(OfflineMBRL):
     """SAC on rollouts, with conservative critics."""
 
+    other_names: ClassVar[dict[str, str]] = {"conservatism": "cql_weight", "beta": "cql_weight", "draws": "samples"}
+
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
-    logged_rows: CountOrZero = static(128)  # of a batch are logged, half of 256; the others are made up
-    entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
-    conservatism: NonNegative = 5.0  # weight of the penalty (published: 0.5 or 5, by log)
-    draws: Count = static(10)  # actions of each kind
+    real_batch_size: CountOrZero = static(128)
+    """logged transitions in a batch (128 of 256 are half); the others come from the model"""
+    entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
+    cql_weight: NonNegative = 5.0  # weight of the conservative penalty (beta in the paper; published: 0.5 or 5, by log)
+    samples: Count = static(10)  # actions sampled from each distribution to estimate the log-sum-exp
 
     def resolve(self, spec, steps):
         """Refuses a batch without logged rows, from which critics could be held down without end."""
-        if self.logged_rows < 1:
-            raise UserError(f"COMBO needs logged rows in a batch, got {self.logged_rows}")
+        if self.real_batch_size < 1:
+            raise UserError(f"COMBO needs logged rows in a batch, got {self.real_batch_size}")
         return super().resolve(spec, steps)
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
-        high = soft_maximum(critics, state.actor, batch, self.draws, jax.random.fold_in(key, 2)).mean(-1)
-        logged = q_values(critics, batch.observation[: self.logged_rows], batch.action[: self.logged_rows]).mean(-1)
+        high = soft_maximum(critics, state.actor, batch, self.samples, jax.random.fold_in(key, 2)).mean(-1)
+        logged = q_values(critics, batch.observation[: self.real_batch_size], batch.action[: self.real_batch_size]).mean(-1)
         gap = high - logged
-        return loss + self.conservatism * gap.sum(), metrics | {"gap": gap.mean()}
+        return loss + self.cql_weight * gap.sum(), metrics | {"gap": gap.mean()}

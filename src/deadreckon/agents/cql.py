@@ -2,11 +2,11 @@
 
 To the squared errors of each critic j comes, in the form H,
 
-    conservatism ( E_s[ log sum_a exp Q_j(s, a) ] - E_log[ Q_j(s, a) ] ),
+    cql_weight ( E_s[ log sum_a exp Q_j(s, a) ] - E_log[ Q_j(s, a) ] ),
 
-the sum estimated from `draws` actions each: uniform, of the policy at s, and of the policy at s', each divided by its density.
-In the form rho the first term is the mean of Q_j over actions of the present policy, weighted by exp Q_j. With `lagrange` the
-weight is a multiplier that rises where the difference is above `threshold`.
+the sum estimated from `samples` actions each: uniform, of the policy at s, and of the policy at s', each divided by its
+density. In the form rho the first term is the mean of Q_j over actions of the present policy, weighted by exp Q_j. With
+`lagrange` the weight is a multiplier that rises where the difference is above `threshold`.
 """
 
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -26,7 +26,7 @@ from deadreckon.policies.kinds import Categorical
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 
-class Held(NamedTuple):
+class CQLState(NamedTuple):
     """The log of the penalty's weight, and whether the actor imitates still: `model` of SAC's state."""
 
     log_weight: Array
@@ -39,31 +39,35 @@ class CQL(SAC):
 
     online: ClassVar[bool] = False
     supports_discrete: ClassVar[bool] = True
+    other_names: ClassVar[dict[str, str]] = {
+        "conservatism": "cql_weight", "min_q_weight": "cql_weight", "draws": "samples", "weight_lr": "cql_weight_lr",
+    }  # fmt: skip
 
     actor_lr: NonNegative = 1e-4  # learning rate of the actor
-    entropy_backup: bool = static(False)  # whether targets hold the entropy bonus too
+    entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
-    form: Literal["H", "rho"] = static("H")  # of the penalty: log-sum-exp over all actions, or weighted actions of the policy
-    conservatism: NonNegative = 5.0  # weight of the penalty, or where the multiplier begins
-    draws: Count = static(10)  # actions of each kind
-    lagrange: bool = static(False)  # whether the weight is a multiplier
-    threshold: NonNegative = 10.0  # what the difference is held to then
-    weight_lr: NonNegative = 3e-4  # learning rate of the multiplier
-    warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log (public code: 40,000)
+    form: Literal["H", "rho"] = static("H")
+    """form of the penalty: CQL(H), log-sum-exp over actions, or CQL(rho), weighted actions of the policy"""
+    cql_weight: NonNegative = 5.0  # weight of the conservative penalty (alpha in the paper); initial weight with lagrange
+    samples: Count = static(10)  # actions sampled from each distribution to estimate the log-sum-exp
+    lagrange: bool = static(False)  # whether the weight of the penalty is a Lagrange multiplier
+    threshold: NonNegative = 10.0  # value that the penalty is held to, with lagrange
+    cql_weight_lr: NonNegative = 3e-4  # learning rate of the multiplier, with lagrange
+    warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log at first (public code: 40,000)
 
     def init(self, spec, key) -> Any:
         """SAC's state and the multiplier."""
-        log_weight = jnp.log(jnp.maximum(jnp.asarray(self.conservatism), 1e-6))
-        held = Held(log_weight, init_opt(log_weight), jnp.asarray(self.warm_start > 0))
+        log_weight = jnp.log(jnp.maximum(jnp.asarray(self.cql_weight), 1e-6))
+        held = CQLState(log_weight, init_opt(log_weight), jnp.asarray(self.warm_start > 0))
         return super().init(spec, key)._replace(model=held)
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
         measure = soft_maximum if self.form == "H" else weighted_mean
-        high = measure(critics, state.actor, batch, self.draws, jax.random.fold_in(key, 2)).mean(-1)
+        high = measure(critics, state.actor, batch, self.samples, jax.random.fold_in(key, 2)).mean(-1)
         gap = high - q_values(critics, batch.observation, batch.action).mean(-1)
-        weight = jax.lax.stop_gradient(jnp.exp(state.model.log_weight)) if self.lagrange else self.conservatism
+        weight = jax.lax.stop_gradient(jnp.exp(state.model.log_weight)) if self.lagrange else self.cql_weight
         return loss + weight * gap.sum(), metrics | {"gap": gap.mean()}
 
     def actor_loss(self, actor, state, batch, key):
@@ -81,7 +85,7 @@ class CQL(SAC):
         if not self.lagrange:
             return state, metrics
         slope = self.threshold - metrics["gap"]  # d/dlog w of -w (gap - threshold), without the factor w > 0
-        log_weight, opt = apply_gradients(held.log_weight, slope, held.weight_opt, self.weight_lr)
+        log_weight, opt = apply_gradients(held.log_weight, slope, held.weight_opt, self.cql_weight_lr)
         log_weight = jnp.minimum(log_weight, jnp.log(1e6))
         held = held._replace(log_weight=log_weight, weight_opt=opt)
         return state._replace(model=held), metrics | {"weight": jnp.exp(log_weight)}

@@ -14,9 +14,10 @@ from deadreckon.training.hyperparameters import Count, Positive, static
 class CRR(AWAC):
     """AWAC with several draws, and weights of 0 and 1, or exponential ones."""
 
-    draws: Count = static(4)  # actions of the policy that its value is the mean of
-    max_weight: Positive = 20.0  # of a row in the actor's loss, where it is exponential
-    filter: Literal["binary", "exp"] = static("binary")  # whether an action counts where it is better, or by exp(advantage)
+    samples: Count = static(4)  # actions sampled from the policy to estimate its value
+    max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor, with filter="exp"
+    filter: Literal["binary", "exp"] = static("binary")
+    """weight of an action: 1 where its advantage is positive (binary), or exp(advantage)"""
 
     def weights(self, advantage):
         """1 where the advantage is positive and 0 elsewhere, or exp(advantage / temperature), cut above (eq. 3, 4)."""

@@ -26,7 +26,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Gaussian
-from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Sizes, UnitInterval, static
 
 LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall
 PASSES, MINIBATCH = 2, 64  # of the critic over a block, and rows
@@ -52,21 +52,27 @@ class DAPG(Agent):
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "return_to_go")
+    other_names: ClassVar[dict[str, str]] = {
+        "trace": "gae_lambda", "lambda": "gae_lambda", "iterations": "cg_iterations", "clone_steps": "bc_steps",
+        "clone_lr": "bc_lr", "deviation": "init_std", "lambda0": "demonstration_weight", "lambda1": "demonstration_decay",
+    }  # fmt: skip
 
-    delta: Fraction = 0.05  # twice the divergence that a step is to make (the normalised step size)
-    damping: NonNegative = 1e-4  # added to the diagonal of the Fisher matrix
-    iterations: Count = static(10)  # of conjugate gradients
-    demonstration_weight: NonNegative = 0.1  # lambda0: of demonstrated actions, in units of the block's largest advantage
-    demonstration_decay: Share = 0.95  # lambda1: of that weight, from step to step
-    discount: Share = 0.995  # per step
-    trace: Share = 0.97  # lambda of the advantages: 0 trusts the critic, 1 the returns
+    delta: Fraction = 0.05  # normalised step size: twice the KL divergence that a step is to make
+    damping: NonNegative = 1e-4  # constant added to the diagonal of the Fisher matrix
+    cg_iterations: Count = static(10)  # iterations of the conjugate gradient method
+    demonstration_weight: NonNegative = 0.1
+    """weight of demonstrated actions (lambda0), in units of the largest advantage of the block"""
+    demonstration_decay: UnitInterval = 0.95  # decay of that weight per step (lambda1)
+    discount: UnitInterval = 0.995  # discount factor per step
+    gae_lambda: UnitInterval = 0.97  # lambda of generalised advantage estimation: 0 trusts the critic, 1 the returns
     lr: NonNegative = 1e-3  # learning rate of the critic
-    clone_steps: Count = static(20_000)  # updates that clone the demonstrations before
-    clone_lr: NonNegative = 1e-3  # learning rate of these
-    deviation: Literal["residual", "demonstrated"] = static("residual")  # of the clone: of its errors, or of what it was shown
-    hidden: Sizes = static((32, 32))  # width of each hidden layer of the policy, tanh
-    critic_hidden: Sizes = static((128, 128))  # of the critic, ReLU
-    batch_size: Count = static(MINIBATCH)  # rows a batch of the critic
+    bc_steps: Count = static(20_000)  # updates of behaviour cloning on the demonstrations before the first step
+    bc_lr: NonNegative = 1e-3  # learning rate of behaviour cloning
+    init_std: Literal["residual", "demonstrated"] = static("residual")
+    """standard deviation after cloning: that of its residuals, or of the demonstrated actions"""
+    hidden: Sizes = static((32, 32))  # width of each hidden layer of the policy (tanh)
+    critic_hidden: Sizes = static((128, 128))  # width of each hidden layer of the critic (ReLU)
+    batch_size: Count = static(MINIBATCH)  # batch size of the critic (transitions per update)
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
@@ -99,7 +105,7 @@ class DAPG(Agent):
             shown: observations (n, o) and actions (n, a).
         """
         error = net(standardised(shown["observation"], state.observations)) - shown["action"]
-        spread = jnp.sqrt(jnp.square(error).mean(0)) if self.deviation == "residual" else shown["action"].std(0)
+        spread = jnp.sqrt(jnp.square(error).mean(0)) if self.init_std == "residual" else shown["action"].std(0)
         return state._replace(actor=Actor(net, jnp.maximum(jnp.log(spread), LOG_STD_MIN)))
 
     def digest(
@@ -116,7 +122,7 @@ class DAPG(Agent):
             The state with the new policy, and columns (t, c, *s) for the critic, whose advantages were those before it sees
             this block.
         """
-        advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.trace)
+        advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.gae_lambda)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         observation, action = (rows[name].reshape(-1, rows[name].shape[-1]) for name in ("observation", "action"))
         observation = standardised(observation, state.observations)
@@ -133,7 +139,7 @@ class DAPG(Agent):
             return gain(actor) + weight * likelihood / len(observation)
 
         old = state.actor
-        actor = natural_step(old, jax.grad(augmented)(old), observation, self.delta, self.damping, self.iterations)
+        actor = natural_step(old, jax.grad(augmented)(old), observation, self.delta, self.damping, self.cg_iterations)
         actor = actor._replace(log_std=jnp.maximum(actor.log_std, LOG_STD_MIN))
         apart, counted = dist.kl(old.at(observation), actor.at(observation)).mean(), 0.0 if shown is None else 1.0
         numbers = apart, gain(actor) - gain(old), counted * weight, jnp.exp(actor.log_std).mean(), rows["reward"].mean()

@@ -7,7 +7,7 @@ A transformer reads (return-to-go, observation, action) of consecutive steps and
 It acts by asking for a return at an episode's start and taking from it what it has got since. No value is learned.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,17 +36,22 @@ class State(NamedTuple):
 class DecisionTransformer(Agent):
     """Imitation given returns-to-go."""
 
-    lr: NonNegative = 1e-4  # learning rate
-    decay: NonNegative = 1e-4  # of the weights, in learning rates
-    dropout: Annotated[float, Range(ge=0, lt=1)] = 0.1  # share of numbers dropped behind every layer
-    gradient_norm: Positive = 0.25  # what a longer gradient is cut to
-    ask: Number = 1.0  # return asked for: 1 is the log's best episode's, 0 its worst's, beyond 1 more than was seen
-    warm_up: Count = static(10_000)  # updates in which the learning rate rises from nothing
-    window: Count = static(20)  # steps that it reads
-    layers: Count = static(3)  # of the transformer
-    heads: Count = static(1)  # that attend side by side
-    hidden: Sizes = static((128,))  # width of the tokens
-    batch_size: Count = static(64)  # windows a batch
+    other_names: ClassVar[dict[str, str]] = {
+        "decay": "weight_decay", "gradient_norm": "max_grad_norm", "ask": "target_return", "warm_up": "warmup_steps",
+        "window": "context_length",
+    }  # fmt: skip
+
+    lr: NonNegative = 1e-4  # learning rate after the warm-up
+    weight_decay: NonNegative = 1e-4  # weight decay of AdamW
+    dropout: Annotated[float, Range(ge=0, lt=1)] = 0.1  # dropout probability after every layer
+    max_grad_norm: Positive = 0.25  # norm above which gradients are clipped
+    target_return: Number = 1.0  # return to condition on: 0 is the worst logged episode, 1 the best, beyond 1 more than any
+    warmup_steps: Count = static(10_000)  # updates in which the learning rate rises linearly from 0
+    context_length: Count = static(20)  # steps that the transformer attends to
+    layers: Count = static(3)  # number of transformer blocks
+    heads: Count = static(1)  # number of attention heads
+    hidden: Sizes = static((128,))  # width of the token embeddings
+    batch_size: Count = static(64)  # batch size (windows per update)
 
     def resolve(self, spec, steps):
         """One width, in equal parts for all heads."""
@@ -58,7 +63,7 @@ class DecisionTransformer(Agent):
     def needs(self, spec):
         """Windows with returns that are not discounted."""
         columns = ("observation", "action", "return_to_go", "time")
-        return BatchSpec(columns, self.batch_size, window=self.window, standardise=True, gamma=1.0)
+        return BatchSpec(columns, self.batch_size, window=self.context_length, standardise=True, gamma=1.0)
 
     def init(self, spec, key) -> Any:
         """A fresh network; what the log's returns are is not known yet."""
@@ -80,11 +85,11 @@ class DecisionTransformer(Agent):
     def update(self, state, batch, *, step, key):
         """One step of Adam with decoupled weight decay."""
         loss, grads = jax.value_and_grad(self.loss)(state.net, state.scale, batch, key)
-        lr = self.lr * jnp.minimum((step + 1) / self.warm_up, 1.0)
-        net, opt = apply_gradients(state.net, clip_by_norm(grads, self.gradient_norm), state.opt, lr, self.decay)
+        lr = self.lr * jnp.minimum((step + 1) / self.warmup_steps, 1.0)
+        net, opt = apply_gradients(state.net, clip_by_norm(grads, self.max_grad_norm), state.opt, lr, self.weight_decay)
         return state._replace(net=net, opt=opt), {"loss": loss}
 
     def policy(self, state):
         """Asks for the return that `ask` says."""
-        wanted = state.worst + self.ask * (state.best - state.worst)
-        return Asking(state.net, wanted, state.scale, self.window)
+        wanted = state.worst + self.target_return * (state.best - state.worst)
+        return Asking(state.net, wanted, state.scale, self.context_length)

@@ -4,8 +4,10 @@ To the squared errors of each critic j comes, as the supervised loss of DQfD wit
 
     margin_weight E[ max_a (Q_j(s, a) + margin 1(a != a_log)) - Q_j(s, a_log) ],
 
-the maximum over the logged action, the actor's, and `draws` uniform ones.
+the maximum over the logged action, the actor's, and `samples` uniform ones.
 """
+
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +22,11 @@ from deadreckon.training.hyperparameters import Count, NonNegative, static
 class DQfD(TD3):
     """TD3 with a large-margin loss."""
 
-    margin: NonNegative = 0.8  # by which the logged action is to be better
-    margin_weight: NonNegative = 1.0  # of the loss beside the squared errors
-    draws: Count = static(10)  # uniform actions that it is compared with
+    other_names: ClassVar[dict[str, str]] = {"draws": "samples"}
+
+    margin: NonNegative = 0.8  # margin by which logged actions have to be better than others
+    margin_weight: NonNegative = 1.0  # weight of the margin loss relative to the squared errors
+    samples: Count = static(10)  # uniform actions that a logged one is compared with
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and how far the margin is missed."""
@@ -32,7 +36,7 @@ class DQfD(TD3):
 
     def missed(self, critics: MLP, actor: MLP, batch: Batch, key: Array) -> Float[Array, "k b"]:
         """max_a (Q_j(s, a) + margin 1(a != a_log)) - Q_j(s, a_log), never below zero."""
-        uniform = jax.random.uniform(key, (self.draws, *batch.action.shape), minval=-1.0, maxval=1.0)
+        uniform = jax.random.uniform(key, (self.samples, *batch.action.shape), minval=-1.0, maxval=1.0)
         others = jnp.concatenate([jnp.tanh(actor(batch.observation))[None], uniform])
         best = q_values(critics, batch.observation, others).max(1)
         return jnp.maximum(best + self.margin - q_values(critics, batch.observation, batch.action), 0.0)

@@ -5,6 +5,8 @@ The critics' slopes in the logged actions are made to point in different ways: t
     diversity E[ 1 / (N - 1) sum_{i != j} <g_i, g_j> ],   g_i = grad_a Q_i(s, a) / |grad_a Q_i(s, a)|.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -18,7 +20,10 @@ from deadreckon.training.hyperparameters import NonNegative
 class EDAC(SACN):
     """SAC-N with diversified critics."""
 
-    diversity: NonNegative = 1.0  # eta: weight of the slopes' likeness (published: 0 to 5 in Gym-MuJoCo, by log)
+    other_names: ClassVar[dict[str, str]] = {"eta": "diversity"}
+
+    diversity: NonNegative = 1.0
+    """weight of the similarity of the critics' gradients (eta; published: 0 to 5 in Gym-MuJoCo, by log)"""
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the likeness of slopes."""

@@ -8,7 +8,7 @@ critics:
     L_actor = E[ imitation | mu(s, z) - flow(s, z) |^2 - mean_j Q_j(s, mu(s, z)) ].
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import OneStep
-from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -38,16 +38,18 @@ class State(NamedTuple):
 class FQL(Agent):
     """Flow Q-learning."""
 
+    other_names: ClassVar[dict[str, str]] = {"imitation": "alpha"}
+
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     behavior_lr: NonNegative = 3e-4  # learning rate of the flow
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the target critics
-    imitation: NonNegative = 10.0  # alpha: weight of the distance to the flow's actions; by log, published 3 to 1000
-    flow_steps: Count = static(10)  # of Euler, from noise to actions
-    scale_q: bool = static(False)  # whether the actor divides Q by its mean size
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
+    alpha: NonNegative = 10.0  # weight of the distance to the actions of the flow (published: 3 to 1000, by log)
+    flow_steps: Count = static(10)  # Euler steps of the flow from noise to actions
+    scale_q: bool = static(False)  # whether the actor loss divides Q by its mean absolute value
     hidden: Sizes = static((512, 512, 512, 512))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     def needs(self, spec):
         """Transitions."""
@@ -92,7 +94,7 @@ class FQL(Agent):
         away = jnp.square(made - self.followed(state.flow, batch.observation, noise)).mean()
         q = q_values(state.critics, batch.observation, jnp.clip(made, -1.0, 1.0)).mean(0)
         scale = 1.0 / (jax.lax.stop_gradient(jnp.abs(q).mean()) + 1e-8) if self.scale_q else 1.0
-        return self.imitation * away - scale * q.mean(), away
+        return self.alpha * away - scale * q.mean(), away
 
     def update(self, state, batch, *, step, key):
         """Flow, critics, actor, targets."""
@@ -105,7 +107,7 @@ class FQL(Agent):
         state = state._replace(flow=flow, flow_opt=flow_opt, critics=critics, critics_opt=critics_opt)
         (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
-        targets = polyak_update(state.target_critics, critics, self.target_rate)
+        targets = polyak_update(state.target_critics, critics, self.tau)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)
         return state, metrics | {"actor_loss": loss, "flow_loss": flow_loss, "distance": away}
 

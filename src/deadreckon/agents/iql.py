@@ -16,7 +16,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
-from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -35,16 +35,17 @@ class IQL(Agent):
     """Expectile values and weighted imitation."""
 
     supports_discrete: ClassVar[bool] = True
+    other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of critics and values
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the target critics
-    expectile: Fraction = 0.7  # tau: 0.5 is the mean of the log's actions, 1 the best of them (AntMaze: 0.9)
-    sharpness: NonNegative = 3.0  # beta: 0 is imitation, more follows the advantage (AntMaze: 10)
-    max_weight: Positive = 100.0  # of a row in the actor's loss
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
+    expectile: Fraction = 0.7  # expectile of the values: 0.5 is the mean over logged actions, 1 the maximum (AntMaze: 0.9)
+    beta: NonNegative = 3.0  # inverse temperature of the advantage weights: 0 is imitation (AntMaze: 10)
+    max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     def needs(self, spec):
         """Transitions."""
@@ -65,7 +66,7 @@ class IQL(Agent):
 
     def actor_loss(self, actor: MLP | Categorical, batch, advantage: Array) -> Array:
         """-E[ exp(beta (q - V)) log pi(a|s) ], weights cut above (eq. 7)."""
-        return imitation_loss(actor, batch, capped_exp(self.sharpness * advantage, self.max_weight))
+        return imitation_loss(actor, batch, capped_exp(self.beta * advantage, self.max_weight))
 
     def update(self, state, batch, *, step, key):
         """Values, actor, critics, targets, each by what those before it have become."""
@@ -80,7 +81,7 @@ class IQL(Agent):
         target = backup(batch, self.discount, value(batch.next_observation)[..., 0])  # eq. 6
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
-        targets = polyak_update(state.target_critics, critics, self.target_rate)
+        targets = polyak_update(state.target_critics, critics, self.tau)
         state = State(actor, value, critics, targets, actor_opt, value_opt, critics_opt)
         return state, metrics | {"actor_loss": actor_loss, "value_loss": value_loss, "advantage": advantage.mean()}
 

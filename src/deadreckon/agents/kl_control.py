@@ -23,9 +23,9 @@ class KLControl(SAC):
 
     online: ClassVar[bool] = False
 
-    target_kl: NonNegative = 1.0  # nats that the policy is away from the model on average
+    target_kl: NonNegative = 1.0  # target KL divergence of the policy from the behaviour model, in nats
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
-    behavior_steps: Count = static(100_000)  # updates of the behaviour model, before all others
+    behavior_steps: Count = static(100_000)  # updates of the behaviour model before all others
 
     def resolve(self, spec, steps):
         """There is no entropy to hold."""

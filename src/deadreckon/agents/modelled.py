@@ -16,41 +16,49 @@ from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
 
 # Table B.1 and the public code's target entropies. Of the two columns with G = 40 only HalfCheetah is sure in the
-# thesis's scan; InvertedPendulum has 10 in the public code. `length` is k: first, last, from epoch, to epoch.
+# thesis's scan; InvertedPendulum has 10 in the public code. `rollout_length` is k: first, last, from epoch, to epoch.
 PRESETS: dict[str, dict[str, Any]] = {
-    "inverted-pendulum": {"length": (1, 1, 1, 2), "target_entropy": -0.05, "updates_per_step": 10},
-    "hopper": {"length": (1, 15, 20, 100), "target_entropy": -1.0},
-    "halfcheetah": {"length": (1, 1, 1, 2), "target_entropy": -3.0, "updates_per_step": 40},
-    "walker2d": {"length": (1, 1, 1, 2), "target_entropy": -3.0},
-    "ant": {"length": (1, 25, 20, 100), "target_entropy": -4.0},
-    "humanoid": {"length": (1, 25, 20, 300), "target_entropy": -2.0, "model_hidden": (400, 400, 400, 400), "keep": 5000},
+    "inverted-pendulum": {"rollout_length": (1, 1, 1, 2), "target_entropy": -0.05, "updates_per_step": 10},
+    "hopper": {"rollout_length": (1, 15, 20, 100), "target_entropy": -1.0},
+    "halfcheetah": {"rollout_length": (1, 1, 1, 2), "target_entropy": -3.0, "updates_per_step": 40},
+    "walker2d": {"rollout_length": (1, 1, 1, 2), "target_entropy": -3.0},
+    "ant": {"rollout_length": (1, 25, 20, 100), "target_entropy": -4.0},
+    "humanoid": {
+        "rollout_length": (1, 25, 20, 300), "target_entropy": -2.0, "model_hidden": (400, 400, 400, 400), "retain_steps": 5000,
+    },
 }
-_OTHERS = {"length": (1, 1, 1, 2), "keep": 1000, "model_hidden": (200, 200, 200, 200)}
+_OTHERS = {"rollout_length": (1, 1, 1, 2), "retain_steps": 1000, "model_hidden": (200, 200, 200, 200)}
 
 
 class Modelled(Agent):
     """An agent with an ensemble. Fields that are None come from the task: see `PRESETS`."""
 
-    members: Count = static(7)  # networks of the model
-    elites: Count = static(5)  # of them are believed; as many as members: any, as the thesis prints it
-    model_hidden: Sizes | None = static(None)  # width of each hidden layer of the model; None: the task's, or 4 x 200
+    other_names: ClassVar[dict[str, str]] = {"model_decay": "model_weight_decay", "ends": "termination"}
+
+    members: Count = static(7)  # number of networks in the ensemble
+    elites: Count = static(5)
+    """number of networks that predict, those with the lowest validation loss; all members as the thesis prints it"""
+    model_hidden: Sizes | None = static(None)
+    """width of each hidden layer of the model; None: the task's, or four layers of 200"""
     model_lr: NonNegative = 1e-3  # learning rate of the model
-    model_decay: Weights = static((2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4))  # of half the squared weights, layer by layer
-    model_patience: Count = static(5)  # epochs without a better network before a fit ends
-    model_epochs: Count = static(1000)  # of a fit, at most
-    ends: str | None = static(None)  # task that tells when episodes end, or "learned"; None: this one, if observations tell
+    model_weight_decay: Weights = static((2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4))
+    """weight decay of each layer of the model (L2 penalty, halved)"""
+    model_patience: Count = static(5)  # epochs without improvement after which a fit of the model stops
+    model_epochs: Count = static(1000)  # largest number of epochs of a fit of the model
+    termination: str | None = static(None)
+    """task whose rule ends episodes in the model, or "learned"; None: this task's, if observations show it"""
 
     def resolve(self, spec: Spec, steps: int):
         """Fills in what a task's preset has, and when episodes end."""
         known = _OTHERS | PRESETS.get(spec.name, {})
         missing = {name: value for name, value in known.items() if getattr(self, name, 0) is None}
         own = terminations.of_spec(spec)
-        ends = self.ends or (LEARNED if own is None else own.name)
+        ends = self.termination or (LEARNED if own is None else own.name)
         if ends != LEARNED and (shape := terminations.termination(ends).observation_shape) != spec.observation_shape:
-            raise UserError(f"ends={ends!r}: its observations are {shape}, {spec.name} has {spec.observation_shape}")
-        agent = super(Modelled, self.replace(**missing, ends=ends)).resolve(spec, steps)
+            raise UserError(f"termination={ends!r}: its observations are {shape}, {spec.name} has {spec.observation_shape}")
+        agent = super(Modelled, self.replace(**missing, termination=ends)).resolve(spec, steps)
         assert agent.model_hidden is not None
-        check_sizes(type(self).__name__, agent.members, agent.elites, agent.model_hidden, agent.model_decay)
+        check_sizes(type(self).__name__, agent.members, agent.elites, agent.model_hidden, agent.model_weight_decay)
         return agent
 
     @property
@@ -58,7 +66,7 @@ class Modelled(Agent):
         """What the ensemble consists of."""
         assert self.model_hidden is not None  # resolved
         return Gaussian(
-            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_decay, as_mbpo=True
+            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_weight_decay, as_mbpo=True
         )
 
     @property
@@ -69,8 +77,8 @@ class Modelled(Agent):
     @property
     def over(self) -> Ends | None:
         """Tells of observations whether episodes end there; None leaves it to the model."""
-        assert self.ends is not None  # resolved
-        return None if self.ends == LEARNED else terminations.termination(self.ends).ends
+        assert self.termination is not None  # resolved
+        return None if self.termination == LEARNED else terminations.termination(self.termination).ends
 
     def unfitted(self, spec: Spec, key: PRNGKeyArray) -> Ensemble:
         """Where the ensemble begins."""
@@ -81,8 +89,9 @@ class ModelledOnline(Modelled):
     """A modelled agent that learns by acting. `online.model_learning` fits the ensemble in its state, `model`, anew."""
 
     offline: ClassVar[bool] = False
+    other_names: ClassVar[dict[str, str]] = {"model_every": "model_train_freq"}
 
-    model_every: Count = static(250)  # real steps between two fits of the model
+    model_train_freq: Count = static(250)  # environment steps between two fits of the model
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:

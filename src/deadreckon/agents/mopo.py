@@ -5,24 +5,28 @@
 over the networks i of the ensemble, whose deviations are of the observation's change and the reward.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from deadreckon.agents.dreaming import Dreaming
+from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.dynamics import Branch, Ensemble, Gaussian
 from deadreckon.training.hyperparameters import NonNegative
 
 
-class MOPO(Dreaming):
+class MOPO(OfflineMBRL):
     """SAC on rollouts whose rewards are penalised by the model's deviation."""
 
-    penalty: NonNegative = 1.0  # of a unit of deviation (published: 0.5 to 5, by log)
+    other_names: ClassVar[dict[str, str]] = {"lambda": "penalty", "penalty_coef": "penalty"}
 
-    def doubted(self, ensemble, found, rows):
+    penalty: NonNegative = 1.0  # penalty per unit of predicted standard deviation (lambda; published: 0.5 to 5, by log)
+
+    def penalised(self, ensemble, found, rows):
         """Lowers the rewards."""
-        doubts = [self.penalty * deviation(self.model, ensemble, branch) for branch in found]
-        return [branch._replace(reward=branch.reward - doubt) for branch, doubt in zip(found, doubts)]
+        penalties = [self.penalty * deviation(self.model, ensemble, branch) for branch in found]
+        return [branch._replace(reward=branch.reward - penalty) for branch, penalty in zip(found, penalties)]
 
 
 @eqx.filter_jit

@@ -7,31 +7,35 @@ follows, with a reward below all of the log's: a pessimistic world. Here its pol
 gradient.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from deadreckon.agents.dreaming import Dreaming
+from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.dynamics import Ensemble, Gaussian
-from deadreckon.training.hyperparameters import NonNegative, Share
+from deadreckon.training.hyperparameters import NonNegative, UnitInterval
 
 _ROWS = 10_000  # of the log, from which the threshold is taken
 
 
-class MOReL(Dreaming):
+class MOReL(OfflineMBRL):
     """SAC in a world that ends where the model does not know it."""
 
-    familiar: Share = 0.99  # share of the log's rows whose disagreement is still trusted; it sets the threshold
-    penalty: NonNegative = 30.0  # by which the reward of leaving what is known lies below the log's least
+    other_names: ClassVar[dict[str, str]] = {"familiar": "trusted_quantile"}
 
-    def doubted(self, ensemble, found, rows):
+    trusted_quantile: UnitInterval = 0.99  # quantile of the disagreement on logged transitions that is the threshold
+    penalty: NonNegative = 30.0  # distance of the reward of unknown states below the smallest logged reward
+
+    def penalised(self, ensemble, found, rows):
         """Ends rollouts where the model is not to be trusted."""
         known = rows.take(np.linspace(0, rows.count - 1, min(_ROWS, rows.count)).astype(int))
         change = known["next_observation"] - known["observation"]
         scale = jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)
         usual = disagreement(self.model, ensemble, scale, *(jnp.asarray(known[name]) for name in ("observation", "action")))
-        limit = jnp.quantile(usual, self.familiar)
+        limit = jnp.quantile(usual, self.trusted_quantile)
         least = float(rows.log.spec.reward.min) - self.penalty
         trusted, kept = jnp.ones(len(found[0].reward), bool), []
         for branch in found:

@@ -32,7 +32,7 @@ class Expansion(NamedTuple):
 class MVE(ModelledSAC):
     """SAC whose critics learn from H-step targets in an ensemble."""
 
-    horizon: CountOrZero = static(1)  # H, steps in the model; 0 is SAC
+    horizon: CountOrZero = static(1)  # rollout horizon H in steps of the model; 0 is SAC
 
     def target(self, state, batch, key):
         """The batch's `Expansion`."""

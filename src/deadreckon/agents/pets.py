@@ -13,7 +13,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.policies.planner import Planner
-from deadreckon.training.hyperparameters import Count, CountOrZero, Share, static
+from deadreckon.training.hyperparameters import Count, CountOrZero, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -26,19 +26,20 @@ class PETS(ModelledOnline):
     """Planning with trajectory sampling; its settings are those published for HalfCheetah."""
 
     online: ClassVar[bool] = True
+    other_names: ClassVar[dict[str, str]] = {"chosen": "cem_elites", "iterations": "cem_iterations"}
 
-    horizon: CountOrZero = static(30)  # actions of a plan
-    population: Count = static(500)  # sequences drawn each time
-    chosen: Count = static(50)  # of them are moved towards
-    iterations: Count = static(5)  # of drawing and moving
-    particles: Count = static(20)  # rollouts of each sequence, as many in each elite
-    smoothing: Share = static(0.1)  # share of the old distribution that is kept
-    batch_size: Count = static(1)  # there are no updates to speak of
+    horizon: CountOrZero = static(30)  # planning horizon in steps
+    population: Count = static(500)  # action sequences sampled per iteration of CEM
+    cem_elites: Count = static(50)  # best sequences that the distribution is refitted to
+    cem_iterations: Count = static(5)  # iterations of CEM per step
+    particles: Count = static(20)  # rollouts per action sequence, spread evenly over the elites
+    smoothing: UnitInterval = static(0.1)  # share of the previous distribution that is kept in an iteration
+    batch_size: Count = static(1)  # unused: the planner has no gradient updates
 
     @classmethod
     def small(cls, **fields: Any) -> Self:
         """A planner that a CPU can pay for: a 67th of the model's work at each step."""
-        own: dict[str, Any] = {"horizon": 15, "population": 100, "chosen": 10, "iterations": 3, "particles": 5}
+        own: dict[str, Any] = {"horizon": 15, "population": 100, "cem_elites": 10, "cem_iterations": 3, "particles": 5}
         return cls(**own | fields)
 
     @classmethod
@@ -51,10 +52,10 @@ class PETS(ModelledOnline):
         agent = super().resolve(spec, steps)
         if self.particles % self.elites:
             raise UserError(f"PETS.particles must be a multiple of elites ({self.elites}), got {self.particles}")
-        if not 1 <= self.chosen <= self.population or self.horizon < 1:
+        if not 1 <= self.cem_elites <= self.population or self.horizon < 1:
             raise UserError(
-                "PETS.chosen must be 1 .. population, and horizon 1 or more, "
-                f"got {self.chosen} of {self.population} and {self.horizon}"
+                "PETS.cem_elites must be 1 .. population, and horizon 1 or more, "
+                f"got {self.cem_elites} of {self.population} and {self.horizon}"
             )
         return agent
 
@@ -74,8 +75,8 @@ class PETS(ModelledOnline):
         """The planner."""
         best = state.model.best()
         size = state.model.mean.shape[-1] - (best["bounds"].shape[-1] - 1)
-        assert self.ends is not None  # resolved
+        assert self.termination is not None  # resolved
         return Planner(
-            best["nets"], best["bounds"], state.model.mean, state.model.std, size, self.ends, self.horizon, self.population,
-            self.chosen, self.iterations, self.particles, self.smoothing,
+            best["nets"], best["bounds"], state.model.mean, state.model.std, size, self.termination, self.horizon,
+            self.population, self.cem_elites, self.cem_iterations, self.particles, self.smoothing,
         )  # fmt: skip

@@ -20,7 +20,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
 from deadreckon.policies.kinds import TanhGaussian
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 PASSES, MINIBATCH = 10, 64  # of a block, and rows
 
@@ -42,16 +42,20 @@ class PPO(Agent):
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "action", "behavior_log_prob", "return_to_go", "advantage")
+    other_names: ClassVar[dict[str, str]] = {
+        "trace": "gae_lambda", "lambda": "gae_lambda", "clip": "clip_range", "epsilon": "clip_range",
+        "gradient_norm": "max_grad_norm", "vf_coef": "value_weight", "ent_coef": "entropy_weight",
+    }  # fmt: skip
 
-    lr: NonNegative = 3e-4  # learning rate
-    discount: Share = 0.99  # per step
-    trace: Share = 0.95  # lambda of the advantages: 0 trusts the critic, 1 the returns
-    clip: NonNegative = 0.2  # by which the ratio of probabilities may leave 1
-    value_weight: NonNegative = 0.5  # of the critic's loss
-    entropy_weight: NonNegative = 0.0  # of the policy's entropy
-    gradient_norm: Positive = 0.5  # what a longer gradient is cut to
-    hidden: Sizes = static((64, 64))  # width of each hidden layer, tanh
-    batch_size: Count = static(MINIBATCH)  # rows a batch
+    lr: NonNegative = 3e-4  # learning rate of actor and critic
+    discount: UnitInterval = 0.99  # discount factor per step
+    gae_lambda: UnitInterval = 0.95  # lambda of generalised advantage estimation: 0 trusts the critic, 1 the returns
+    clip_range: NonNegative = 0.2  # largest deviation of the probability ratio from 1 before it is clipped
+    value_weight: NonNegative = 0.5  # weight of the critic loss
+    entropy_weight: NonNegative = 0.0  # weight of the entropy bonus
+    max_grad_norm: Positive = 0.5  # norm above which gradients are clipped
+    hidden: Sizes = static((64, 64))  # width of each hidden layer (tanh)
+    batch_size: Count = static(MINIBATCH)  # batch size (transitions per update)
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
@@ -86,7 +90,7 @@ class PPO(Agent):
         """
         policy = self.policy(state)
         log_prob = policy.log_prob(rows["observation"], rows["action"])
-        advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.trace)
+        advantage, returns = advantages(lambda seen: self.value(state, seen), rows, self.discount, self.gae_lambda)
         new = state._replace(returns=state.returns.seeing(returns.reshape(-1)))
         columns = {"observation": rows["observation"], "action": rows["action"], "behavior_log_prob": log_prob,
                    "return_to_go": returns, "advantage": advantage}  # fmt: skip
@@ -96,7 +100,7 @@ class PPO(Agent):
         """Actor and critic."""
         nets = state.actor, state.critic
         grads, metrics = jax.grad(self.loss, has_aux=True)(nets, state, batch, key)
-        (actor, critic), opt = apply_gradients(nets, clip_by_norm(grads, self.gradient_norm), state.opt, self.lr)
+        (actor, critic), opt = apply_gradients(nets, clip_by_norm(grads, self.max_grad_norm), state.opt, self.lr)
         return state._replace(actor=actor, critic=critic, opt=opt), metrics
 
     def loss(self, nets, state, batch, key):
@@ -107,7 +111,7 @@ class PPO(Agent):
         ratio = jnp.exp(log_ratio)
         gain = batch.extra["advantage"]
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
-        clipped = jnp.clip(ratio, 1.0 - self.clip, 1.0 + self.clip)
+        clipped = jnp.clip(ratio, 1.0 - self.clip_range, 1.0 + self.clip_range)
         actor_loss = -jnp.minimum(ratio * gain, clipped * gain).mean()
         error = (self.value(state._replace(critic=critic), batch.observation) - batch.return_to_go) / state.returns.deviation
         critic_loss = jnp.square(error).mean()
@@ -115,7 +119,7 @@ class PPO(Agent):
         entropy = -dist.log_prob(d, dist.sample(d, key)).mean()
         loss = actor_loss + self.value_weight * critic_loss - self.entropy_weight * entropy
         apart = ((ratio - 1.0) - log_ratio).mean()  # estimates KL(old || new) without its noise
-        cut = (jnp.abs(ratio - 1.0) > self.clip).mean()
+        cut = (jnp.abs(ratio - 1.0) > self.clip_range).mean()
         return loss, {"actor_loss": actor_loss, "critic_loss": critic_loss, "entropy": entropy, "kl": apart, "clipped": cut}
 
     def value(self, state: State, observation: Float[Array, "*b o"]) -> Float[Array, "*b"]:

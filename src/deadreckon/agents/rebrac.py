@@ -1,5 +1,7 @@
 """ReBRAC (Tarasov et al. 2023): TD3+BC with penalties of their own for actor and critics, and normalised critics."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -13,13 +15,15 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, stati
 class ReBRAC(TD3):
     """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
 
+    other_names: ClassVar[dict[str, str]] = {"actor_bc_coef": "actor_penalty", "critic_bc_coef": "critic_penalty"}
+
     actor_lr: NonNegative = 1e-3  # learning rate of the actor
     critic_lr: NonNegative = 1e-3  # learning rate of the critics
-    actor_penalty: NonNegative = 0.01  # weight of imitation in the actor's loss (published: 0.001 to 0.1, by log)
+    actor_penalty: NonNegative = 0.01  # weight of imitation in the actor loss (published: 0.001 to 0.1, by log)
     critic_penalty: NonNegative = 0.01  # weight of imitation in the targets (published: 0 to 0.5, by log)
-    normalise: bool = static(True)  # whether the critics' layers are normalised
+    layer_norm: bool = static(True)  # whether the critics use layer normalisation
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
-    batch_size: Count = static(1024)  # rows a batch
+    batch_size: Count = static(1024)  # batch size (transitions per update)
 
     def needs(self, spec):
         """Transitions, and what the log did next."""

@@ -24,7 +24,7 @@ class REM(SAC):
     online: ClassVar[bool] = False
     supports_discrete: ClassVar[bool] = True
 
-    critics: Count = static(10)  # Q-networks (published, as heads of one network: 200)
+    critics: Count = static(10)  # number of Q-networks (published, as heads of one network: 200)
 
     def min_q(self, values):
         """The mean."""

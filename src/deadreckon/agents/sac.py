@@ -14,7 +14,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
-from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -34,18 +34,20 @@ class SAC(Agent):
     """Several critics, tanh-Gaussian actor, entropy held at a target."""
 
     online: ClassVar[bool] = True
+    other_names: ClassVar[dict[str, str]] = {"backup_entropy": "entropy_backup", "init_temperature": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
-    temperature_lr: NonNegative = 3e-4  # learning rate of the log-temperature
-    temperature: Positive = 1.0  # its first value
-    target_entropy: Number | None = None  # nats; None: minus the action's dimensions, or a tenth of the most that choices have
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the target critics
-    entropy_backup: bool = static(True)  # whether targets hold the entropy bonus too
-    critics: Count = static(2)  # Q-networks, of which the least is believed
+    temperature_lr: NonNegative = 3e-4  # learning rate of the logarithm of the entropy temperature
+    temperature: Positive = 1.0  # initial entropy temperature (alpha in the literature)
+    target_entropy: Number | None = None
+    """target entropy in nats; None: minus the action dimensions, or a tenth of the maximum for discrete actions"""
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
+    entropy_backup: bool = static(True)  # whether the critics' targets include the entropy bonus
+    critics: Count = static(2)  # number of Q-networks, of which the minimum is used
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
 
     def resolve(self, spec, steps):
         """Fills in the target entropy."""
@@ -149,7 +151,7 @@ class SAC(Agent):
             state.log_temperature, slope, state.temperature_opt, self.temperature_lr
         )
         state = state._replace(
-            actor=actor, target_critics=polyak_update(state.target_critics, critics, self.target_rate),
+            actor=actor, target_critics=polyak_update(state.target_critics, critics, self.tau),
             log_temperature=log_temperature, actor_opt=actor_opt, temperature_opt=temperature_opt,
         )  # fmt: skip
         return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}

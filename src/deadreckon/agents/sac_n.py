@@ -11,5 +11,6 @@ class SACN(SAC):
 
     online: ClassVar[bool] = False
 
-    critics: Count = static(10)  # Q-networks, the least is believed (published: halfcheetah 10, walker2d 20, hopper 500)
+    critics: Count = static(10)
+    """number of Q-networks, of which the minimum is used (published: halfcheetah 10, walker2d 20, hopper 500)"""
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer

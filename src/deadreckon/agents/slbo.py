@@ -19,15 +19,16 @@ class SLBO(ModelledOnline, PPO):
 
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
+    other_names: ClassVar[dict[str, str]] = {"length": "rollout_length"}
 
-    members: Count = static(1)  # networks of the model
-    elites: Count = static(1)  # of them are believed
+    members: Count = static(1)  # number of networks in the ensemble
+    elites: Count = static(1)  # number of networks that predict
     model_hidden: Sizes | None = static((500, 500))  # width of each hidden layer of the model
-    model_decay: Weights = static((1e-5, 1e-5, 1e-5))  # of half the squared weights, layer by layer
-    hidden: Sizes = static((32, 32))  # width of each hidden layer, tanh
-    entropy_weight: NonNegative = 0.005  # of the policy's entropy
-    rollouts: Count = static(4)  # made up side by side for each block of updates
-    length: Count = static(1000)  # steps of each; where an episode ends another begins
+    model_weight_decay: Weights = static((1e-5, 1e-5, 1e-5))  # weight decay of each layer of the model (L2 penalty, halved)
+    hidden: Sizes = static((32, 32))  # width of each hidden layer (tanh)
+    entropy_weight: NonNegative = 0.005  # weight of the entropy bonus
+    rollouts: Count = static(4)  # model rollouts side by side, per block of updates
+    rollout_length: Count = static(1000)  # steps of a model rollout; where an episode ends the next one begins
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:

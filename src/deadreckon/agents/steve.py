@@ -32,8 +32,8 @@ class Target(NamedTuple):
 class STEVE(ModelledSAC):
     """SAC whose targets weigh all horizons of an ensemble's rollouts."""
 
-    horizon: CountOrZero = static(3)  # H, steps in the model at most
-    critics: Count = static(4)  # their disagreement is half of what is known of a horizon
+    horizon: CountOrZero = static(3)  # largest rollout horizon H in steps of the model
+    critics: Count = static(4)  # number of Q-networks, whose variance is part of the weights
 
     def target(self, state, batch, key):
         """y above."""

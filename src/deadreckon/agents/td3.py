@@ -1,6 +1,6 @@
 """TD3 on a fixed log: the naive baseline of chapter 4 (Fujimoto et al. 2018)."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, least, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
-from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
 
 
 class State(NamedTuple):
@@ -28,17 +28,19 @@ class State(NamedTuple):
 class TD3(Agent):
     """Twin critics, smoothed targets, delayed deterministic actor; nothing holds it to the log."""
 
+    other_names: ClassVar[dict[str, str]] = {"noise": "policy_noise", "actor_every": "policy_freq", "normalise": "layer_norm"}
+
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
-    discount: Share = 0.99  # per step
-    target_rate: Share = 0.005  # Polyak rate of the target networks
-    noise: NonNegative = 0.2  # standard deviation of the target policy's smoothing
-    noise_clip: NonNegative = 0.5  # its largest value
-    actor_every: Count = static(2)  # critic updates for one of the actor
+    discount: UnitInterval = 0.99  # discount factor per step
+    tau: UnitInterval = 0.005  # Polyak rate of the target networks, per update
+    policy_noise: NonNegative = 0.2  # standard deviation of the noise added to target actions
+    noise_clip: NonNegative = 0.5  # largest absolute noise added to target actions
+    policy_freq: Count = static(2)  # critic updates per actor update
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    batch_size: Count = static(256)  # rows a batch
-    normalise: bool = static(False)  # whether the critics' layers are normalised
-    standardise: bool = static(False)  # observations with mean 0 and standard deviation 1
+    batch_size: Count = static(256)  # batch size (transitions per update)
+    layer_norm: bool = static(False)  # whether the critics use layer normalisation
+    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Transitions."""
@@ -48,12 +50,12 @@ class TD3(Agent):
         """Fresh networks; targets are copies."""
         ka, kc = jax.random.split(key)
         actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
-        critics = create_critics(spec, self.hidden, 2, kc, normalise=self.normalise)
+        critics = create_critics(spec, self.hidden, 2, kc, normalise=self.layer_norm)
         return State(actor, critics, copy(actor), copy(critics), init_opt(actor), init_opt(critics))
 
     def next_action(self, state, batch, key):
         """The target actor's action at s', plus clipped noise (TD3 eq. 14)."""
-        noise = jnp.clip(self.noise * jax.random.normal(key, batch.action.shape), -self.noise_clip, self.noise_clip)
+        noise = jnp.clip(self.policy_noise * jax.random.normal(key, batch.action.shape), -self.noise_clip, self.noise_clip)
         return jnp.clip(jnp.tanh(state.target_actor(batch.next_observation)) + noise, -1.0, 1.0)
 
     def target(self, state, batch, key):
@@ -72,7 +74,7 @@ class TD3(Agent):
         return -q.mean()
 
     def update(self, state, batch, *, step, key):
-        """Critics always; every `actor_every` updates the actor and all targets."""
+        """Critics always; every `policy_freq` updates the actor and all targets."""
         target = self.target(state, batch, key)
         grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
@@ -81,12 +83,12 @@ class TD3(Agent):
         def improve(state):
             loss, grads = jax.value_and_grad(self.actor_loss)(state.actor, state, batch)
             actor, opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
-            targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.target_rate)
+            targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
             state = state._replace(actor=actor, actor_opt=opt, target_actor=targets[0], target_critics=targets[1])
-            return state, loss * self.actor_every  # so that the mean over a chunk is the mean over actor updates
+            return state, loss * self.policy_freq  # so that the mean over a chunk is the mean over actor updates
 
         # `step` is shared by all lanes: a batched predicate would compute both branches always.
-        state, loss = jax.lax.cond(step % self.actor_every == 0, improve, lambda s: (s, jnp.zeros(())), state)
+        state, loss = jax.lax.cond(step % self.policy_freq == 0, improve, lambda s: (s, jnp.zeros(())), state)
         return state, metrics | {"actor_loss": loss}
 
     def policy(self, state):

@@ -1,5 +1,7 @@
 """XQL (Garg et al. 2023): IQL whose values are a soft maximum over the log's actions, by Gumbel regression."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -10,8 +12,11 @@ from deadreckon.training.hyperparameters import NonNegative, Positive
 class XQL(IQL):
     """IQL with the Gumbel loss instead of expectiles (the field `expectile` has no part in it)."""
 
-    temperature: Positive = 2.0  # beta: large is the mean of the log's actions, small the best of them (published: 0.55 to 10)
-    most_gap: NonNegative = 7.0  # of (Q - V) / temperature in the loss, beyond which its slope is 0
+    other_names: ClassVar[dict[str, str]] = {"temperature": "loss_temperature", "most_gap": "max_clip"}
+
+    loss_temperature: Positive = 2.0
+    """temperature of the Gumbel loss, beta in the paper: large is the mean, small the maximum (published: 0.55 to 10)"""
+    max_clip: NonNegative = 7.0  # largest (Q - V) / loss_temperature in the loss; its gradient is 0 beyond
 
     def value_loss(self, value, batch, q):
         """E[ e^z - z - 1 ], z = (Q - V) / temperature, cut above; its minimum is temperature log E[ e^(Q / temperature) ].
@@ -19,6 +24,6 @@ class XQL(IQL):
         As in the public code the batch's loss is divided by e^(max z), where that is more than 1/e: slopes would be 1,000
         while values are far too low.
         """
-        z = jnp.minimum((q - value(batch.observation)[..., 0]) / self.temperature, self.most_gap)
+        z = jnp.minimum((q - value(batch.observation)[..., 0]) / self.loss_temperature, self.max_clip)
         most = jax.lax.stop_gradient(jnp.maximum(z.max(), -1.0))
         return (jnp.exp(z - most) - (z + 1.0) * jnp.exp(-most)).mean()

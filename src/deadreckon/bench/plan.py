@@ -16,6 +16,7 @@ from typing import Any
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import digest, home
+from deadreckon.training.field_names import with_field_names
 
 # Parts of the package that no number depends on.
 UNUSED = (
@@ -219,11 +220,12 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     if not (kind.online if suite.kind == "online" else kind.offline):
         raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} does not learn {_WAYS[suite.kind]}")
     known = {f.name for f in dataclasses.fields(kind)}
-    for name in method.fields:
+    asked = with_field_names(kind, method.fields)
+    for name in asked:
         if name not in known:
             raise UserError(f"{suite.name}, method {method.name!r}: {unknown(f'field of {method.agent}', name, known)}")
     published = preset_for(method.agent, on) if method.preset else None
-    given = {name: _tuples(value) for name, value in method.fields.items()}
+    given = {name: _tuples(value) for name, value in asked.items()}
     return _fields(kind(**(preset(method.agent, published) if published else {}) | given)), published or ""
 
 
@@ -311,6 +313,7 @@ def estimator_of(job: Job) -> Any:
     from deadreckon.ope.registry import CPU_BUDGET, estimator
 
     changes = {name: _tuples(value) for name, value in job.asked["fields"].items()}
+    changes = with_field_names(type(estimator(job.agent)), changes)
     return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.asked["budget"] == "cpu" else {}) | changes)
 
 

@@ -38,7 +38,7 @@ RESULT = pa.schema(
         ("asked", pa.string()),  # JSON
         ("seed", pa.int64()),
         ("score", pa.float64()),  # normalised; of designs the best
-        ("raw", pa.float64()),  # undiscounted return, or the best design's score by the judge
+        ("raw", pa.float64()),  # undiscounted return, or the best design's score by the oracle
         ("more", pa.string()),  # JSON: further numbers by name
         ("failure", pa.string()),  # of this seed: which metric went bad, and when
         ("seconds", pa.float64()),  # of the whole program, since it was last begun

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.agents import agent_class
 from deadreckon.bench import published
 from deadreckon.bench.plan import Job, code
 from deadreckon.bench.store import Store
@@ -23,6 +24,7 @@ from deadreckon.ope.registry import estimator
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.stats.means import mean_interval
 from deadreckon.stats.scores import bold, interval, iqm
+from deadreckon.training.field_names import with_field_names
 
 # Where the thesis's numbers stand, and what they are of.
 SOURCES = {
@@ -162,8 +164,10 @@ def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, float]:
     if suite.kind == "learn":
         scores, names = published.scores(on), {}
         for method in suite.methods:
-            form = "BRAC-v" if method.fields.get("value_form", True) else "BRAC-p"
-            names[method.name] = form if method.agent == "brac" else THEIRS.get(method.agent, "")
+            names[method.name] = THEIRS.get(method.agent, "")
+            if method.agent == "brac":
+                penalised = with_field_names(agent_class("brac"), method.fields).get("value_penalty", True)
+                names[method.name] = "BRAC-v" if penalised else "BRAC-p"
     elif suite.kind == "design":
         found = designs_published().get({"raw": "100", "median_raw": "50"}.get(metric.column, ""), {}).get(on, {})
         scores = {theirs: pair[0] for theirs, pair in found.items()}

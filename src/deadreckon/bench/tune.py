@@ -31,6 +31,7 @@ from deadreckon.runs.offline import judge
 from deadreckon.runs.settings import RunSettings
 from deadreckon.stats.means import student
 from deadreckon.tasks.registry import of_log
+from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields
 
 By = Literal["ope", "simulator"]
@@ -115,7 +116,7 @@ def candidates(
         UserError: an unknown agent or field, an agent without a known space, or a space without values.
     """
     kind = agent_class(agent)
-    values = dict(space(agent) if given is None else given)
+    values = with_field_names(kind, space(agent) if given is None else given)
     defaults = vars(kind())
     for name, choices in values.items():
         if name not in defaults:

@@ -122,11 +122,11 @@ def _found(job: Job, run: Any, seconds: float) -> Found:
 
 def _design(job: Job, folder: Path, watch: Progress) -> Found:
     from deadreckon.mbo import problem
-    from deadreckon.mbo.protocol import judge
+    from deadreckon.mbo.protocol import evaluate_designers
     from deadreckon.versions import versions
 
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
-    [result] = judge(
+    [result] = evaluate_designers(
         problem(job.on), [(job.method, designer_of(job))], job.asked["designs"], seeds=list(job.seeds), out=folder, watch=told
     )
     rows = []

@@ -17,24 +17,24 @@ from deadreckon.errors import UserError
 class Bench:
     """Run what is missing of a suite: one of the package by name, or your own TOML file. See also bench list, bench show."""
 
-    suite: Annotated[str, tyro.conf.Positional]  # name or file
-    out: str = "runs/bench"  # folder of results, of any number of suites; what is there is not run again
-    executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine, or a Ray cluster
-    workers: int | None = None  # local: processes; None: one a core, or one for a GPU
-    address: str | None = None  # ray: of the cluster; None: RAY_ADDRESS, or one on this machine, else a new one
-    cpus: int = 1  # ray: cores of a job
-    gpus: float = 0.0  # ray: of a job; a fraction where several share one
-    dry_run: bool = False  # print what would be run, and how long it may take, and run nothing
+    suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
+    out: str = "runs/bench"  # folder of results of any number of suites; existing results are not computed again
+    executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine (local), or a Ray cluster
+    workers: int | None = None  # number of processes, with local; None: one per core, or one for a GPU
+    address: str | None = None  # address of the Ray cluster; None: RAY_ADDRESS, one on this machine, or a new one
+    cpus: int = 1  # cores per job, with ray
+    gpus: float = 0.0  # GPUs per job, with ray; a fraction where several jobs share one
+    dry_run: bool = False  # whether to print what would be run, and how long it may take, and run nothing
 
 
 @dataclass
 class Show:
     """A suite's results as a table, as far as they are there."""
 
-    suite: Annotated[str, tyro.conf.Positional]  # name or file
-    out: str = "runs/bench"  # folder of results
-    format: Literal["text", "markdown", "csv", "latex"] = "text"  # of the table
-    any_code: bool = False  # also results of other versions of the methods' code
+    suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
+    out: str = "runs/bench"  # folder of the results
+    format: Literal["text", "markdown", "csv", "latex"] = "text"  # format of the table
+    any_code: bool = False  # whether to show results of other versions of the methods too
 
 
 @dataclass

@@ -27,40 +27,44 @@ _COLUMNS = tyro.conf.arg(metavar="COLUMN [COLUMN ...]")
 class Collect:
     """Make a known log again, offline, from its recipe."""
 
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # such as maze2d-umaze-v1
-    steps: int | None = None  # rows; None: the full log
-    seed: int = 0  # of everything random
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as maze2d-umaze-v1
+    steps: int | None = None  # number of rows; None: the full log
+    seed: int = 0  # random seed of the collection
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
-    """.hdf5 file; None: the cache, where `deadreckon train --data NAME` finds it"""
-    threads: int | None = None  # to simulate with; None: all cores. The log does not depend on it
-    force: bool = False  # replace a file that is there
+    """file to write (.hdf5); None: the cache, where `deadreckon train --data NAME` finds it"""
+    threads: int | None = None  # threads of the simulator; None: one per core. The log does not depend on it
+    force: bool = False  # whether to replace an existing file
 
 
 @dataclass
 class Get:
     """Download a known log, the original or its Minari twin, with checksum and resume."""
 
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # such as hopper-medium-v2
-    source: Literal["d4rl", "minari"] = "d4rl"  # the original, or its twin on Minari, which others collected
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as hopper-medium-v2
+    source: Literal["d4rl", "minari"] = "d4rl"
+    """source of the log: the original (d4rl), or its version on Minari, collected by others"""
     sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
-    """that the file must have; for minari that of main_data.hdf5"""
-    force: bool = False  # download it again
+    """checksum that the file must have; for minari that of main_data.hdf5"""
+    force: bool = False  # whether to download the file again
 
 
 @dataclass
 class Mapping:
     """Which columns of a table (CSV, Parquet) are what."""
 
-    action: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # action columns, or a prefix: `a` stands for a_0, a_1, ...
-    reward: Annotated[str | None, _COLUMN] = None  # reward column
-    observations: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes; None: all others
-    ignore: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes that are no observations
-    episode: Annotated[str | None, _COLUMN] = None  # column that tells episodes apart
+    action: Annotated[tuple[str, ...] | None, _COLUMNS] = None
+    """action columns, or their prefix: `a` stands for a_0, a_1 and so on"""
+    reward: Annotated[str | None, _COLUMN] = None  # column of the reward
+    observations: Annotated[tuple[str, ...] | None, _COLUMNS] = None
+    """columns or prefixes of the observations; None: all others"""
+    ignore: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes that are not observations
+    episode: Annotated[str | None, _COLUMN] = None  # column that identifies episodes
     time: Annotated[str | None, _COLUMN] = None  # column that orders the steps of an episode
-    terminal: Annotated[str | None, _COLUMN] = None  # column that marks true ends
-    timeout: Annotated[str | None, _COLUMN] = None  # column that marks ends of recording
-    propensity: Annotated[str | None, _COLUMN] = None  # column with the probability of the logged action
-    keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # no observations, but kept: what to hold out by, such as a user
+    terminal: Annotated[str | None, _COLUMN] = None  # column that marks true ends of episodes
+    timeout: Annotated[str | None, _COLUMN] = None  # column that marks the end of a recording (time-out)
+    propensity: Annotated[str | None, _COLUMN] = None  # column of the probability of the logged action
+    keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None
+    """columns to keep that are not observations, such as a user to hold out by"""
 
 
 @dataclass
@@ -68,19 +72,19 @@ class Info:
     """What is inside a log, with warnings worth having before anything is learned from it."""
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
-    horizon: int | None = None  # cut episodes after so many steps, where a file does not mark its time limits
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
 
 
 @dataclass
 class Convert:
     """A log in another format, told by the target's ending: .hdf5 .parquet .csv .npz, a folder, minari:ID."""
 
-    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder
-    target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
-    horizon: int | None = None  # cut episodes after so many steps, where a file does not mark its time limits
-    force: bool = False  # overwrite
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder to read
+    target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID to write
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
+    force: bool = False  # whether to overwrite an existing target
 
 
 KINDS = {"list": List, "collect": Collect, "get": Get, "info": Info, "convert": Convert}

@@ -19,10 +19,10 @@ class Demo:
     """Log a battery's operator, learn from it five ways, decide from held-out days alone, and check that. Again: reuses all."""
 
     out: str = "runs/demo"  # folder of the log, the runs and report.html
-    seed: int = 0  # of the log and the first of each agent's
-    seeds: int = 3  # an agent
-    days: int = 2_000  # logged
-    steps: int = 6_000  # updates an agent
+    seed: int = 0  # random seed of the log, and first seed of each agent
+    seeds: int = 3  # number of runs of each agent
+    days: int = 2_000  # number of logged days
+    steps: int = 6_000  # updates of each run
 
 
 def demo(args: Sequence[str]) -> None:

@@ -22,18 +22,21 @@ _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 class Design:
     """Propose designs that should score high, by an ensemble or --method NAME. See also `design problems|get|methods|bench`."""
 
-    data: str | None = None  # CSV of scored designs, a row each
-    target: str | None = None  # its column to make large
-    kinds: dict[str, str] = dataclasses.field(default_factory=dict)  # COLUMN continuous, integer or categorical, ...
-    levels: dict[str, str] = dataclasses.field(default_factory=dict)  # COLUMN A,B,C: all its levels, where the data lacks some
-    bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)  # COLUMN LOW HIGH, ...; else the data's
-    ignore: tuple[str, ...] = ()  # columns that are no inputs
-    minimise: bool = False  # make the target small instead
-    problem: str | None = None  # instead of --data: a problem with a judge
+    data: str | None = None  # CSV file of scored designs, one row per design
+    target: str | None = None  # column to maximise
+    kinds: dict[str, str] = dataclasses.field(default_factory=dict)
+    """kinds of columns (continuous, integer or categorical), as COLUMN KIND pairs"""
+    levels: dict[str, str] = dataclasses.field(default_factory=dict)
+    """all levels of a categorical column, where the data lacks some, as COLUMN A,B,C pairs"""
+    bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    """bounds of columns, as COLUMN LOW HIGH; without: those of the data"""
+    ignore: tuple[str, ...] = ()  # columns that are not inputs
+    minimise: bool = False  # whether to minimise the target instead
+    problem: str | None = None  # problem with an oracle, instead of --data (see `design problems`)
     budget: Literal["full", "cpu"] | None = None  # sizes of what is fitted; None: full for a problem, cpu (minutes) for --data
-    path: str | None = None  # the problem's file, where it has one
-    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # designs to propose
-    seed: int = 0  # of everything random
+    path: str | None = None  # file of the problem, where it has one
+    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # number of designs to propose
+    seed: int = 0  # random seed of the method
     out: str | None = None  # folder of the proposals, a page and checkpoints; None: runs/design/METHOD-DATA
 
 
@@ -41,15 +44,17 @@ class Design:
 class Bench:
     """Judge methods on problems: the best and the median of their designs, over seeds, beside the thesis's tables."""
 
-    problems: Annotated[str, _NAMES] = "branin,hartmann6,ackley,nk"  # which (see `design problems`)
-    methods: Annotated[str, _NAMES] = "best,random,forward,ensemble,coms,ram,nemo"  # which (see `design methods`)
-    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # designs a method proposes
-    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: what one core does
-    seeds: int = 16  # how many: SEED .. SEED + SEEDS - 1
-    seed: int = 0  # the first
-    together: int | None = None  # seeds of one program; None: all. Fewer take less memory
-    paths: dict[str, str] = dataclasses.field(default_factory=dict)  # PROBLEM FILE, ...; else the package's folder of designs
-    out: str = "runs/design-bench"  # folder of results; what is there is not computed again
+    problems: Annotated[str, _NAMES] = "branin,hartmann6,ackley,nk"  # names of problems with commas (see `design problems`)
+    methods: Annotated[str, _NAMES] = "best,random,forward,ensemble,coms,ram,nemo"
+    """names of methods with commas (see `design methods`)"""
+    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # number of designs that a method proposes
+    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted: published ones (full), or what one core can do (cpu)
+    seeds: int = 16  # number of consecutive random seeds
+    seed: int = 0  # first random seed
+    together: int | None = None  # seeds per compiled program; None: all. Fewer need less memory
+    paths: dict[str, str] = dataclasses.field(default_factory=dict)
+    """files of problems, as PROBLEM FILE pairs; without: those in the package's folder of designs"""
+    out: str = "runs/design-bench"  # folder of results; existing results are not computed again
 
 
 def design(args: Sequence[str]) -> None:
@@ -82,18 +87,18 @@ def _propose(name: str, method: Any, options: Design) -> None:
     with Watch() as watch:
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch)
     scores = None if problem is None else problem.score(made)
-    from deadreckon.mbo.reach import reach
+    from deadreckon.mbo.nn_distance import nn_distance
     from deadreckon.report.design import write_design
 
-    far = reach(data, made.x)
-    more = {"predicted": data.shown(made.predicted), "doubt": made.doubt, "distance": far}
+    far = nn_distance(data, made.x)
+    more = {"predicted": data.shown(made.predicted), "predicted_std": made.predicted_std, "distance": far}
     if scores is not None:
-        more["judged"] = data.shown(scores.true)
+        more["true"] = data.shown(scores.true)
     written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
     for line in _told(data, made):
         print(line)
     if scores is not None:
-        print(f"{scores}\nthe judge is {problem.about if problem else ''}")
+        print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)
     print(write_design(data, made, far, out / "report.html", scores))
 
@@ -101,8 +106,8 @@ def _propose(name: str, method: Any, options: Design) -> None:
 def _told(data: Any, made: Any) -> list[str]:
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}"]
-    promised = f", the best promises {most:,.4g}" if made.promises else ""
-    return [*lines, f"{made.method}: {len(made):,} proposals{promised} ({made.seconds:,.0f} s)"]
+    predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
+    return [*lines, f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)"]
 
 
 def _free(name: str, data: Any) -> str:
@@ -154,8 +159,8 @@ def problems(args: Sequence[str]) -> None:
 class Get:
     """Download the file of a problem; what is there goes on from where it stopped."""
 
-    name: Annotated[str, tyro.conf.Positional]  # of the problem
-    force: bool = False  # download it again
+    name: Annotated[str, tyro.conf.Positional]  # name of the problem
+    force: bool = False  # whether to download the file again
 
 
 def get(args: Sequence[str]) -> None:
@@ -187,7 +192,7 @@ class Nothing:
 def bench(args: Sequence[str]) -> None:
     """Runs the protocol and prints its tables."""
     options = parse(Bench, args, "design bench")
-    from deadreckon.mbo.protocol import judge, tables
+    from deadreckon.mbo.protocol import evaluate_designers, tables
     from deadreckon.mbo.registry import sized
 
     if options.seeds < 1:
@@ -204,7 +209,7 @@ def bench(args: Sequence[str]) -> None:
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
         asked = {"seeds": seeds, "together": options.together, "out": options.out}
         with Watch() as watch:
-            results += judge(problem, designers[name], options.n, **asked, watch=watch, told=told)
+            results += evaluate_designers(problem, designers[name], options.n, **asked, watch=watch, told=told)
     print(f"\n{tables(results)}")
 
 

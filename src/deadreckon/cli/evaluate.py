@@ -16,11 +16,11 @@ class Evaluate:
     """Run policies in a simulator and print returns, scores and 95 % intervals."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders or policy files
-    task: str | None = None  # simulator; None: the run's own
-    episodes: int = 100  # a policy
-    seed: int = 0  # of starts and draws
-    sample: bool = False  # sample actions instead of taking the deterministic (greedy) ones
-    out: str | None = None  # also write one row an episode to this Parquet file
+    task: str | None = None  # simulator to evaluate in; None: that of the run
+    episodes: int = 100  # number of episodes per policy
+    seed: int = 0  # random seed of starts and sampled actions
+    sample: bool = False  # whether to sample actions instead of taking the deterministic (greedy) ones
+    out: str | None = None  # Parquet file to write too, one row per episode
 
 
 def evaluate(args: Sequence[str]) -> None:

@@ -19,10 +19,11 @@ _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 class Fits:
     """Sizes of what the estimators fit; None: each estimator's own default."""
 
-    steps: int | None = None  # updates
-    members: int | None = None  # networks a policy, each on redrawn episodes; their spread is the interval
-    batch_size: int | None = None  # rows a batch
-    hidden: tuple[int, ...] | None = None  # width of each hidden layer
+    steps: int | None = None  # updates of each estimator; None: its own default
+    members: int | None = None
+    """networks per policy, each fitted on a bootstrap resample, whose spread is the interval; None: the default"""
+    batch_size: int | None = None  # batch size (transitions per update); None: the default of each estimator
+    hidden: tuple[int, ...] | None = None  # width of each hidden layer; None: the default of each estimator
 
     @property
     def given(self) -> dict[str, Any]:
@@ -37,25 +38,29 @@ class Ope:
     See also `ope bench`.
     """
 
-    data: str  # log: a name of the catalogue, or a file
+    data: str  # log to estimate from: a known name, or a file
     policies: tuple[str, ...]  # run folders, cross-fits, policy files (.npz; DOPE's .pkl), or a task of the package's policies
-    estimators: Annotated[str, _NAMES] = "auto"  # names, the one to decide by first (see --list); auto: by the log's design
-    discount: float = 0.995  # discount of the rewards per step; 1 where episodes end or --horizon is given
-    horizon: int | None = None  # steps of an episode that count; None: all, or the length at which all episodes were cut
-    seed: int = 0  # random seed
-    greedy: bool = False  # judge deterministic (greedy) instead of sampled actions
-    select: bool = False  # print a decision card: deploy which policy, or none, and why
-    cluster: str | None = None  # column whose values are redrawn as one, such as a user; None: that of --holdout-by
+    estimators: Annotated[str, _NAMES] = "auto"
+    """names with commas, the one to decide by first (see --list); auto: by the design of the log"""
+    discount: float = 0.995  # discount factor per step; 1 where episodes end or --horizon is given
+    horizon: int | None = None
+    """number of first steps of an episode that count; None: all, or the length at which all were cut"""
+    seed: int = 0  # random seed of the estimates
+    greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
+    select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
+    cluster: str | None = None  # column whose values are resampled as one, such as a user; None: that of --holdout-by
     unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
-    accept_model_based: bool = False  # deploy also by estimates that no logged reward corrects
-    guarantee: bool = False  # deploy only by a lower bound of the gain that holds for any number of episodes (--return-range)
-    return_range: tuple[float, float] | None = None  # least and greatest return that an episode can have
-    confounding: float | None = None  # deploy only if the gain is sure where odds of logged actions are off by this factor
-    by_group: str | None = None  # column, such as a site, for whose values the gain is told
-    tail: float | None = None  # share of episodes, such as 0.1, the worst of which are told apart
-    episodes: int | None = None  # use only the log's first episodes; None: all
+    accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
+    guarantee: bool = False
+    """whether to deploy only by a bound of the gain that holds for any number of episodes (--return-range)"""
+    return_range: tuple[float, float] | None = None  # smallest and largest return that an episode can have
+    confounding: float | None = None
+    """factor by which the odds of logged actions may be off; deploy only if the gain stays positive"""
+    by_group: str | None = None  # column, such as a site, for whose values the gain is shown separately
+    tail: float | None = None  # share of the worst episodes, such as 0.1, whose mean return is shown separately
+    episodes: int | None = None  # number of first episodes of the log to use; None: all
     task: str | None = None  # simulator to check the choice in, where there is one
-    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed estimate goes on there
+    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed run continues there
     fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
 
@@ -63,17 +68,17 @@ class Ope:
 class Bench:
     """The DOPE protocol: estimate the package's policies from its logs, and compare with their true values."""
 
-    tasks: Annotated[str, _NAMES] = "hopper"  # whose policies and logs
-    kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # of logs
-    logs: Annotated[str | None, _NAMES] = None  # these instead, such as door-human-v1, of any tasks with policies
-    estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # which
-    public: bool = False  # importance weights as in the public code: learned behaviour, log-ratios within (-6, 2)
-    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted; cpu: what one core does
-    clip: bool = False  # cut normalised estimates at 2, as the public notebook does
-    seeds: int = 1  # how many fits of each; tables have their means
-    seed: int = 0  # of everything random; of several fits the first
-    log_steps: int | None = None  # rows of the logs; None: all
-    out: str = "runs/dope"  # folder of results; what is there is not computed again
+    tasks: Annotated[str, _NAMES] = "hopper"  # tasks whose policies and logs are used
+    kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
+    logs: Annotated[str | None, _NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
+    estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
+    public: bool = False  # whether weights are as in the public code: learned behaviour policy, log-ratios in [-6, 2]
+    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted: published ones (full), or what one core can do (cpu)
+    clip: bool = False  # whether to clip normalised estimates at 2, as the public notebook does
+    seeds: int = 1  # number of fits of each estimator; tables show their means
+    seed: int = 0  # first random seed
+    log_steps: int | None = None  # rows of each log; None: all
+    out: str = "runs/dope"  # folder of results; existing results are not computed again
     fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
 

@@ -1,6 +1,7 @@
 """Options by tyro, and its error boxes as one line."""
 
 import contextlib
+import dataclasses
 import difflib
 import io
 import re
@@ -11,16 +12,10 @@ from typing import TypeVar
 import tyro
 
 from deadreckon.errors import UserError
+from deadreckon.training.field_names import COMMON, meant
 
 T = TypeVar("T")
-# What publications call hyperparameters, and fields that may be meant.
-SYMBOLS = {
-    "alpha": "conservatism penalty imitation regularisation multiplier temperature", "beta": "sharpness temperature",
-    "epsilon": "threshold clip", "eta": "diversity", "gamma": "discount", "hidden_dim": "hidden", "hidden_size": "hidden",
-    "lam": "min_weight trace", "lambda": "min_weight trace", "learning_rate": "lr actor_lr critic_lr",
-    "lr": "actor_lr critic_lr", "num_critics": "critics", "phi": "reach", "policy_freq": "actor_every",
-    "policy_noise": "noise", "polyak": "target_rate", "tau": "target_rate expectile share",
-}  # fmt: skip
+_OF_A_PART = re.compile(r"--(\w+)\.(no-)?([\w-]+)(=.*)?")  # such as --agent.no-layer-norm
 _NOT_A_NUMBER = re.compile(
     r"Error parsing (--[\w.-]+): .*(?:could not convert|invalid literal|no type matching).*'([^']*)'[^']*$"
 )
@@ -32,7 +27,7 @@ def parse(kind: type[T], args: Sequence[str], command: str) -> T:
     Raises:
         UserError: what is wrong, in one line, with what it may have meant.
     """
-    prog = f"deadreckon {command}"
+    prog, args = f"deadreckon {command}", _with_field_names(kind, args)
     if any(a in ("-h", "--help") for a in args):
         return tyro.cli(kind, args=args, prog=prog)
     err, out = io.StringIO(), io.StringIO()
@@ -65,6 +60,32 @@ def chosen(what: str, args: Sequence[str]) -> tuple[str | None, list[str]]:
     return name, rest
 
 
+def _parts(kind: type) -> dict[str, type]:
+    """What options behind a dot belong to: `agent` -> its class."""
+    return {f.name: f.type for f in dataclasses.fields(kind) if isinstance(f.type, type) and dataclasses.is_dataclass(f.type)}
+
+
+def _with_field_names(kind: type, args: Sequence[str]) -> list[str]:
+    """Options behind a dot under the names of their fields: `--agent.gamma` as `--agent.discount`.
+
+    Raises:
+        UserError: a field is set twice, under two names.
+    """
+    parts, known, out = _parts(kind), {}, []
+    for arg in args:
+        match = _OF_A_PART.fullmatch(arg)
+        fields = meant(parts[match[1]], match[3].replace("-", "_")) if match and match[1] in parts else []
+        if match and len(fields) == 1:
+            given = f"--{match[1]}.{match[3]}"
+            field = f"{match[1]}.{fields[0].replace('_', '-')}"
+            if known.setdefault(field, given) != given:
+                raise UserError(f"{known[field]} and {given} are one setting; give one of them")
+            prefix, dot, name = field.partition(".")
+            arg = f"--{prefix}{dot}{match[2] or ''}{name}{match[4] or ''}"
+        out.append(arg)
+    return out
+
+
 def _line(kind: type, box: str, prog: str) -> str:
     """The first paragraph of tyro's box, without its frame, and the nearest option where one was unknown."""
     text = [re.sub(r"[│╭╮╰╯─]", "", line).strip() for line in box.splitlines()]
@@ -77,7 +98,7 @@ def _line(kind: type, box: str, prog: str) -> str:
     message = parts[1] if len(parts) > 1 else " ".join(parts)
     unknown = re.match(r"Unrecognized options: (--[\w.-]+)", message)
     if unknown:
-        near = _nearest(unknown[1], _options(kind))
+        near = _nearest(kind, unknown[1], _options(kind))
         return f"unknown option {unknown[1]}" + (f": did you mean {' or '.join(near)}?" if near else f" (see {prog} --help)")
     message = re.sub(rf"Missing from {prog}:", "missing", message)
     if number := _NOT_A_NUMBER.match(message):
@@ -85,15 +106,18 @@ def _line(kind: type, box: str, prog: str) -> str:
     return message[:1].lower() + message[1:]
 
 
-def _nearest(given: str, known: list[str]) -> list[str]:
-    """Options like the given one; behind a dot, the part before it is taken as right."""
-    prefix, dot, last = given.rpartition(".")
-    inside = {k.rpartition(".")[2]: k for k in known if dot and k.startswith(f"{prefix}.")}
+def _nearest(kind: type, given: str, known: list[str]) -> list[str]:
+    """Options that may be meant: by the names that publications use, else like the given one; a part before a dot is taken as
+    right."""
+    prefix, dot, last = given.removeprefix("--").rpartition(".")
+    name, parts = last.replace("-", "_"), _parts(kind)
+    asked = {prefix: parts.get(prefix)} if dot else parts
+    meant_ = [f"--{part}.{field}" for part, of in asked.items() if of is not None for field in meant(of, name)]
+    meant_ = [option.replace("_", "-") for option in [*([] if dot else (f"--{f}" for f in COMMON.get(name, ()))), *meant_]]
+    if found := [option for option in meant_ if option in known]:
+        return found[:3]
+    inside = {k.rpartition(".")[2]: k for k in known if dot and k.startswith(f"--{prefix}.")}
     if inside:
-        fields = {name.replace("-", "_"): option for name, option in inside.items()}
-        meant = [fields[name] for name in SYMBOLS.get(last.replace("-", "_"), "").split() if name in fields]
-        if meant:
-            return meant[:3]
         holding = [k for last_part, k in inside.items() if last in last_part]
         return holding[:2] or [inside[k] for k in difflib.get_close_matches(last, inside, n=2, cutoff=0.5)]
     return difflib.get_close_matches(given, known, n=2, cutoff=0.6)

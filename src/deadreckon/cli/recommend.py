@@ -17,18 +17,18 @@ from deadreckon.cli.train import columns_of, holdout_of
 class Recommend:
     """Try agents and settings on a log, judge them by held-out episodes of it, and say in time whether to deploy which."""
 
-    data: Annotated[str, tyro.conf.Positional]  # log: a name of the catalogue, or a file
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
-    budget: str = "30m"  # time for everything: 90s, 30m, 2h; there is a card when it is over, whatever happened
+    data: Annotated[str, tyro.conf.Positional]  # log to learn from: a known name, or a file
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    budget: str = "30m"  # time for everything, such as 90s, 30m or 2h; a card is written when it is over
     task: str | None = None  # simulator to check the choice in; None: that of a known log, and none for others
-    discount: float = 0.99  # of the returns
-    seed: int = 0  # of everything random
-    out: str = "runs/recommend"  # folder of the runs, the estimates and report.html; must not be there yet
+    discount: float = 0.99  # discount factor per step of the returns
+    seed: int = 0  # random seed of everything
+    out: str = "runs/recommend"  # folder of the runs, the estimates and report.html, which must not exist yet
     holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
-    """of the episodes, not learned from, by which the card judges; None: 0.2"""
+    """share of the episodes that is held out for the decision; None: 0.2"""
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
-    """at random, the latest, or all episodes of some users, sites, ... of this column together; None: at random"""
-    accept_model_based: bool = False  # deploy also by estimates that no logged reward corrects
+    """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
+    accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
 
 
 def recommend(args: Sequence[str]) -> None:

@@ -15,8 +15,8 @@ class Report:
     """One self-contained HTML page that opens without a network."""
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders of one task
-    out: str = "report.html"  # the page
-    title: str | None = None  # its heading
+    out: str = "report.html"  # HTML file to write
+    title: str | None = None  # heading of the page
     estimates: str | None = None  # folder of `deadreckon ope --select --out`, to show what the log alone says
 
 

@@ -11,7 +11,7 @@ from deadreckon.errors import unknown
 class Tasks:
     """The simulators that policies are judged in."""
 
-    domain: str | None = None  # only this domain, such as maze2d
+    domain: str | None = None  # domain to show, such as maze2d; None: all
 
 
 @dataclass

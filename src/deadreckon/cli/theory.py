@@ -15,9 +15,9 @@ from deadreckon.errors import unknown
 class Theory:
     """The thesis's arguments in small exact worlds: pictures (SVG) and their numbers (CSV). Without a name: what there is."""
 
-    name: Annotated[str | None, tyro.conf.Positional] = None  # gridworld, mmd, bounds or cnml
-    seed: int = 0  # of everything random
-    out: str | None = None  # folder; None: runs/theory/NAME
+    name: Annotated[str | None, tyro.conf.Positional] = None  # name of the experiment: gridworld, mmd, bounds or cnml
+    seed: int = 0  # random seed of the experiment
+    out: str | None = None  # folder to write; None: runs/theory/NAME
 
 
 def theory(args: Sequence[str]) -> None:

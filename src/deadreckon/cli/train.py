@@ -16,7 +16,7 @@ from deadreckon.runs.settings import OnlineSettings, TrainSettings
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Online(OnlineSettings):
-    demonstrations: str | None = None  # log to be shown first, a known name or a file; for agents that learn from such
+    demonstrations: str | None = None  # log of demonstrations, a known name or a file, for agents that learn from them
     settings: tyro.conf.Suppress[Any] = None
     watch: tyro.conf.Suppress[Any] = None
 
@@ -24,7 +24,7 @@ class _Online(OnlineSettings):
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _OnLog(TrainSettings):
     holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
-    """share of the episodes to keep for `deadreckon ope`, not learned from; None: 0.2, or 0 where a simulator judges"""
+    """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 where a simulator evaluates"""
     watch: tyro.conf.Suppress[Any] = None
 
 
@@ -32,15 +32,15 @@ class _OnLog(TrainSettings):
 class TrainOnline:
     """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
 
-    task: str  # simulator to learn in
-    steps: int = 1_000_000  # environment steps per seed, the random ones at the beginning included
+    task: str  # simulator to learn in (see `deadreckon tasks`)
+    steps: int = 1_000_000  # environment steps per seed, including the uniform ones at the beginning
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
     seed: int = 0  # first random seed
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online
-    copies: int | None = None  # environments per seed, stepped together; None: the agent's, or 8
-    explore: int | None = None  # environment steps of uniform actions before the first update; None: the agent's, or 10,000
-    updates_per_step: float | None = None  # updates per environment step after that; None: the agent's, or 1
-    block: int | None = None  # environment steps between two blocks of updates; None: the agent's, or 64
+    copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8
+    explore: int | None = None  # environment steps with uniform actions before the first update; None: the agent's, or 10,000
+    updates_per_step: float | None = None  # updates per environment step after that; None: the agent's own number, or 1
+    block: int | None = None  # environment steps between two blocks of updates; None: the agent's own number, or 64
     settings: Annotated[_Online, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Online)
 
 
@@ -51,22 +51,22 @@ class Train:
     --preset NAME begins from settings published for a log or domain; see `deadreckon agents`.
     """
 
-    data: str  # the name of a known log, or a file
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # for CSV and Parquet
+    data: str  # log to learn from: a known name, or a file
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
     horizon: int | None = None  # steps after which an episode was cut, for logs that do not mark it
-    steps: int = 100_000  # number of updates
+    steps: int = 100_000  # number of updates per seed
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
     seed: int = 0  # first random seed
     task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
     out: str | None = None  # run folder; None: runs/AGENT-LOG
-    mmap: bool = False  # memory-map the log, for logs larger than memory
+    mmap: bool = False  # whether to memory-map the log, for logs larger than memory
     settings: Annotated[_OnLog, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_OnLog)
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
-    """hold out episodes at random, the latest, or all of some users, sites, ... of this column together; None: at random"""
+    """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
     cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
-    """number of policies to learn, each from all folds but one, so that every episode can judge; a run folder each in OUT"""
+    """number of folds: one policy per fold, learned from all others, so that every episode is held out once"""
     deliver: Literal["mixture", "refit"] = "mixture"
-    """with --cross-fit: a policy that draws one of them for each episode, or one that learns once more from everything"""
+    """policy of --cross-fit: one fold's drawn per episode (mixture), or one fitted once more on everything"""
 
 
 def train(args: Sequence[str]) -> None:

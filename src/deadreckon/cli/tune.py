@@ -21,22 +21,24 @@ class Tune:
     Of a log of your own, the episodes that `deadreckon train` holds out are not looked at.
     """
 
-    agent: str  # among `deadreckon agents`
-    data: tuple[str, ...]  # logs: names or files; one where estimates choose
-    by: Literal["ope", "simulator"] = "ope"  # what chooses
-    values: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V,V...")] = ()  # to try; none: what its paper varied
-    fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V")] = ()  # fields that are the same in all
-    trials: int | None = None  # settings at most, drawn from all combinations; None: all
+    agent: str  # agent to tune, among `deadreckon agents`
+    data: tuple[str, ...]  # logs to learn from: names or files; one log where estimates choose
+    by: Literal["ope", "simulator"] = "ope"
+    """criterion: off-policy estimates from the log, or scores in the simulators of training tasks"""
+    values: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V,V...")] = ()
+    """values to try per field; none: those that the paper varied"""
+    fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V")] = ()  # fields with one value in all settings
+    trials: int | None = None  # largest number of settings, drawn from all combinations; None: all
     steps: int = 20_000  # updates of each setting and seed
-    seeds: int = 3  # of each
-    rows: int | None = None  # of logs that have a recipe; None: all
-    estimators: str = "fqe"  # the first chooses
-    fit: Fits = field(default_factory=Fits)  # sizes of what estimators fit
-    discount: float = 0.99  # of estimated returns
-    seed: int = 0  # of the draw of settings
-    workers: int | None = None  # processes; None: one a core, or one for a GPU
-    out: str = "runs/tune"  # folder of results; what is there is not run again
-    dry_run: bool = False  # print what would be tried, and how long it may take, and run nothing
+    seeds: int = 3  # number of seeds of each setting
+    rows: int | None = None  # rows of logs that have a recipe; None: all
+    estimators: str = "fqe"  # names of estimators with commas; the first one chooses
+    fit: Fits = field(default_factory=Fits)  # sizes of what the estimators fit
+    discount: float = 0.99  # discount factor per step of the estimated returns
+    seed: int = 0  # random seed of the drawn settings
+    workers: int | None = None  # number of processes; None: one per core, or one for a GPU
+    out: str = "runs/tune"  # folder of results; existing results are not computed again
+    dry_run: bool = False  # whether to print what would be tried, and how long it may take, and run nothing
 
 
 def tune(args: Sequence[str]) -> None:

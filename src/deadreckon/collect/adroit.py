@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.agents.bc import BC
-from deadreckon.collect.rollouts import Act, acted_in, perform
+from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
 from deadreckon.data.dataset import Dataset, Provenance
@@ -24,7 +24,7 @@ from deadreckon.data.transfer import RetryPolicy, download_file
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.policies.dapg import load_dapg
-from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.progress import Progress
 from deadreckon.tasks.adroit import Adroit
 from deadreckon.training.fit import Fit
@@ -132,7 +132,7 @@ def collect_adroit(
     return _joined([_repeated(people, shown, full), acted], full, provenance)
 
 
-def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updates: int | None = None) -> Deployed:
+def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updates: int | None = None) -> EnvPolicy:
     """Behaviour cloning of a log with the agent `bc` as it is.
 
     Args:
@@ -149,10 +149,10 @@ def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updat
     for done in job.chunks():
         if done.failures[0] is not None:
             raise UserError(f"{log.name}: the clone failed, {done.failures[0].metric} was not finite")
-    return Deployed.of(agent.policy(jax.tree.map(lambda leaf: leaf[0], job.states)), rows.view)
+    return EnvPolicy.of(agent.policy(jax.tree.map(lambda leaf: leaf[0], job.states)), rows.view)
 
 
-def successes(task: Adroit, policy: Deployed, *, episodes: int = 100, seed: int = 0, greedy: bool = False) -> tuple[Any, Any]:
+def successes(task: Adroit, policy: EnvPolicy, *, episodes: int = 100, seed: int = 0, greedy: bool = False) -> tuple[Any, Any]:
     """What a policy earns in the simulator, and where it succeeds, as D4RL counts it (`Adroit.enough`).
 
     Args:
@@ -180,11 +180,11 @@ def successes(task: Adroit, policy: Deployed, *, episodes: int = 100, seed: int 
 
 
 def _acted(
-    task: Adroit, policy: Deployed, rows: int, name: str, seed: int, provenance: Provenance, threads: int | None, scratch: Path,
-    progress: Progress | None,
+    task: Adroit, policy: EnvPolicy, rows: int, name: str, seed: int, provenance: Provenance, threads: int | None,
+    scratch: Path, progress: Progress | None,
 ) -> Dataset:  # fmt: skip
-    log = perform(
-        task, [Act(policy, rows)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
+    log = collect_rollouts(
+        task, [Segment(policy, rows)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
         progress=progress,
     )  # fmt: skip
     return replace(log, extras={})

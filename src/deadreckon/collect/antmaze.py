@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.collect.planner import routes
-from deadreckon.collect.rollouts import COPIES, Act, Guide, acted_in, perform
+from deadreckon.collect.rollouts import COPIES, Segment, StatefulController, acted_in, collect_rollouts
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies import library, store
-from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.progress import Progress
 from deadreckon.tasks.antmaze import GOAL_NOISE, AntMaze, ahead
 
@@ -28,7 +28,7 @@ WALKER = library.ROOT / "ant-reach" / "walker.npz"
 
 
 @lru_cache
-def walker() -> Deployed:
+def walker() -> EnvPolicy:
     """The policy that walks where it is told: of what `ahead` shows (27) to the motors (8).
 
     Trained by SAC in the task `ant-reach` and shipped by `examples/antmaze_walker.py`; beside it lies how it was made.
@@ -36,7 +36,7 @@ def walker() -> Deployed:
     return store.load(WALKER)
 
 
-class Errands(Guide):
+class Errands(StatefulController):
     """Sends the ants of many copies of one maze from target to target, by way of the cells that the planner names.
 
     Attributes:
@@ -44,7 +44,7 @@ class Errands(Guide):
         sent: how many targets there were in all copies.
     """
 
-    def __init__(self, task: AntMaze, policy: Deployed, *, copies: int = COPIES, noise: float = ACTION_NOISE):
+    def __init__(self, task: AntMaze, policy: EnvPolicy, *, copies: int = COPIES, noise: float = ACTION_NOISE):
         """Sets up the guide.
 
         Args:
@@ -75,7 +75,7 @@ class Errands(Guide):
         return self._targets is not None
 
     def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
-        """See `Guide`."""
+        """See `StatefulController`."""
         self._generators[copy] = generator
         self.episode_goals[copy] = simulator.goals[copy]
         here = int(self._task.cell_of(observation[None, :2])[0])
@@ -88,7 +88,7 @@ class Errands(Guide):
         self._head_on(copy, here)
 
     def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """See `Guide`."""
+        """See `StatefulController`."""
         place = observations[:, :2].astype(np.float64)
         cells = self._task.cell_of(place)
         there = np.linalg.norm(place - self.target, axis=1) <= self._task.reach
@@ -134,7 +134,7 @@ def collect_antmaze(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Collects a log of one of the mazes; see `collect.rollouts.perform`.
+    """Collects a log of one of the mazes; see `collect.rollouts.collect_rollouts`.
 
     Ants of umaze logs begin at the start and go to the episode's goal. Those of the others begin anywhere and are sent to one
     target after the other, until they come upon the episode's goal (a terminal) or time is up (a timeout). The target is the
@@ -153,7 +153,7 @@ def collect_antmaze(
     walked = hashlib.sha256(WALKER.read_bytes()).hexdigest()
     extra = {"task": task.name, "policies": ["ant-reach walker"], "noise": ACTION_NOISE, "walker": walked}
     place = replace(task, anywhere=guide.wanders)
-    return perform(
-        place, [Act(guide, steps)], name=f"{name}@{VERSION}", seed=seed, scratch=scratch, threads=threads, progress=progress,
-        provenance=acted_in("gymnasium", name, seed, extra),
+    return collect_rollouts(
+        place, [Segment(guide, steps)], name=f"{name}@{VERSION}", seed=seed, scratch=scratch, threads=threads,
+        provenance=acted_in("gymnasium", name, seed, extra), progress=progress,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from deadreckon._version import __version__
-from deadreckon.collect.rollouts import Act, perform
+from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
@@ -123,7 +123,7 @@ def collect_flow(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Collects one of `KINDS`: uniform accelerations, or `Idm`; see `collect.rollouts.perform`.
+    """Collects one of `KINDS`: uniform accelerations, or `Idm`; see `collect.rollouts.collect_rollouts`.
 
     Args:
         task: where.
@@ -138,8 +138,8 @@ def collect_flow(
     extra = {"task": task.name, "actions": "uniform" if kind == "random" else "intelligent driver model, within the bounds"}
     versions = {"libsumo": sumo_version(task.name), "deadreckon": __version__}
     versions |= {each: metadata.version(each) for each in ("numpy", "jax")}
-    return perform(
-        task, [Act(None if kind == "random" else Idm(task), steps)], name=f"{name}@{VERSION}", seed=seed,
+    return collect_rollouts(
+        task, [Segment(None if kind == "random" else Idm(task), steps)], name=f"{name}@{VERSION}", seed=seed,
         provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,
         progress=progress,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.agents.sac import SAC
-from deadreckon.collect.rollouts import Act, acted_in, asked_for, perform, same_collection
+from deadreckon.collect.rollouts import Segment, acted_in, asked_for, collect_rollouts, same_collection
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
@@ -14,6 +14,7 @@ from deadreckon.online import Exploration, Online, replay_log
 from deadreckon.policies import library
 from deadreckon.progress import Progress
 from deadreckon.tasks.gym_mujoco import GymMujoco
+from deadreckon.training.field_names import with_field_names
 from deadreckon.training.fit import Fit
 from deadreckon.versions import differences, versions
 
@@ -58,7 +59,7 @@ def collect_gym(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Collects one of `KINDS`; see `collect.rollouts.perform`.
+    """Collects one of `KINDS`; see `collect.rollouts.collect_rollouts`.
 
     Args:
         task: where.
@@ -75,12 +76,13 @@ def collect_gym(
         raise UserError(f"{name}: steps must be {len(parts)} or more, got {steps}")
     first = steps // len(parts)
     rows = [first] * (len(parts) - 1) + [steps - first * (len(parts) - 1)]
-    acts = [Act(None if part == UNIFORM else library.snapshot(task.name, part).policy(), n) for part, n in zip(parts, rows)]
+    policies = [None if part == UNIFORM else library.snapshot(task.name, part).policy() for part in parts]
+    segments = [Segment(policy, n) for policy, n in zip(policies, rows)]
     taken = {part: library.snapshot(task.name, part).updates for part in parts if part != UNIFORM}
     extra = {"task": task.name, "policies": list(parts), "updates": taken, "rows": rows, "actions": "drawn"}
-    return perform(
-        task, acts, name=f"{name}@{VERSION}", seed=seed, provenance=acted_in("gymnasium", name, seed, extra), threads=threads,
-        scratch=scratch, progress=progress,
+    return collect_rollouts(
+        task, segments, name=f"{name}@{VERSION}", seed=seed, provenance=acted_in("gymnasium", name, seed, extra),
+        threads=threads, scratch=scratch, progress=progress,
     )  # fmt: skip
 
 
@@ -109,7 +111,7 @@ def collect_replay(
         progress: called with rows done and rows in all.
     """
     run = library.about(task.name)["run"]
-    settings, agent = Online(**run["online"]), SAC(**_fields(run["agent"]))
+    settings, agent = Online(**run["online"]), SAC(**with_field_names(SAC, _fields(run["agent"])))
     spec = Spec.empty(task.observation_shape, task.action_space, task.name)
     # The last block goes beyond the rows where they do not fill it.
     updates = settings.updates(max(steps, settings.explore + 1) + settings.block - 1)

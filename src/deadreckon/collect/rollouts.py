@@ -25,7 +25,7 @@ from deadreckon.data.spec import Box
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_at, write_json
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.progress import Progress
 from deadreckon.tasks.task import Simulator, Task
 from deadreckon.versions import differences
@@ -36,11 +36,11 @@ FLUSH = 4096  # rows that are kept in memory before they go to the disk
 COLUMNS: tuple[str, ...] = ("observations", "actions", "rewards", "terminals", "timeouts", "behavior_log_probs")
 
 
-class Guide:
-    """Acts by what it remembers of each copy's episode, so that the behaviour that is logged is not Markovian.
+class StatefulController:
+    """A controller with a memory of each copy's episode, so that the logged behaviour is not Markovian.
 
     Attributes:
-        columns: what it tells beside its actions: name of the log's column to shape of a row.
+        columns: what it gives beside its actions: name of the log's column to shape of a row.
     """
 
     columns: dict[str, tuple[int, ...]]
@@ -55,23 +55,23 @@ class Guide:
 
 
 @dataclass(frozen=True)
-class Act:
-    """Who acts for how many rows.
+class Segment:
+    """A policy and the number of rows of a log that it collects.
 
     Attributes:
         policy: draws its actions; None draws them uniformly between the bounds. A function of (n, *shape) observations takes
             one action in each, whose density there is none of: the log then has no column `behavior_log_probs`. So it is with
-            a `Guide`, whose columns the log has, too; it acts alone.
-        rows: of the log.
+            a `StatefulController`, whose columns the log has, too; it acts alone.
+        rows: how many.
     """
 
-    policy: Deployed | Callable[[np.ndarray], np.ndarray] | Guide | None
+    policy: EnvPolicy | Callable[[np.ndarray], np.ndarray] | StatefulController | None
     rows: int
 
 
-def perform(
+def collect_rollouts(
     task: Task,
-    acts: Sequence[Act],
+    segments: Sequence[Segment],
     *,
     name: str,
     seed: int,
@@ -80,14 +80,14 @@ def perform(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Runs the acts one after the other in a task and gives the log of it.
+    """Runs the segments one after the other in a task and gives their log.
 
-    An act's last episode is cut where its rows are full: a timeout, with the observation that came next. The column
-    `behavior_log_probs` holds the log-density of each action, where all acts have one.
+    The last episode of a segment is cut where its rows are full: a timeout, with the observation that came next. The column
+    `behavior_log_probs` holds the log-density of each action, where all policies have one.
 
     Args:
         task: with continuous actions and flat observations.
-        acts: at least one.
+        segments: at least one.
         name: of the log.
         seed: of everything random.
         provenance: of the log.
@@ -99,56 +99,56 @@ def perform(
     Raises:
         UserError: `scratch` holds the beginning of another log, or cannot be written.
     """
-    kinds = column_kinds(task, acts[0].policy)
-    stage = _Stage(scratch, task, kinds, asked_for(name, seed, [act.rows for act in acts], provenance))
-    _perform(task, acts, stage, seed, threads, progress)
-    return stage.log(name, provenance, densities=all(_drawn(act.policy) for act in acts))
+    kinds = column_kinds(task, segments[0].policy)
+    stage = _Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
+    _collect(task, segments, stage, seed, threads, progress)
+    return stage.log(name, provenance, densities=all(_drawn(segment.policy) for segment in segments))
 
 
-def _drawn(policy: Any) -> TypeGuard[Deployed | None]:
+def _drawn(policy: Any) -> TypeGuard[EnvPolicy | None]:
     """Whether actions are drawn from a density."""
-    return policy is None or isinstance(policy, Deployed)
+    return policy is None or isinstance(policy, EnvPolicy)
 
 
-def played(task: Task, policy: Deployed | None, rows: int, seed: int) -> Dataset:
-    """What a policy does in so many rows, as a log in memory; see `perform`."""
+def played(task: Task, policy: EnvPolicy | None, rows: int, seed: int) -> Dataset:
+    """What a policy does in so many rows, as a log in memory; see `collect_rollouts`."""
     provenance = Provenance("collected", seed=seed)
     with tempfile.TemporaryDirectory() as scratch:
-        log = perform(
-            task, [Act(policy, rows)], name=task.name, seed=seed, provenance=provenance, scratch=Path(scratch) / "rows"
+        log = collect_rollouts(
+            task, [Segment(policy, rows)], name=task.name, seed=seed, provenance=provenance, scratch=Path(scratch) / "rows"
         )
         return log.loaded()  # in memory, not where the scratch was
 
 
-def _perform(
+def _collect(
     task: Task,
-    acts: Sequence[Act],
+    segments: Sequence[Segment],
     stage: "_Stage",
     seed: int,
     threads: int | None,
     progress: Progress | None,
 ) -> None:
-    total = sum(act.rows for act in acts)
+    total = sum(segment.rows for segment in segments)
     simulator = task.simulate([0] * COPIES, threads)
-    for which, act in enumerate(acts):
-        before = sum(each.rows for each in acts[:which])
-        if stage.rows - before >= act.rows:
+    for which, segment in enumerate(segments):
+        before = sum(each.rows for each in segments[:which])
+        if stage.rows - before >= segment.rows:
             continue
         root = jax.random.fold_in(jax.random.key(seed), which)
-        scene = _Scene(task, simulator, act.policy, root, [seed, which])
+        scene = _Scene(task, simulator, segment.policy, root, [seed, which])
         first = stage.episodes[which] if which < len(stage.episodes) else 0
-        told = (lambda rows, b=before, m=before + act.rows: progress(min(b + rows, m), total)) if progress else None
-        for episodes in scene.play(first, stage.rows - before, act.rows, told):
-            stage.append(episodes, act.rows - (stage.rows - before), which)
+        told = (lambda rows, b=before, m=before + segment.rows: progress(min(b + rows, m), total)) if progress else None
+        for episodes in scene.play(first, stage.rows - before, segment.rows, told):
+            stage.append(episodes, segment.rows - (stage.rows - before), which)
             if progress:
                 progress(stage.rows, total)
 
 
 @eqx.filter_jit
 def _draw(
-    policy: Deployed | None, observations: Array, root: PRNGKeyArray, episodes: Array, ages: Array, low: Any, high: Any
+    policy: EnvPolicy | None, observations: Array, root: PRNGKeyArray, episodes: Array, ages: Array, low: Any, high: Any
 ) -> tuple[Array, Array]:
-    """Actions (n, size) and their log-densities (n,), as `Deployed.log_prob` gives them for the actions that are logged.
+    """Actions (n, size) and their log-densities (n,), as `EnvPolicy.log_prob` gives them for the actions that are logged.
 
     A row's draw follows from its episode and step alone, wherever it stands among the others.
     """
@@ -222,7 +222,7 @@ class _Scene:
         numbers = first + np.arange(len(which))
         seeds = [int(np.random.SeedSequence([*self.seed, int(n)]).generate_state(1, np.uint64)[0]) for n in numbers]
         self.seen[which] = self.simulator.reset(which, seeds)
-        if isinstance(self.policy, Guide):
+        if isinstance(self.policy, StatefulController):
             for copy, number in zip(which, numbers):
                 generator = np.random.default_rng([*self.seed, int(number), 1])
                 self.policy.begin(self.simulator, int(copy), self.seen[copy], generator)
@@ -238,7 +238,7 @@ class _Scene:
             drawn = _draw(self.policy, jnp.asarray(self.seen), self.root, *where, self.low, self.high)
             actions, log_probs = np.array(drawn[0]), np.asarray(drawn[1])
         else:
-            if isinstance(self.policy, Guide):
+            if isinstance(self.policy, StatefulController):
                 actions, told = self.policy.act(self.seen, alive)
             else:
                 actions = self.policy(self.seen)
@@ -273,7 +273,7 @@ def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], An
     """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a guide."""
     kinds = (task.observation_shape, np.float32), ((task.action_space.size,), np.float32), ((), np.float32), ((), bool)
     known = dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
-    told = policy.columns if isinstance(policy, Guide) else {}
+    told = policy.columns if isinstance(policy, StatefulController) else {}
     return known | {key: (shape, np.float32) for key, shape in told.items()}
 
 

@@ -19,7 +19,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import init_opt
-from deadreckon.training.hyperparameters import Count, Range, Share, static
+from deadreckon.training.hyperparameters import Count, Range, UnitInterval, static
 from deadreckon.training.program import choose
 
 FEWEST = 10  # rows, of which some must be held out
@@ -78,7 +78,7 @@ class Trainer(eqx.Module):
     holdout: Annotated[float, Range(gt=0, lt=1)] = static(0.2)  # share of the rows that are held out
     most_holdout: Count = static(5000)  # of them
     patience: Count = static(5)  # epochs without a better member before a fit ends
-    better: Share = static(0.01)  # share by which an error must fall to count
+    better: UnitInterval = static(0.01)  # share by which an error must fall to count
     most_epochs: Count = static(1000)  # of a fit
 
     def fit(
@@ -174,7 +174,7 @@ def _errors(model: Model, params: Any, data: tuple[Array, Array], count: Array) 
 
 
 def check_sizes(who: str, members: int, elites: int, hidden: tuple[int, ...], decay: tuple[float, ...]) -> None:
-    """Refuses settings of an ensemble that do not fit each other; `who` has them as elites and model_decay.
+    """Refuses settings of an ensemble that do not fit each other; `who` has them as elites and model_weight_decay.
 
     Raises:
         UserError: names the setting.
@@ -182,7 +182,7 @@ def check_sizes(who: str, members: int, elites: int, hidden: tuple[int, ...], de
     if elites > members:
         raise UserError(f"{who}.elites are members at most, got {elites} of {members}")
     if len(decay) not in (0, len(hidden) + 1):
-        raise UserError(f"{who}.model_decay needs {len(hidden) + 1} numbers, one a layer of the model, got {len(decay)}")
+        raise UserError(f"{who}.model_weight_decay needs {len(hidden) + 1} numbers, one a layer of the model, got {len(decay)}")
 
 
 def room(n: int) -> int:

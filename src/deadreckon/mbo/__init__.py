@@ -1,10 +1,10 @@
 """Design from data alone: methods that propose designs from scored ones."""
 
+from deadreckon.mbo.baselines import BestOfData, Random
 from deadreckon.mbo.cbas import CbAS
 from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
 from deadreckon.mbo.designer import Designer, Proposals
-from deadreckon.mbo.floor import BestOfData, Random
 from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.gp_bo import GPBO
 from deadreckon.mbo.mins import MINs

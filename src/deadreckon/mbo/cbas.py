@@ -11,7 +11,7 @@ on the data. Autofocusing fits the ensemble again in every round, with each desi
 z))^a: it gets better where q draws.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec, redrawn
-from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Coordinates
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
@@ -115,7 +115,7 @@ class Autoencoding(eqx.Module):
     def init(self, spec, key):
         """A fresh generator and its optimiser."""
         ke, kd = jax.random.split(key)
-        latent, hidden = self.settings.latent, self.settings.hidden
+        latent, hidden = self.settings.latent_size, self.settings.hidden
         encoder = MLP.create(spec.size, hidden, 2 * latent, ke)
         made = Generator(encoder, MLP.create(latent, hidden, self.layout.outputs, kd))
         return made, init_opt(made)
@@ -153,24 +153,26 @@ class Rounds(NamedTuple):
 class CbAS(Designer):
     """Conditioning by adaptive sampling; with `refit` above 0 autofocused."""
 
-    refit: NonNegative = 0.0  # a: how sharply the ensemble is refitted where q draws; 0: never
+    other_names: ClassVar[dict[str, str]] = {"latent": "latent_size", "draws": "samples"}
+
+    refit: NonNegative = 0.0  # exponent of the importance weights that the ensemble is refitted with; 0: never refitted
     hidden: Sizes = static((256, 256))  # width of each hidden layer of generator and ensemble
-    latent: Count = static(32)  # size of the generator's latents
-    members: Count = static(5)  # networks of the ensemble, each on redrawn designs
-    steps: Count = host(5000)  # updates of the ensemble, and of the generator, before the rounds
-    rounds: Count = host(20)  # of drawing, counting and fitting
-    updates: Count = static(100)  # of q a round, and of the ensemble where it is refitted
-    draws: Count = static(1000)  # designs a round
-    percentile: Annotated[float, Range(ge=0, lt=100)] = 80.0  # of what is believed of them: c
-    batch_size: Count = static(128)  # designs an update
-    lr: NonNegative = 3e-4  # of all networks
+    latent_size: Count = static(32)  # dimension of the latent variables
+    members: Count = static(5)  # number of networks, each fitted on a bootstrap resample of the designs
+    steps: Count = host(5000)  # updates of the ensemble, and of the generator, before the first round
+    rounds: Count = host(20)  # rounds of sampling, weighting and fitting
+    updates: Count = static(100)  # updates per round of the generator, and of the ensemble where it is refitted
+    samples: Count = static(1000)  # designs sampled per round
+    percentile: Annotated[float, Range(ge=0, lt=100)] = 80.0  # percentile of the predicted scores that designs have to exceed
+    batch_size: Count = static(128)  # batch size (designs per update)
+    lr: NonNegative = 3e-4  # learning rate of all networks
 
     @property
     def label(self) -> str:
         """What tables call it."""
         return "Autofocus" if self.refit > 0 else "CbAS"
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """Designs drawn from the last q."""
         view = setting.data.coordinates
         layout = Layout.of(view)
@@ -204,7 +206,7 @@ def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, 
 def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weight, key, low, high) -> Rounds:
     """One round: draw, count, fit q; then, autofocused, the ensemble."""
     kd, kq, ke, kn = jax.random.split(key, 4)
-    drawn, latent = _draw(layout, state.q, kd, of.draws)
+    drawn, latent = _draw(layout, state.q, kd, of.samples)
     mean, std = mixture(state.nets, jnp.clip(drawn, low, high))  # what would be proposed; densities are of what was drawn
     threshold = jnp.maximum(state.threshold, jnp.percentile(mean, of.percentile))
     ratio = layout.log_prob(prior.decoder(latent), drawn) - layout.log_prob(state.q.decoder(latent), drawn)
@@ -215,7 +217,7 @@ def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weig
     def fit(i, carry):
         q, opt = carry
         k = jax.random.fold_in(kq, i)
-        rows = jax.random.randint(k, (of.batch_size,), 0, of.draws)
+        rows = jax.random.randint(k, (of.batch_size,), 0, of.samples)
         return learn(q, opt, layout, drawn[rows], count[rows], of.lr, jax.random.fold_in(k, 1))[:2]
 
     q, opt = jax.lax.fori_loop(0, of.updates, fit, (state.q, state.opt))

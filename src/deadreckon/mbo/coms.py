@@ -1,10 +1,10 @@
 """COMs: conservative objective models (Trabucco, Kumar, Geng and Levine 2021).
 
-The model is kept from promising more at designs that ascent finds than at those of the data: a penalty whose weight is adapted
+The model is kept from predicting more at designs that ascent finds than at those of the data: a penalty whose weight is adapted
 until the difference is `margin`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -63,35 +63,39 @@ class Conservative(eqx.Module):
 
     def adversaries(self, net: MLP, x: Array) -> Array:
         """Where ascent leads from the data."""
-        rise = lambda _, x: x + self.settings.design_lr * jax.grad(lambda x: promised(net, x).sum())(x)  # noqa: E731
-        return jax.lax.fori_loop(0, self.settings.ascent, rise, x)
+        rise = lambda _, x: x + self.settings.design_lr * jax.grad(lambda x: predicted_score(net, x).sum())(x)  # noqa: E731
+        return jax.lax.fori_loop(0, self.settings.ascent_steps, rise, x)
 
     def loss(self, net: MLP, x: Array, y: Array, beyond: Array, alpha: Array):
-        """Squared error, and how much more the model promises beyond the data than on it."""
-        on = promised(net, x)
+        """Squared error, and how much more the model predicts beyond the data than on it."""
+        on = predicted_score(net, x)
         error = jnp.square(on - y).mean()
-        more = promised(net, beyond).mean() - on.mean()
+        more = predicted_score(net, beyond).mean() - on.mean()
         return error + alpha * more, {"error": error, "overestimation": more}
 
 
-def promised(net: MLP, x: Float[Array, "b z"]) -> Float[Array, "b"]:
+def predicted_score(net: MLP, x: Float[Array, "b z"]) -> Float[Array, "b"]:
     """The model's score."""
     return net(x)[..., 0]
 
 
 class COMs(Designer):
-    """A model that does not promise more where the data ends, and gradient ascent on it."""
+    """A model that does not predict more where the data ends, and gradient ascent on it."""
+
+    other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
 
     hidden: Sizes = static((2048, 2048))  # width of each hidden layer
     steps: Count = host(5000)  # updates of the model
-    batch_size: Count = static(128)  # designs an update
-    lr: NonNegative = 3e-4  # of the model
-    alpha_lr: NonNegative = 0.01  # of the penalty's weight, on its logarithm
-    margin: NonNegative | None = None  # difference allowed, in deviations of the score; None: 0.5, or 2.0 for discrete designs
-    ascent: Count = static(50)  # steps of the designs, in training and after it
-    design_lr: NonNegative | None = None  # of the designs, times sqrt(coordinates); None: 0.05, or 0.5 for discrete designs
+    batch_size: Count = static(128)  # batch size (designs per update)
+    lr: NonNegative = 3e-4  # learning rate of the model
+    alpha_lr: NonNegative = 0.01  # learning rate of the logarithm of the penalty's weight
+    margin: NonNegative | None = None
+    """allowed overestimation, in standard deviations of the score; None: 0.5, or 2.0 for discrete designs"""
+    ascent_steps: Count = static(50)  # gradient steps that move the designs, in training and after it
+    design_lr: NonNegative | None = None
+    """step size of the designs, times the square root of the coordinates; None: 0.05, or 0.5 for discrete"""
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """From the best designs of the data, up the gradient."""
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         margin, rate = DISCRETE if view.discrete else CONTINUOUS
@@ -100,6 +104,6 @@ class COMs(Designer):
         learner = Conservative(self.replace(margin=margin, design_lr=rate))
         found: list[Any] = []
         for seed, state in zip(setting.seeds, setting.train(learner, self.steps, "coms")):
-            x = climb(promised, state.net, start, self.ascent, rate, *setting.bounds)
-            found.append(self.decoded(setting, seed, x, lambda x, net=state.net: (promised(net, x), None)))
+            x = climb(predicted_score, state.net, start, self.ascent_steps, rate, *setting.bounds)
+            found.append(self.decoded(setting, seed, x, lambda x, net=state.net: (predicted_score(net, x), None)))
         return found

@@ -7,7 +7,7 @@ highest score that was seen, with classifier-free guidance:
 """
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax
@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.surrogate import Surrogate, counts
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import init_opt
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, static
 
 WAVES = 8  # pairs of a sine and a cosine that tell the time
 BETA = 0.1, 20.0  # of the variance-preserving diffusion (Song et al. 2021)
@@ -83,17 +83,19 @@ def sample(
 class DDOM(Designer):
     """A guided diffusion model of designs given their score."""
 
+    other_names: ClassVar[dict[str, str]] = {"sampling": "sampling_steps"}
+
     hidden: Sizes = static((1024, 1024))  # width of each hidden layer
     steps: Count = static(10_000)  # updates of the model
-    batch_size: Count = static(128)  # designs an update
-    lr: NonNegative = 1e-3  # of the model
-    bins: Annotated[int, Range(ge=2)] = static(64)  # of the scores, for their weights
-    smoothing: Share = 0.01  # K, as a share of the rows
-    temperature: Positive = 0.1  # T, in ranges of the scores
-    guidance: NonNegative = 2.0  # g
-    sampling: Count = static(200)  # steps from noise to a design
+    batch_size: Count = static(128)  # batch size (designs per update)
+    lr: NonNegative = 1e-3  # learning rate of the model
+    bins: Annotated[int, Range(ge=2)] = static(64)  # bins of the scores that weights are computed in
+    smoothing: UnitInterval = 0.01  # smoothing of the bins' counts, as a share of the designs (K)
+    temperature: Positive = 0.1  # temperature of the bins' weights, in ranges of the scores (T)
+    guidance: NonNegative = 2.0  # weight of classifier-free guidance
+    sampling_steps: Count = static(200)  # diffusion steps from noise to a design
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """Designs drawn for the highest score of the data, which is what the method believes of them."""
         data, view = setting.data, setting.data.coordinates
         learner = Denoiser(self.lr, 1, self.hidden, 1, "swish", self.batch_size)
@@ -105,6 +107,6 @@ class DDOM(Designer):
         found = []
         for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ddom", {"weight": weight})):
             key = jax.random.fold_in(jax.random.key(seed), 1)
-            x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling)
+            x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling_steps)
             found.append(self.decoded(setting, seed, x, lambda x: (np.full(len(x), best), None)))
         return found

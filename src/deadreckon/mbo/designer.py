@@ -37,7 +37,7 @@ class Proposals:
         method: the designer.
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
         predicted: (n,) what the method believes that they score; NaN where it believes nothing.
-        doubt: (n,) standard deviation of that belief; NaN likewise.
+        predicted_std: (n,) standard deviation of that belief; NaN likewise.
         seed: of everything random.
         seconds: it took, of all seeds of a program together.
     """
@@ -45,7 +45,7 @@ class Proposals:
     method: str
     x: np.ndarray
     predicted: np.ndarray
-    doubt: np.ndarray
+    predicted_std: np.ndarray
     seed: int
     seconds: float = 0.0
 
@@ -53,12 +53,12 @@ class Proposals:
         return len(self.x)
 
     @property
-    def promises(self) -> bool:
+    def predicts(self) -> bool:
         """Whether the method believes anything of its designs' scores."""
         return bool(np.isfinite(self.predicted).all())
 
 
-class Setting(NamedTuple):
+class DesignInput(NamedTuple):
     """What a designer works on."""
 
     data: Designs
@@ -143,7 +143,7 @@ class Designer(eqx.Module):
             raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
         check_fields(self)
         begun = time.perf_counter()
-        found = self.solve(Setting(data, n, list(seeds), None if out is None else Path(out), watch))
+        found = self.solve(DesignInput(data, n, list(seeds), None if out is None else Path(out), watch))
         seconds = time.perf_counter() - begun
         for each in found:
             data.check(each.x)
@@ -154,7 +154,7 @@ class Designer(eqx.Module):
         """What tables call it."""
         return type(self).__name__
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """What the designer is: proposals, one a seed."""
         raise NotImplementedError
 
@@ -162,7 +162,7 @@ class Designer(eqx.Module):
         """The same designer with some fields changed."""
         return dataclasses.replace(self, **changes)
 
-    def decoded(self, setting: Setting, seed: int, z: Any, believed: Belief | None = None) -> Proposals:
+    def decoded(self, setting: DesignInput, seed: int, z: Any, believed: Belief | None = None) -> Proposals:
         """Proposals of coordinates (n, size).
 
         Args:
@@ -174,12 +174,13 @@ class Designer(eqx.Module):
         """
         view = setting.data.coordinates
         x = view.decode(np.asarray(z))
-        mean = doubt = None
+        mean = predicted_std = None
         if believed is not None:
-            mean, doubt = believed(jnp.asarray(view.encode(x)))
+            mean, predicted_std = believed(jnp.asarray(view.encode(x)))
         nan = np.full(setting.n, np.nan)
         predicted = nan if mean is None else view.score(np.asarray(mean, np.float64))
-        return Proposals(self.label, x, predicted, nan if doubt is None else view.y_std * np.asarray(doubt, np.float64), seed)
+        spread = nan if predicted_std is None else view.y_std * np.asarray(predicted_std, np.float64)
+        return Proposals(self.label, x, predicted, spread, seed)
 
 
 class Search(NamedTuple):

@@ -1,17 +1,17 @@
-"""Forward models: one network or a bootstrapped ensemble of the score, and gradient ascent on what it promises (thesis 6.5).
+"""Forward models: one network or a bootstrapped ensemble of the score, and gradient ascent on its prediction (thesis 6.5).
 
 Settings of the public baselines: 2048 x 2048, Gaussian likelihood, 200 steps of 0.01 sqrt(d) from the best designs. Their
 "mean" ensemble takes the minimum; here both are what they are called.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import redrawn
-from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP, least
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
@@ -55,30 +55,32 @@ def mixture(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
 class Forward(Designer):
     """A model of the score and gradient ascent on its mean; with several members an ensemble on redrawn designs."""
 
-    members: Count = static(1)  # networks, each on redrawn designs
-    objective: Literal["mean", "min"] = static("mean")  # over members, what is ascended
+    other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
+
+    members: Count = static(1)  # number of networks, each fitted on a bootstrap resample of the designs
+    objective: Literal["mean", "min"] = static("mean")  # prediction that is ascended: mean or minimum over the networks
     hidden: Sizes = static((2048, 2048))  # width of each hidden layer
     steps: Count = static(5000)  # updates of the networks
-    batch_size: Count = static(128)  # designs an update
-    lr: NonNegative = 3e-4  # of the networks
-    ascent: Count = static(200)  # steps of the designs
-    design_lr: NonNegative = 0.01  # of the designs, times sqrt(coordinates)
+    batch_size: Count = static(128)  # batch size (designs per update)
+    lr: NonNegative = 3e-4  # learning rate of the networks
+    ascent_steps: Count = static(200)  # gradient steps that move the designs
+    design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
 
     @property
     def label(self) -> str:
         """What tables call it."""
         return "Forward" if self.members == 1 else f"Ensemble, {self.objective}"
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """From the best designs of the data, up the gradient."""
         learner = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
-        # The same redraws whatever the seed: lanes of one program share their rows.
+        # The same bootstrap samples whatever the seed: lanes of one program share their rows.
         weight = {"weight": redrawn(len(setting.data), self.members, 0)}
         states = setting.train(learner, self.steps, "forward", weight)
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         value = mean_of if self.objective == "mean" else least_of
         found = []
         for seed, (nets, _) in zip(setting.seeds, states):
-            x = climb(value, nets, start, self.ascent, self.design_lr * view.size**0.5, *setting.bounds)
+            x = climb(value, nets, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
             found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1])))
         return found

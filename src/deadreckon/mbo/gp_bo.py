@@ -10,7 +10,7 @@ the designs of the data that are used, where these are too many.
 """
 
 import warnings
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import climb
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
@@ -78,25 +78,28 @@ def worth(process: Process, x: Array) -> Array:
 class GPBO(Designer):
     """Expected improvement under a Gaussian process."""
 
-    kernel: Literal["auto", "rbf", "inner"] = static("auto")  # auto: inner product where most variables are categories
-    rows: Count = static(1000)  # designs of the data at most: the better half the best ones, the rest drawn
-    ascent: Count = static(200)  # steps of the designs
-    design_lr: NonNegative = 0.01  # of the designs, times sqrt(coordinates)
+    other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps", "rows": "max_rows"}
+
+    kernel: Literal["auto", "rbf", "inner"] = static("auto")
+    """kernel of the process; auto: inner product where most variables are categories, else RBF"""
+    max_rows: Count = static(1000)  # largest number of designs in the fit: half the best ones, half drawn from the rest
+    ascent_steps: Count = static(200)  # gradient steps that move the designs
+    design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
 
     @property
     def label(self) -> str:
         """What tables call it."""
         return "GP-BO"
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """From the best designs of the data, up the logarithm of the improvement; the same for every seed."""
         view = setting.data.coordinates
         process = self.fit(setting)
         lr, start = self.design_lr * view.size**0.5, Search.start(setting.data, setting.n)
-        x = climb(worth, process, start, self.ascent, lr, *setting.bounds)
+        x = climb(worth, process, start, self.ascent_steps, lr, *setting.bounds)
         return [self.decoded(setting, seed, x, process.posterior) for seed in setting.seeds]
 
-    def fit(self, setting: Setting) -> Process:
+    def fit(self, setting: DesignInput) -> Process:
         """The process.
 
         Raises:
@@ -109,9 +112,9 @@ class GPBO(Designer):
             raise UserError("gp-bo fits with scikit-learn: pip install 'deadreckon[design]'") from None
         data, view = setting.data, setting.data.coordinates
         order = data.best(len(data))
-        if len(order) > self.rows:
-            best, rest = order[: self.rows // 2], order[self.rows // 2 :]
-            drawn = np.random.default_rng(0).choice(rest, self.rows - len(best), replace=False)
+        if len(order) > self.max_rows:
+            best, rest = order[: self.max_rows // 2], order[self.max_rows // 2 :]
+            drawn = np.random.default_rng(0).choice(rest, self.max_rows - len(best), replace=False)
             order = np.concatenate([best, drawn])
         z = view.encode(data.x[order]).astype(np.float64)
         y = (data.y[order] - view.y_mean) / view.y_std

@@ -8,7 +8,7 @@ agrees: by ascent on
 """
 
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,12 +17,12 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Share, Sizes, host, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, host, static
 
 PENALTY = 10.0  # of the gradient's norm
 
@@ -54,37 +54,37 @@ class Inversion(eqx.Module):
         """Fresh networks."""
         kg, kc = jax.random.split(key)
         settings = self.settings
-        generator = MLP.create(settings.latent + 1, settings.hidden, spec.size, kg)
+        generator = MLP.create(settings.latent_size + 1, settings.hidden, spec.size, kg)
         critic = MLP.create(spec.size + 1, settings.hidden, 1, kc)
         return Pair(generator, critic, init_opt(generator), init_opt(critic))
 
     def update(self, state: Pair, batch: Batch, *, step, key):
-        """One step of the critic, and every `turns` of them one of the generator."""
+        """One step of the critic, and every `critic_updates` of them one of the generator."""
         assert batch.extra is not None
         x, y, weight = batch.extra["x"], batch.extra["y"], batch.extra["weight"]
         kz, ke = jax.random.split(key)
-        z = jax.random.normal(kz, (len(x), self.settings.latent))
+        z = jax.random.normal(kz, (len(x), self.settings.latent_size))
         fake = made(state.generator, z, y)
 
-        def judge(critic: MLP, x: Array) -> Array:
+        def discriminate(critic: MLP, x: Array) -> Array:
             return critic(jnp.concatenate([x, y[:, None]], -1))[:, 0]
 
         def critic_loss(critic: MLP) -> tuple[Array, Array]:
             share = jax.random.uniform(ke, (len(x), 1))
             between = share * x + (1 - share) * fake
-            slope = jax.grad(lambda x: judge(critic, x).sum())(between)
+            slope = jax.grad(lambda x: discriminate(critic, x).sum())(between)
             penalty = jnp.square(jnp.sqrt(jnp.square(slope).sum(-1) + 1e-12) - 1)
-            gap = judge(critic, fake) - judge(critic, x)
+            gap = discriminate(critic, fake) - discriminate(critic, x)
             return (weight * (gap + PENALTY * penalty)).mean(), -(weight * gap).mean()
 
         grads, distance = jax.grad(critic_loss, has_aux=True)(state.critic)
         critic, critic_opt = apply_gradients(state.critic, grads, state.critic_opt, self.settings.lr)
 
         def turn(_: Any) -> tuple[MLP, optax.OptState]:
-            loss = lambda generator: -(weight * judge(critic, made(generator, z, y))).mean()  # noqa: E731
+            loss = lambda generator: -(weight * discriminate(critic, made(generator, z, y))).mean()  # noqa: E731
             return apply_gradients(state.generator, jax.grad(loss)(state.generator), state.generator_opt, self.settings.lr)
 
-        turns = self.settings.turns
+        turns = self.settings.critic_updates
         keep = lambda _: (state.generator, state.generator_opt)  # noqa: E731
         generator, generator_opt = jax.lax.cond(step % turns == turns - 1, turn, keep, None)
         return Pair(generator, critic, generator_opt, critic_opt), {"distance": distance}
@@ -93,23 +93,25 @@ class Inversion(eqx.Module):
 class MINs(Designer):
     """Model inversion networks."""
 
-    hidden: Sizes = static((1024, 1024))  # width of each hidden layer of generator and critic
-    latent: Count = static(32)  # size of the noise
-    steps: Count = host(20_000)  # updates of the critic
-    turns: Count = static(5)  # of them for one of the generator
-    batch_size: Count = static(128)  # designs an update
-    lr: NonNegative = 2e-4  # of generator and critic
-    bins: Annotated[int, Range(ge=2)] = static(64)  # of the scores, for their weights
-    smoothing: Share = 0.01  # see `counts`
-    temperature: Positive = 0.1  # likewise
-    forward_hidden: Sizes = static((256, 256))  # of the forward model f
-    forward_steps: Count = host(5000)  # its updates
-    forward_lr: NonNegative = 3e-4  # its learning rate
-    agreement: NonNegative = 1.0  # l: how much f has to agree
-    ascent: Count = host(100)  # steps on noise and score
-    ascent_lr: NonNegative = 0.02  # of them, with Adam
+    other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps", "latent": "latent_size", "turns": "critic_updates"}
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    hidden: Sizes = static((1024, 1024))  # width of each hidden layer of generator and critic
+    latent_size: Count = static(32)  # dimension of the noise
+    steps: Count = host(20_000)  # updates of the critic
+    critic_updates: Count = static(5)  # critic updates per generator update
+    batch_size: Count = static(128)  # batch size (designs per update)
+    lr: NonNegative = 2e-4  # learning rate of generator and critic
+    bins: Annotated[int, Range(ge=2)] = static(64)  # bins of the scores that weights are computed in
+    smoothing: UnitInterval = 0.01  # smoothing of the bins' counts, as a share of the designs
+    temperature: Positive = 0.1  # temperature of the bins' weights, in ranges of the scores
+    forward_hidden: Sizes = static((256, 256))  # width of each hidden layer of the forward model
+    forward_steps: Count = host(5000)  # updates of the forward model
+    forward_lr: NonNegative = 3e-4  # learning rate of the forward model
+    agreement: NonNegative = 1.0  # weight of the agreement of the forward model with the requested score
+    ascent_steps: Count = host(100)  # gradient steps on noise and requested score
+    ascent_lr: NonNegative = 0.02  # learning rate of these steps (Adam)
+
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """Designs for scores that the inverse and the forward model agree on."""
         data, view = setting.data, setting.data.coordinates
         weight = {"weight": counts(data.y, self.bins, self.smoothing, self.temperature)}
@@ -120,8 +122,8 @@ class MINs(Designer):
         best = float((data.y.max() - view.y_mean) / view.y_std)
         found = []
         for seed, pair, (nets, _) in zip(setting.seeds, pairs, models):
-            z = jax.random.normal(jax.random.fold_in(jax.random.key(seed), 3), (setting.n, self.latent))
-            x = _ask(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent)
+            z = jax.random.normal(jax.random.fold_in(jax.random.key(seed), 3), (setting.n, self.latent_size))
+            x = _ask(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent_steps)
             found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (mean_of(nets, x), None)))
         return found
 

@@ -27,11 +27,11 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.designs import Designs
 from deadreckon.nets.mlp import MLP, ensemble, joined, split
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Share, Sizes, host, static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Sizes, UnitInterval, host, static
 
 
 class Net(eqx.Module):
@@ -188,7 +188,7 @@ class Training(eqx.Module):
         lr = jnp.where(step < settings.pretrain, settings.lr, settings.search_lr)
         nets, opt = apply_gradients(state.nets, grads, state.opt, lr)
         # Targets do not lag behind pretraining: they are copies where it ends.
-        rate = jnp.where(step < settings.pretrain, 1.0, settings.target_rate)
+        rate = jnp.where(step < settings.pretrain, 1.0, settings.tau)
         targets = polyak_update(state.targets, nets, rate)
         turn = (step >= settings.pretrain) & ((step - settings.pretrain) % settings.ratio == settings.ratio - 1)
         rise = lambda search: search.ascend(lambda z: self.worth(targets, z), settings.design_lr, *self.bounds)  # noqa: E731
@@ -226,30 +226,36 @@ class Training(eqx.Module):
 class NEMO(Designer):
     """Normalised maximum likelihood for offline model-based optimisation."""
 
-    bins: Annotated[int, Range(ge=2)] = static(40)  # K: bins of the score, and models
+    bins: Annotated[int, Range(ge=2)] = static(40)  # bins of the score, and models (K)
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    architecture: Literal["logistic", "categorical"] = static("logistic")  # discretised logistic (6.3), or K logits
-    loss: Literal["bce", "likelihood"] = static("bce")  # of the logistic: as printed, or the likelihood of the bins
-    objective: Literal["internal", "mean", "confidence"] = static("internal")  # mu (Alg. 6), or E[g] under p_NML (Alg. 4)
-    g: Callable[[np.ndarray], np.ndarray] | None = static(None)  # worth of the table's scores, for "mean"; None: the score
-    confidence: Share = 0.9  # of objective="confidence": raise the score that is exceeded with this probability
-    steps: Count = host(100)  # updates of the models after pretraining; Adam moves designs by design_lr each, however flat
-    pretrain: CountOrZero = static(2000)  # updates of the models before
-    ratio: Count = static(1)  # updates of the models for each of the designs
-    batch_size: Count = static(128)  # designs of the data an update (missing in Algorithm 6)
-    lr: NonNegative = 0.005  # of the models, alpha_theta; with the 0.05 of some presets wide networks learn little
-    search_lr: NonNegative | None = None  # of the models while designs rise; None: the same; 0: they stay, and nothing is NML
-    design_lr: NonNegative | None = None  # of the designs, alpha_x, standardised; None: 0.01, or 0.1 for discrete designs
-    target_rate: Share = 0.05  # tau
-    weight: NonNegative | None = 1.0  # of the claim beside the data's mean; None: 1 / rows, as printed, hardly followed
-    start: Literal["best", "worst"] = static("best")  # designs of the data to begin with
+    architecture: Literal["logistic", "categorical"] = static("logistic")
+    """output of a model: discretised logistic (6.3), or K logits"""
+    loss: Literal["bce", "likelihood"] = static("bce")
+    """loss of the logistic: binary cross-entropy as printed, or the likelihood of the bins"""
+    objective: Literal["internal", "mean", "confidence"] = static("internal")
+    """ascended quantity: mu (Alg. 6), E[g] under p_NML (Alg. 4), or a quantile"""
+    g: Callable[[np.ndarray], np.ndarray] | None = static(None)
+    """value of a score for objective="mean", of the table's scores; None: the score itself"""
+    confidence: UnitInterval = 0.9  # probability of exceeding the score that objective="confidence" raises
+    steps: Count = host(100)  # updates of the models after pretraining; each moves the designs by about design_lr
+    pretrain: CountOrZero = static(2000)  # updates of the models before the designs move
+    ratio: Count = static(1)  # model updates per design update
+    batch_size: Count = static(128)  # batch size (designs of the data per update; missing in Algorithm 6)
+    lr: NonNegative = 0.005  # learning rate of the models (alpha_theta); 0.05 of some presets is too large for wide networks
+    search_lr: NonNegative | None = None  # learning rate of the models while designs move; None: lr; 0: the models stay fixed
+    design_lr: NonNegative | None = None
+    """step size of the standardised designs (alpha_x); None: 0.01, or 0.1 for discrete designs"""
+    tau: UnitInterval = 0.05  # Polyak rate of the target models, per update
+    weight: NonNegative | None = 1.0
+    """weight of the hypothetical label relative to the mean over the data; None: 1 / rows, as printed"""
+    start: Literal["best", "worst"] = static("best")  # designs of the data to start from
 
     @property
     def label(self) -> str:
         """What tables call it."""
         return "NEMO"
 
-    def training(self, setting: Setting) -> Training:
+    def training(self, setting: DesignInput) -> Training:
         """The learner for some data."""
         data, view = setting.data, setting.data.coordinates
         y = (data.y - view.y_mean) / view.y_std
@@ -274,7 +280,7 @@ class NEMO(Designer):
             return super().asked(data)
         return f"{self.replace(g=None).asked(data)}, g {self._worths(data).tolist()}"
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """The designs at the end of their search, with mean and deviation under p_NML of the target models."""
         learner = self.training(setting)
         states = setting.train(learner, self.pretrain + self.steps, "nemo")
@@ -294,7 +300,7 @@ class NEMO(Designer):
             found.append(self.decoded(setting, seed, state.search.x, believed))
         return found
 
-    def _warn_of_blindness(self, learner: Training, states: list[State], setting: Setting) -> None:
+    def _warn_of_blindness(self, learner: Training, states: list[State], setting: DesignInput) -> None:
         """Tells where models say the same of all data: a large learning rate can leave them no unit that still answers."""
         data = setting.data
         some = np.linspace(0, len(data) - 1, min(len(data), SAMPLE)).astype(int)

@@ -1,4 +1,4 @@
-"""How designers are judged (thesis 6.6): 128 designs, the best and the median by the oracle, over seeds, beside published
+"""How designers are evaluated (thesis 6.6): 128 designs, the best and the median by the oracle, over seeds, beside published
 scores.
 
 The oracle is asked once, when a designer has proposed; what it says reaches no method.
@@ -19,8 +19,8 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.mbo.designer import Designer
+from deadreckon.mbo.nn_distance import nn_distance
 from deadreckon.mbo.problems.problem import Problem, Scores
-from deadreckon.mbo.reach import reach
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.stats.interval import Interval
 from deadreckon.stats.means import mean_interval
@@ -36,13 +36,13 @@ class Result:
         problem, method: names.
         seeds: of the proposals.
         true, predicted: (seeds, n) scores by the oracle, and what the method believed (NaN where nothing).
-        doubt: (seeds, n) deviation of that belief (NaN where there is none).
-        reach: (seeds, n) distance to the nearest design that was shown (`mbo.reach`).
+        predicted_std: (seeds, n) deviation of that belief (NaN where there is none).
+        nn_distance: (seeds, n) distance to the nearest design that was shown (`mbo.nn_distance`).
         low, high: least and greatest score of all data of the problem.
         data_best: the greatest score that was shown.
         about: what the oracle is.
         settings: the designer, as text.
-        seconds: all proposals took; judging not counted.
+        seconds: all proposals took; scoring not counted.
     """
 
     problem: str
@@ -50,8 +50,8 @@ class Result:
     seeds: tuple[int, ...]
     true: np.ndarray
     predicted: np.ndarray
-    doubt: np.ndarray
-    reach: np.ndarray
+    predicted_std: np.ndarray
+    nn_distance: np.ndarray
     low: float
     high: float
     data_best: float
@@ -69,21 +69,21 @@ class Result:
 
     @property
     def exploitation(self) -> Interval:
-        """How much more was promised than kept, in ranges of all data (`Scores.exploitation`)."""
+        """Predicted less true scores, in ranges of all data (`Scores.exploitation`)."""
         return mean_interval(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
 
     @property
     def distance(self) -> Interval:
         """Median distance of the designs to those that were shown: 1 is usual among these."""
-        return mean_interval(np.median(self.reach, 1))
+        return mean_interval(np.median(self.nn_distance, 1))
 
     @property
-    def unsure(self) -> Interval:
-        """Median deviation of what was believed, in ranges of all data."""
-        return mean_interval(np.median(self.doubt, 1) / (self.high - self.low))
+    def uncertainty(self) -> Interval:
+        """Median predicted standard deviation, in ranges of all data."""
+        return mean_interval(np.median(self.predicted_std, 1) / (self.high - self.low))
 
 
-def judge(
+def evaluate_designers(
     problem: Problem,
     designers: Iterable[tuple[str, Designer]],
     n: int = 128,
@@ -94,7 +94,7 @@ def judge(
     watch: Watcher = unwatched,
     told: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
-    """Lets designers propose and judges what they propose.
+    """Lets designers propose, and scores what they propose by the oracle.
 
     Args:
         problem: theirs.
@@ -127,7 +127,7 @@ def judge(
             scores = [problem.score(each) for each in made]
             result = Result(
                 problem.name, name, tuple(seeds), np.stack([s.true for s in scores]), np.stack([s.predicted for s in scores]),
-                np.stack([each.doubt for each in made]), np.stack([reach(visible, each.x) for each in made]),
+                np.stack([each.predicted_std for each in made]), np.stack([nn_distance(visible, each.x) for each in made]),
                 problem.low, problem.high, float(visible.y.max()), problem.about, settings,
                 sum(part[0].seconds for part in found),
             )  # fmt: skip
@@ -143,7 +143,7 @@ def _to_json(result: Result) -> dict[str, Any]:
 
 
 def _from_json(fields: dict[str, Any]) -> Result:
-    arrays = {name: np.asarray(fields[name], float) for name in ("true", "predicted", "doubt", "reach")}
+    arrays = {name: np.asarray(fields[name], float) for name in ("true", "predicted", "predicted_std", "nn_distance")}
     return Result(**{**fields, **arrays, "seeds": tuple(fields["seeds"])})
 
 
@@ -181,10 +181,10 @@ def markdown(results: Sequence[Result], q: int = 100, normalised: bool = False) 
 
 
 COLUMNS = {
-    "exploitation": "Promised beyond the truth, in ranges of all data (NEMO cannot promise more than the middle of its last "
-    "bin, DDOM no more than the best of the data)",
-    "unsure": "How unsure the method was, median deviation in ranges of all data",
-    "distance": "How far outside of the data: median distance to the nearest design shown, 1 being usual among these",
+    "exploitation": "Overestimation: predicted less true score, in ranges of all data (NEMO cannot predict more than the "
+    "middle of its last bin, DDOM no more than the best of the data)",
+    "uncertainty": "Median predicted standard deviation, in ranges of all data",
+    "distance": "Median distance to the nearest design shown, 1 being usual among these",
 }
 
 
@@ -207,7 +207,7 @@ def tables(results: Sequence[Result]) -> str:
     """All tables: both percentiles, as they are and normalised, and how far the proposals are to be trusted."""
     parts = []
     for q, words in PERCENTILES.items():
-        parts += [f"{words}, by the judge", markdown(results, q)]
+        parts += [f"{words}, by the oracle", markdown(results, q)]
         normalised = markdown(results, q, normalised=True)
         parts += [f"{words}, normalised: 0 and 1 are the least and the greatest of all data", normalised]
     for what, words in COLUMNS.items():

@@ -4,13 +4,13 @@ What ascent needs of a model is the order of designs, not their scores; so lists
 model learns their order (ListNet's cross-entropy). Its output is then standardised over the data: a step means the same.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from deadreckon.mbo.designer import Designer, Proposals, Search, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
@@ -35,14 +35,16 @@ def ranked(nets: tuple[MLP, Any, Any], x: Array) -> Array:
 class RaM(Designer):
     """A model that ranks, and gradient ascent on it."""
 
+    other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
+
     hidden: Sizes = static((1024, 1024))  # width of each hidden layer
     steps: Count = static(5000)  # updates of the model
-    list_size: Count = static(256)  # designs a list, one list an update
-    lr: NonNegative = 3e-4  # of the model
-    ascent: Count = static(200)  # steps of the designs
-    design_lr: NonNegative = 0.01  # of the designs, times sqrt(coordinates)
+    list_size: Count = static(256)  # designs per list, one list per update
+    lr: NonNegative = 3e-4  # learning rate of the model
+    ascent_steps: Count = static(200)  # gradient steps that move the designs
+    design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """From the best designs of the data, up the gradient; it predicts an order, not scores."""
         learner = Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
@@ -51,6 +53,6 @@ class RaM(Designer):
         for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ram")):
             out = jax.lax.map(lambda x, nets=nets: ranked((nets, 0.0, 1.0), x[None])[0], seen, batch_size=1024)
             scaled = nets, out.mean(), jnp.maximum(out.std(), 1e-6)
-            x = climb(ranked, scaled, start, self.ascent, self.design_lr * view.size**0.5, *setting.bounds)
+            x = climb(ranked, scaled, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
             found.append(self.decoded(setting, seed, x))
         return found

@@ -4,16 +4,17 @@ from collections.abc import Callable
 from typing import Any
 
 from deadreckon.errors import unknown
+from deadreckon.mbo.baselines import BestOfData, Random
 from deadreckon.mbo.cbas import CbAS
 from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
 from deadreckon.mbo.designer import Designer
-from deadreckon.mbo.floor import BestOfData, Random
 from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.gp_bo import GPBO
 from deadreckon.mbo.mins import MINs
 from deadreckon.mbo.nemo import NEMO
 from deadreckon.mbo.ram import RaM
+from deadreckon.training.field_names import with_field_names
 
 DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
     "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
@@ -47,7 +48,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 _SMALL = {"hidden": (256, 256), "steps": 2000}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     **{name: _SMALL for name in ("forward", "ensemble", "ensemble-min", "ram", "cbas", "autofocus")},
-    "coms": {"hidden": (128, 128), "steps": 1000, "ascent": 20},
+    "coms": {"hidden": (128, 128), "steps": 1000, "ascent_steps": 20},
     "mins": {"hidden": (256, 256), "steps": 5000, "forward_steps": 2000},
     "ddom": {"hidden": (256, 256), "steps": 3000},
     "nemo": {"pretrain": 1000},
@@ -68,6 +69,7 @@ def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
     if name not in DESIGNERS:
         raise unknown("designer", name, DESIGNERS)
     found = DESIGNERS[name][0]()
+    changes = with_field_names(type(found), changes)
     for field in changes:
         if field not in vars(found):
             raise unknown("field", field, vars(found))
@@ -76,4 +78,6 @@ def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
 
 def sized(name: str, problem: str | None, budget: str, **changes: Any) -> Designer:
     """A designer by name with a problem's published settings; where `budget` is `cpu` with the sizes of `CPU_BUDGET`."""
+    if name in DESIGNERS:
+        changes = with_field_names(type(DESIGNERS[name][0]()), changes)
     return designer(name, problem, **(CPU_BUDGET.get(name, {}) if budget == "cpu" else {}) | changes)

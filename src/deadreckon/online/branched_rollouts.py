@@ -24,8 +24,8 @@ class BranchedRollouts(ModelLearning):
     """Real steps, an ensemble fitted to them, and the rollouts that agents learn from.
 
     A made-up row is observation, action in [-1, 1], reward, next observation, terminal. What batches are drawn from are the
-    rollouts of the last `keep` real steps, and as many real rows, drawn with replacement when rollouts are made, as their share
-    asks for.
+    rollouts of the last `retain_steps` real steps, and as many real rows, drawn with replacement when rollouts are made, as
+    `real_ratio` asks for.
 
     Raises:
         UserError: as `Exploration`, or turns that do not fit each other.
@@ -34,14 +34,16 @@ class BranchedRollouts(ModelLearning):
     def _begin(self, agent: Any) -> None:
         super()._begin(agent)
         self.agent: MBPO = agent
-        assert agent.keep is not None  # resolved
-        if agent.keep % agent.model_every:
-            raise UserError(f"keep ({agent.keep}) must be a multiple of model_every ({agent.model_every})")
+        assert agent.retain_steps is not None  # resolved
+        if agent.retain_steps % agent.model_train_freq:
+            every = agent.model_train_freq
+            raise UserError(f"retain_steps ({agent.retain_steps}) must be a multiple of model_train_freq ({every})")
         self._width = 2 * self.spec.observation_size + self.spec.action_size + 2  # numbers in a row that is learned from
-        self._kept = agent.keep // agent.model_every  # batches of rollouts
-        self._share = agent.most // self._kept  # rows of each, at most
+        self._kept = agent.retain_steps // agent.model_train_freq  # batches of rollouts
+        self._share = agent.model_buffer_size // self._kept  # rows of each, at most
         if self._share < 1:
-            raise UserError(f"most ({agent.most}) must leave a row to each of the {self._kept} fits that are learned from")
+            size = agent.model_buffer_size
+            raise UserError(f"model_buffer_size ({size}) must hold a row of each of the {self._kept} fits that are kept")
         self._batches: dict[int, np.ndarray] = {}  # by turn, (lanes, rows, width)
         self._waiting: list[int] = []  # turns that are not on disk yet
         self._needed = 0  # the first turn that the checkpoint before the next one needs
@@ -62,12 +64,12 @@ class BranchedRollouts(ModelLearning):
     def _fitted(self, learner: Any, states: Any, turn: int) -> Any:
         """Also makes rollouts in the ensembles."""
         states = super()._fitted(learner, states, turn)
-        length = self.agent.rollout_length((self.environment_steps - self.settings.explore) // EPOCH)
+        length = self.agent.rollout_length_at((self.environment_steps - self.settings.explore) // EPOCH)
         found = []
         for lane, seed in enumerate(self.seeds):
             agent, state = own(learner, lane), own(states, lane)
             rng = np.random.default_rng([seed, _DREAM, turn, 0])
-            real, n = self.real(lane), agent.rollouts * agent.model_every
+            real, n = self.real(lane), agent.rollouts_per_step * agent.model_train_freq
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
             key = jax.random.fold_in(jax.random.key(self._mixed(lane, turn)), _DREAM)
             rows = self._made_up(agent, state, starts, length, key)
@@ -102,7 +104,7 @@ class BranchedRollouts(ModelLearning):
         """Puts what is learned from onto the device, for the turn that was the last."""
         self._buffer = jnp.zeros((len(self.seeds), 0, 0))  # what was learned from makes room first
         kept = [self._batches[t] for t in sorted(self._batches)]
-        made_up, share, steps = sum(rows.shape[1] for rows in kept), self.agent.real, self.known(turn)
+        made_up, share, steps = sum(rows.shape[1] for rows in kept), self.agent.real_ratio, self.known(turn)
         more = round(made_up * share / (1.0 - share))
         self._count = made_up + more
         # With room for growth, so that few programs serve all lengths of rollouts.

@@ -49,10 +49,10 @@ class Demonstrated(OnPolicy):
         """What cloned each lane's demonstrations, and its states."""
         action = self.shared[0]["action"]
         center, spread = action.mean(0), jnp.maximum(action.std(0), STD_FLOOR)
-        lanes = [Cloning(float(lr), center, spread, self.agent.hidden) for lr in learner.clone_lr]
-        result = fit(lanes, TransitionSource(log, lanes[0].needs(log.spec)), self.seeds, self.agent.clone_steps)
+        lanes = [Cloning(float(lr), center, spread, self.agent.hidden) for lr in learner.bc_lr]
+        result = fit(lanes, TransitionSource(log, lanes[0].needs(log.spec)), self.seeds, self.agent.bc_steps)
         if any(result.failures):
-            raise DivergedError(f"behavior_error: cloning {log.name} gave numbers that are not finite; lower clone_lr")
+            raise DivergedError(f"behavior_error: cloning {log.name} gave numbers that are not finite; lower bc_lr")
         return lift(lanes), result.states
 
 

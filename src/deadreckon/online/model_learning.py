@@ -16,7 +16,7 @@ from deadreckon.online.exploration import Exploration, unpacked
 
 
 class ModelLearning(Exploration):
-    """Every `model_every` real steps fits the ensembles in the agents' states to all of them, going on from the last fit.
+    """Every `model_train_freq` real steps fits the ensembles in the agents' states to all of them, going on from the last fit.
 
     Raises:
         UserError: as `Exploration`, or turns that do not fit each other.
@@ -26,11 +26,11 @@ class ModelLearning(Exploration):
         block = self.settings.block
         if self.settings.explore < FEWEST:
             raise UserError(f"explore must be {FEWEST} or more, what a model is first fitted to, got {self.settings.explore}")
-        if agent.model_every % block:
-            raise UserError(f"model_every ({agent.model_every}) must be a multiple of block ({block})")
-        if agent.ends == self.task.name and agent.over != self.task.ends:
+        if agent.model_train_freq % block:
+            raise UserError(f"model_train_freq ({agent.model_train_freq}) must be a multiple of block ({block})")
+        if agent.termination == self.task.name and agent.over != self.task.ends:
             raise UserError(f"{self.task.name} is the name of another task; register this one under a name of its own")
-        self._turns = agent.model_every // block  # blocks between fits
+        self._turns = agent.model_train_freq // block  # blocks between fits
         self.metrics = {name: np.full(len(self.seeds), np.nan) for name in ("model_error", "model_epochs")}
 
     def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:

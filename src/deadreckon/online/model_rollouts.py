@@ -31,7 +31,7 @@ class ModelRollouts(ModelLearning):
     @property
     def count(self) -> int:
         """See `Experience`."""
-        return self.agent.rollouts * self.agent.length
+        return self.agent.rollouts * self.agent.rollout_length
 
     def extend(self, learner: Any, states: Any, roots: Key[Array, "l"], step: int) -> tuple[Any, dict[str, Array]]:
         """See `Experience`; real observations are standardised with once they are seen."""
@@ -43,7 +43,7 @@ class ModelRollouts(ModelLearning):
         turn, _ = self.turn(step)
         if turn != self._turn:
             self._starts, self._turn = jnp.asarray(np.stack([self._begun(lane, turn) for lane in range(len(self.seeds))])), turn
-        rows = _lived(learner, states, self._starts, roots, jnp.int32(step), self.agent.rollouts, self.agent.length)
+        rows = _lived(learner, states, self._starts, roots, jnp.int32(step), self.agent.rollouts, self.agent.rollout_length)
         return digested(tuple(self.fields), learner, states, rows)
 
     def _begun(self, lane: int, turn: int) -> Float[np.ndarray, "n o"]:

@@ -1,7 +1,7 @@
 """Off-policy evaluation: what policies are worth, from a log alone (thesis chapter 8)."""
 
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.coverage import coverage
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
@@ -19,7 +19,25 @@ from deadreckon.ope.select import Choice, select
 from deadreckon.ope.vpm import VPM
 
 __all__ = [
-    "DICE", "ESTIMATORS", "FQE", "FQED", "LOGGED", "VPM", "BehaviorModel", "Case", "Choice", "DoublyRobust", "Estimand",
-    "Estimates", "Estimator", "ImportanceSampling", "LinearFQE", "Metrics", "ModelBased", "compare", "coverage", "estimator",
+    "DICE",
+    "ESTIMATORS",
+    "FQE",
+    "FQED",
+    "LOGGED",
+    "VPM",
+    "BehaviorModel",
+    "Choice",
+    "DoublyRobust",
+    "Estimand",
+    "Estimates",
+    "Estimator",
+    "ImportanceSampling",
+    "LinearFQE",
+    "Metrics",
+    "ModelBased",
+    "OPEInput",
+    "compare",
+    "coverage",
+    "estimator",
     "select",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Best, in_blocks
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
@@ -89,7 +89,7 @@ class Behavior(NamedTuple):
     chances: np.ndarray | None
 
 
-def out_of_fold(case: Case, model: BehaviorModel, folds: int) -> Behavior:
+def out_of_fold(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     """Propensities of a case's rows; made once.
 
     Args:
@@ -100,7 +100,7 @@ def out_of_fold(case: Case, model: BehaviorModel, folds: int) -> Behavior:
     return case.once(("propensities", model, folds), lambda: _fit(case, model, folds))
 
 
-def masks(case: Case, fold: np.ndarray, whole: Case) -> tuple[np.ndarray, np.ndarray]:
+def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray, np.ndarray]:
     """(episodes of the whole log, folds) of 0 and 1: which episodes teach the model of a fold, and which tell it when to stop.
 
     Clusters stay whole. With few of them there is none to spare: those that teach say when to stop, too.
@@ -116,7 +116,7 @@ def masks(case: Case, fold: np.ndarray, whole: Case) -> tuple[np.ndarray, np.nda
     return np.where(alone, weight, weight * ~some), np.where(alone, weight, check)
 
 
-def _fit(case: Case, model: BehaviorModel, folds: int) -> Behavior:
+def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     fold, whole = case.folds(folds), case.whole()
     weight, check = masks(case, fold, whole)
     learner = Folds(dataclasses.replace(model, clipped=case.clips), weight.shape[1])

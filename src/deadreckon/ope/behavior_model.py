@@ -18,10 +18,10 @@ class BehaviorModel(eqx.Module):
     """
 
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    lr: NonNegative = 3e-4  # learning rate
-    steps: Count = host(10_000)  # updates; out of fold the best by validation loss are kept
-    batch_size: Count = static(256)  # rows a batch
-    clipped: bool = static(False)  # a clipped Gaussian; cases set it
+    lr: NonNegative = 3e-4  # learning rate of the model
+    steps: Count = host(10_000)  # updates; out of fold those with the lowest validation loss are kept
+    batch_size: Count = static(256)  # batch size (transitions per update)
+    clipped: bool = static(False)  # whether the Gaussian is clipped to the bounds; set by the case
 
     def needs(self, spec):
         """Observations and actions."""

@@ -22,7 +22,7 @@ from deadreckon.ope.fits import Fits
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Watcher, unwatched
@@ -46,7 +46,7 @@ class CrossFitted:
     which: np.ndarray
 
 
-class Case(Fits):
+class OPEInput(Fits):
     """A log, the policies to judge by it, and all that estimators share about them, each made when first asked for.
 
     Args:
@@ -215,7 +215,7 @@ class Case(Fits):
         dealt = np.random.default_rng([self.seed, 9]).permutation(np.arange(clusters) % min(count, clusters))
         return dealt[own]
 
-    def teaching(self, rows: int | None = None) -> "Case | None":
+    def teaching(self, rows: int | None = None) -> "OPEInput | None":
         """The episodes that are not judged, as a case with the same policies; None where all are.
 
         Args:
@@ -228,20 +228,20 @@ class Case(Fits):
             return self.once(("teaching", rows), lambda: self._beside(others))
         return self.once("teaching", lambda: self._beside(others)) if len(others) else None
 
-    def whole(self) -> "Case":
+    def whole(self) -> "OPEInput":
         """All episodes of the log, as a case with the same policies."""
         if len(self.held) == self._given.episodes and (np.diff(self.held) > 0).all():
             return self
         return self.once("whole", lambda: self._beside(None))
 
-    def _beside(self, held: np.ndarray | None) -> "Case":
+    def _beside(self, held: np.ndarray | None) -> "OPEInput":
         # What is not judged only teaches nuisances; an episode of no fold has the policy of any.
         policies = [
             CrossFitted(p.policies, np.where(np.asarray(p.which) < 0, np.arange(len(p.which)) % len(p.policies), p.which))
             if isinstance(p, CrossFitted) else p
             for p in self.policies
         ]  # fmt: skip
-        return Case(
+        return OPEInput(
             self._given, policies, discount=self.discount, horizon=self.estimand.horizon, seed=self.seed,
             greedy=self.greedy, names=self.names[: len(self.policies)], logged=self.logged, out=self.out, watch=self.watch,
             held=held, clusters=self.clusters, noise=self.actor.noise,
@@ -366,7 +366,7 @@ class Case(Fits):
         def make() -> Actor:
             rows = TransitionSource(self.data, model.needs(self.data.spec))
             fitted, _ = self.train(model, rows, model.steps, "behaviour")
-            policy = Deployed.of(models.policy(fitted), rows.view)
+            policy = EnvPolicy.of(models.policy(fitted), rows.view)
             return Actor([policy], ["the behaviour model"], self.data.spec, False, self.seed)
 
         return self.once(("behavior policy", model), make)

@@ -15,7 +15,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import WEIGHTLESS, Case
+from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.importance import log_ratios, logged_probs
 from deadreckon.ope.linear import LinearFQE
@@ -38,7 +38,7 @@ class Confounding:
         UserError: weights that mean nothing, or episodes that are cut off at different steps.
     """
 
-    def __init__(self, case: Case, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0):
+    def __init__(self, case: OPEInput, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0):
         possible(case)
         self.case, self.alpha, self.wider, data = case, alpha, wider, case.data
         self.ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
@@ -83,7 +83,7 @@ class Confounding:
         return ends, np.array(pulls)
 
 
-def possible(case: Case) -> None:
+def possible(case: OPEInput) -> None:
     """Refuses cases without bounds.
 
     Raises:
@@ -95,6 +95,6 @@ def possible(case: Case) -> None:
         raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")
 
 
-def one_step(case: Case) -> bool:
+def one_step(case: OPEInput) -> bool:
     """Whether every episode is one step, and over."""
     return bool(case.data.lengths.max() == 1 and case.episodes.ended.all())

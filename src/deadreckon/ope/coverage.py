@@ -20,7 +20,7 @@ from deadreckon.data.batch import TransitionSource
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.nets import distributions as dist
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import in_blocks
 from deadreckon.policies.kinds import Categorical
 
@@ -32,10 +32,10 @@ FITTED = 1_000_000  # rows are enough for the model
 # Actions nearer to a bound count as this: a tanh's density has no limit there, and its distances none.
 EDGE = 0.95
 MODEL = BehaviorModel(steps=5_000, lr=1e-3)  # by default; the bound makes up for what it has not learned
-PURPOSE = 4  # of draws, beside those of `Case`
+PURPOSE = 4  # of draws, beside those of `OPEInput`
 
 
-def coverage(case: Case, model: BehaviorModel = MODEL) -> Float[np.ndarray, "policies"]:
+def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, "policies"]:
     """The share of each policy's actions, at states of the log, that the log covers.
 
     Args:
@@ -49,7 +49,7 @@ def coverage(case: Case, model: BehaviorModel = MODEL) -> Float[np.ndarray, "pol
     return case.once(("coverage", model), lambda: _coverage(case, model))
 
 
-def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
+def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
     actor, teach = case.actor, case.teaching()
     rng = np.random.default_rng([case.seed, PURPOSE, 1])
     if teach is not None:  # the bound is for the judged episodes, by a model of the others
@@ -90,7 +90,7 @@ def _coverage(case: Case, model: BehaviorModel) -> np.ndarray:
     return _owned(case, np.array([(_log_density(told, table[:, i, 0]) >= bound).mean() for i in range(len(actor.names))]))
 
 
-def _owned(case: Case, shares: np.ndarray) -> np.ndarray:
+def _owned(case: OPEInput, shares: np.ndarray) -> np.ndarray:
     """Of each policy, the mean over the folds of one that is cross-fitted."""
     return np.bincount(case.owner, shares) / np.bincount(case.owner)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
@@ -48,7 +48,7 @@ class Decision(NamedTuple):
 
 
 def decide(
-    case: Case,
+    case: OPEInput,
     estimators: Sequence[Any] | str = "auto",
     *,
     seen: Sequence[str | None] | None = None,
@@ -105,7 +105,7 @@ def decide(
 
 
 def check(
-    case: Case,
+    case: OPEInput,
     guarantee: bool,
     return_range: tuple[float, float] | None,
     confounding: float | None,
@@ -137,7 +137,7 @@ def _demanded(choice: Choice, bound: float, words: str) -> Choice:
 
 
 def _confounded(
-    case: Case, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None
+    case: OPEInput, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None
 ) -> tuple[dict[str, Any], Choice]:
     """Bounds under unmeasured odds as JSON values, and the choice that knows them; without a factor, what is cheap to tell."""
     told: dict[str, Any] = {"gamma": gamma, "bounds": None, "tipping": None}
@@ -167,7 +167,7 @@ def _confounded(
 
 
 def _tail(
-    case: Case, which: int, share: float, model: BehaviorModel, alpha: float, endless: str | None
+    case: OPEInput, which: int, share: float, model: BehaviorModel, alpha: float, endless: str | None
 ) -> tuple[dict[str, Any], str]:
     """The lower tail as JSON values and in a line, or why it is not known."""
     worst = f"its worst {100 * share:g} % of episodes"
@@ -182,7 +182,7 @@ def _tail(
     return told, f"{worst} return {told['value']:.4g} on average, {against}: {gain}"
 
 
-def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:
+def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:
     """Estimators for a case, the first to decide by; chosen by its design alone and never by a reward.
 
     - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
@@ -220,7 +220,7 @@ def automatic(case: Case, model: BehaviorModel = PROPENSITIES, accept_model_base
     ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
     last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios[~degenerate]])
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
-    effective = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
-    if (effective >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
+    ess = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
+    if (ess >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
         return [weighted, marginal]
     return [marginal, weighted]

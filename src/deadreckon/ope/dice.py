@@ -11,7 +11,7 @@ Where episodes end, Q(s', a') is zero, and the occupancy of the log's states sum
 then E_log[zeta (1 - g (1 - terminal))] = 1 - g, which every occupancy meets, and which is E_log[zeta] = 1 where nothing ends.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,14 +23,14 @@ from jaxtyping import Array
 from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import few
 from deadreckon.stats.bootstrap import ensemble_interval
-from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, host, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
 PRESETS: dict[str, dict[str, Any]] = {
     "best": {"primal": 0.0, "dual": 1.0, "reward": 1.0, "norm": True, "positive": True},
@@ -87,7 +87,7 @@ class Saddle(eqx.Module):
             multiplier, multiplier_opt = apply_gradients(multiplier, down[1], multiplier_opt, lr)
         zeta, zeta_opt = apply_gradients(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, lr)
         # Descent against ascent circles around the saddle point; the mean of its way is nearer than where it happens to stop.
-        mean = polyak_update(state.mean, zeta, jnp.maximum(self.settings.average, 1.0 / (step + 1)))
+        mean = polyak_update(state.mean, zeta, jnp.maximum(self.settings.ema_rate, 1.0 / (step + 1)))
         return State(q, zeta, multiplier, mean, q_opt, zeta_opt, multiplier_opt), metrics
 
     def lagrangian(self, primal: tuple[MLP, Array], dual: MLP, batch: Batch):
@@ -113,30 +113,32 @@ class Saddle(eqx.Module):
 class DICE(Estimator):
     """Marginalised importance sampling by a saddle point: BestDICE, or DualDICE and GenDICE by `DICE.preset`."""
 
-    primal: NonNegative = 0.0  # regularisation of Q
-    dual: NonNegative = 1.0  # regularisation of zeta
-    reward: Share = 1.0  # share of the reward in the Lagrangian: 0 or 1
-    norm: bool = static(True)  # constrain zeta to an occupancy's mass by lambda
-    positive: bool = static(True)  # zeta through a softplus
-    members: Count = static(3)  # pairs of networks a policy, each on redrawn episodes
+    other_names: ClassVar[dict[str, str]] = {"average": "ema_rate"}
+
+    primal: NonNegative = 0.0  # weight of the regularisation of Q
+    dual: NonNegative = 1.0  # weight of the regularisation of zeta
+    reward: UnitInterval = 1.0  # weight of the reward in the Lagrangian: 0 or 1
+    norm: bool = static(True)  # whether zeta is constrained to the mass of an occupancy (lambda)
+    positive: bool = static(True)  # whether zeta is made positive by a softplus
+    members: Count = static(3)  # pairs of networks per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((64, 64))  # width of each hidden layer
-    steps: Count = host(100_000)  # updates
-    batch_size: Count = static(2048)  # rows a batch
-    lr: NonNegative = 1e-4  # learning rate
-    average: Share = 1e-3  # rate of the running mean of zeta's parameters, which the estimate uses; 1 for the last ones
-    samples: Count = host(1)  # actions drawn at each next observation, once
-    initial_samples: Count = host(10)  # actions drawn at each initial observation
+    steps: Count = host(100_000)  # updates of the networks
+    batch_size: Count = static(2048)  # batch size (transitions per update)
+    lr: NonNegative = 1e-4  # learning rate of the networks
+    ema_rate: UnitInterval = 1e-3  # rate of the moving average of zeta's parameters that the estimate uses; 1: the last ones
+    samples: Count = host(1)  # actions sampled once at each next observation
+    initial_samples: Count = host(10)  # actions sampled at each initial observation
 
     @classmethod
     def preset(cls, name: Literal["best", "dual", "gen"], **changes: Any) -> "DICE":
         """BestDICE, DualDICE or GenDICE."""
         return cls(**(PRESETS[name] | changes))
 
-    def ratios(self, case: Case) -> np.ndarray:
+    def ratios(self, case: OPEInput) -> np.ndarray:
         """(members, policies, rows) occupancy of the policy over that of the log."""
         return case.once(self, lambda: self._fit(case))
 
-    def _fit(self, case: Case) -> np.ndarray:
+    def _fit(self, case: OPEInput) -> np.ndarray:
         data = case.data
         learner = Saddle(self, case.discount, Scale.of(case).std, case.count)
         rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
@@ -144,11 +146,11 @@ class DICE(Estimator):
         found = Fitted(state.mean, 1.0, rows.view).of_actions(data.observations, data.actions)
         return np.asarray(positive_part(jnp.asarray(found), self.positive))
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Logged rewards weighted by the ratios."""
         ratios = self.ratios(case)
         found = weighted(case, ratios, case.data.rewards) / (1.0 - case.discount)
-        return estimates(case, self.label, ratios, found, case.unsettled("dice", "q"))
+        return estimates(case, self.label, ratios, found, case.convergence_warnings("dice", "q"))
 
     @property
     def label(self) -> str:
@@ -157,7 +159,7 @@ class DICE(Estimator):
         return next((f"{name.capitalize()}DICE" for name, preset in PRESETS.items() if preset == fields), "DICE")
 
 
-def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray, warnings: list[str]) -> Estimates:
+def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray, warnings: list[str]) -> Estimates:
     """Of (members, policies, rows) ratios and the (members, policies) values by them, with warnings of the fit.
 
     An episode's weight is the sum of its rows' ratios, averaged over members.
@@ -165,14 +167,14 @@ def estimates(case: Case, label: str, ratios: np.ndarray, found: np.ndarray, war
     low, high = ensemble_interval(found)
     rows = ratios.mean(0) * case.data.usable
     weight = np.stack([np.bincount(case.data.episode_of, own, case.data.episodes) for own in rows])
-    effective = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
+    ess = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
     return Estimates(
-        label, case.names, found.mean(0), low, high, case.estimand, redraws=found, effective=effective,
-        warnings=(*few(case.names, effective, case.data.episodes), *warnings),
+        label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, ess=ess,
+        warnings=(*few(case.names, ess, case.data.episodes), *warnings),
     )  # fmt: skip
 
 
-def occupancy_rows(case: Case, learner: Any, members: int, samples: int, initial_samples: int) -> TransitionSource:
+def occupancy_rows(case: OPEInput, learner: Any, members: int, samples: int, initial_samples: int) -> TransitionSource:
     """The log for learners of occupancies: transitions and initial states, with the policies' actions and members' weights."""
     redrawn = case.redrawn(members)
     # Episodes are redrawn, not rows: where they differ in length, a member's rows do not count once each on average.
@@ -187,7 +189,7 @@ def mass(terminal: Any, discount: Any) -> Any:
     return (1.0 - discount * (1.0 - terminal)) / (1.0 - discount)
 
 
-def weighted(case: Case, ratios: np.ndarray, x: np.ndarray) -> np.ndarray:
+def weighted(case: OPEInput, ratios: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(members, policies) means of ratio times `x` (rows,) over the rows that each member saw."""
     weight = case.redrawn(len(ratios))[case.data.episode_of].T * case.data.usable
     x = np.asarray(x, np.float64)

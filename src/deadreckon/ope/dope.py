@@ -20,7 +20,7 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import digest, file_part, read_json, write_json
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
@@ -109,7 +109,7 @@ def evaluate_log(
     discount = snapshots[0].sampled.discount
     truth, errors = (np.array([getattr(s.sampled, f) for s in snapshots]) for f in ("discounted", "discounted_error"))
     names = tuple(s.name for s in snapshots)
-    case: Case | None = None
+    case: OPEInput | None = None
     behavior = math.nan  # known with the case
     results = []
     for given in estimators:
@@ -124,7 +124,7 @@ def evaluate_log(
             if case is None:
                 fits = None if out is None else Path(out) / file_part(data.name) / f"fits-seed{seed}"
                 policies, behavior = [s.policy() for s in snapshots], float(np.mean(data.returns(discount)))
-                case = Case(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
+                case = OPEInput(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
             try:
                 estimates = found.on(case)
             except DivergedError as error:  # neither other methods nor other logs are held up

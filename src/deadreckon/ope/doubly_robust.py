@@ -23,7 +23,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import LOGGED, Estimates
@@ -39,7 +39,7 @@ from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
 from deadreckon.ope.weights import Episodes, Sums, few
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.stats.interval import NORMAL
-from deadreckon.training.hyperparameters import Count, Share, static
+from deadreckon.training.hyperparameters import Count, UnitInterval, static
 
 ALONE = {"marginal": "DRL", "switch": "SWITCH", "dros": "DRos", "mrdr": "MRDR"}  # labels whatever the critics are
 TRUSTED = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 13), [np.inf]])  # weights among which switch and dros choose
@@ -51,16 +51,19 @@ class DoublyRobust(Estimator):
 
     takes_horizon = True
 
-    kind: Literal["dr", "wdr", "magic", "marginal", "switch", "dros", "mrdr"] = static("wdr")  # weights and critics: see above
-    fqe: FQE | LinearFQE = static(FQE())  # the value function
-    folds: Count = static(5)  # each fold's critics and propensities learn from the others; 1: from the judged rows themselves
-    samples: Count = static(10)  # actions sampled at each row for V
-    behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
-    model: BehaviorModel = static(BehaviorModel())  # how the behaviour policy is learned
-    log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
-    alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
-    lengths: Count = static(10)  # magic: how many lengths of correction are blended
-    confidence: Share = 0.5  # magic: level of the interval of the full correction that biases are measured from
+    kind: Literal["dr", "wdr", "magic", "marginal", "switch", "dros", "mrdr"] = static("wdr")
+    """variant of weights and critics: see the estimator's page"""
+    fqe: FQE | LinearFQE = static(FQE())  # estimator of the value function
+    folds: Count = static(5)  # folds of cross-fitting for critics and propensities; 1: no cross-fitting
+    samples: Count = static(10)  # actions sampled at each row to estimate V
+    behavior: Literal["auto", "logged", "learned"] = static("auto")
+    """source of the propensities: the log, or a fitted model; auto: the log where it has them"""
+    model: BehaviorModel = static(BehaviorModel())  # model of the behaviour policy
+    log_ratio_range: tuple[float, float] | None = static(None)
+    """range that each step's log-ratio is clipped to; the public code has (-6, 2)"""
+    alive_only: bool = static(False)  # whether ended episodes leave the sum of the weights, as in the public code (biased)
+    lengths: Count = static(10)  # number of correction lengths that are blended, with kind="magic"
+    confidence: UnitInterval = 0.5  # level of the interval that biases are measured from, with kind="magic"
 
     @property
     def takes_crossed(self) -> bool:
@@ -75,7 +78,7 @@ class DoublyRobust(Estimator):
         name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
         return f"{name}-linear" if isinstance(self.fqe, LinearFQE) else name
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
         if self.kind == "marginal":
             return self._marginal(case)
@@ -85,7 +88,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, effective, redraws, influence, tails, average, doubts, shifts = [], [], [], [], [], [], [], []
+        values, ess, bootstrap, influence, tails, average, doubts, shifts = [], [], [], [], [], [], [], []
         learned = self.behavior == "learned" or (self.behavior == "auto" and "behavior_log_probs" not in case.data.extras)
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
@@ -107,26 +110,26 @@ class DoublyRobust(Estimator):
                 shifts.append(same.value() - sums.value())
             pulls = pulls + pulled
             values.append(value)
-            redraws.append(redrawn)
+            bootstrap.append(redrawn)
             influence.append(pulls)
-            effective.append(sums.effective)
+            ess.append(sums.ess)
             tails.append(episodes.typical(log_rho, whole=False))
             average.append(episodes.average(log_rho))
-        effective = np.asarray(effective)
-        warnings = self._warnings(case, effective, nuisances)
+        ess = np.asarray(ess)
+        warnings = self._warnings(case, ess, nuisances)
         if self.kind == "magic" and begins is None:
             warnings.append("its interval knows the variance of the blended corrections and not the bias of what is left out")
         found = Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
+            self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
             corrected=case.beyond <= TAIL, warnings=tuple(warnings), inflation=_beyond(case),
-            diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, effective, average)
+            diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, ess, average)
             | ({"normalising": np.array(shifts)} if shifts else {}),
         )  # fmt: skip
-        for i in doubts:  # the critics' share of doubt is in the redraws alone
-            found.low[i], found.high[i] = episodes.percentiles(redraws[i], float(effective[i]))
+        for i in doubts:  # the critics' share of the uncertainty is in the bootstrap alone
+            found.low[i], found.high[i] = episodes.percentiles(bootstrap[i], float(ess[i]))
         return found
 
-    def nuisances(self, case: Case) -> tuple[OutOfFold, np.ndarray | None]:
+    def nuisances(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray | None]:
         """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""
         if self.kind == "mrdr":
             return case.once(("out of fold", self), lambda: self._of_least_variance(case)), None
@@ -140,7 +143,7 @@ class DoublyRobust(Estimator):
             return self.fqe.out_of_fold(case, self.folds, self.samples), None
         return case.once(("errors", self.fqe, self.samples), lambda: self._in_sample(case))
 
-    def _in_sample(self, case: Case) -> tuple[OutOfFold, np.ndarray]:
+    def _in_sample(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray]:
         """By critics that learned from the judged rows, as the public code has it; an ensemble's mean."""
         assert isinstance(self.fqe, FQE)
         data, fitted = case.timed, self.fqe.fitted(case)
@@ -151,12 +154,12 @@ class DoublyRobust(Estimator):
         out = OutOfFold.of_values(case, begins.mean(0), now, last, chosen)
         return replace(out, fitted=np.square(out.errors).mean(1)), begins
 
-    def _of_least_variance(self, case: Case) -> OutOfFold:
+    def _of_least_variance(self, case: OPEInput) -> OutOfFold:
         """By critics of `ope/mrdr.py`."""
         if not isinstance(self.fqe, LinearFQE) or self.folds < 2:
             raise UserError("kind='mrdr' needs fqe=LinearFQE(), whose features it takes, and folds of 2 or more")
 
-        def propensities(each: Case) -> tuple[np.ndarray, np.ndarray | None]:
+        def propensities(each: OPEInput) -> tuple[np.ndarray, np.ndarray | None]:
             # What is not judged needs no models out of fold, and may have none that learned from what is.
             folds = self.folds if each is case else 1
             ratios = log_ratios(each, self.behavior, self.model, self.log_ratio_range, folds)
@@ -164,7 +167,7 @@ class DoublyRobust(Estimator):
 
         return out_of_fold(case, Fit(self.fqe, case), self.folds, propensities)
 
-    def scores(self, case: Case) -> np.ndarray:
+    def scores(self, case: OPEInput) -> np.ndarray:
         """(policies, episodes) whose means are plain doubly robust estimates: what each adds, without normalisation."""
         episodes, nuisances = case.episodes, self.nuisances(case)[0]
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
@@ -173,7 +176,7 @@ class DoublyRobust(Estimator):
             for i, row in enumerate(ratios)
         ])  # fmt: skip
 
-    def _trusting(self, case: Case) -> Estimates:
+    def _trusting(self, case: OPEInput) -> Estimates:
         """With weights that are trusted up to a limit (`switch`) or shrunk (`dros`), which other folds choose.
 
         The log's own policy keeps its weights, which are one. Diagnostics are those of the weights as they are: where their
@@ -185,7 +188,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, _ = self.nuisances(case)
         kept, span = np.exp(episodes.log_kept), self._span(case)
-        values, influence, effective, tails, average, left = [], [], [], [], [], []
+        values, influence, ess, tails, average, left = [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             grid = TRUSTED[-1:] if case.names[i] == LOGGED else TRUSTED
@@ -202,40 +205,40 @@ class DoublyRobust(Estimator):
             value, pulls, _ = episodes.means(each)
             values.append(value)
             influence.append(pulls)
-            effective.append(episodes.sums(log_rho, nuisances.errors[i], normalised=False).effective)
+            ess.append(episodes.sums(log_rho, nuisances.errors[i], normalised=False).ess)
             tails.append(episodes.typical(log_rho, whole=False))
             average.append(episodes.average(log_rho))
             left.append(over[chosen].mean() / case.span)
-        effective = np.asarray(effective)
+        ess = np.asarray(ess)
         warnings = [
-            *self._warnings(case, effective, nuisances),
+            *self._warnings(case, ess, nuisances),
             f"the interval of {self.label} knows the variance and not the bias of weights that are not trusted",
         ]  # fmt: skip
         return Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=case.beyond <= TAIL,
+            self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
             warnings=tuple(warnings), inflation=_beyond(case),
             diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | {"untrusted": np.array(left)}
-            | multiplied(case, effective, average),
+            | multiplied(case, ess, average),
         )  # fmt: skip
 
-    def _warnings(self, case: Case, effective: np.ndarray, nuisances: OutOfFold) -> list[str]:
-        found = case.episodes.warnings(case.names, effective, beyond=True)
+    def _warnings(self, case: OPEInput, ess: np.ndarray, nuisances: OutOfFold) -> list[str]:
+        found = case.episodes.warnings(case.names, ess, beyond=True)
         if case.beyond > TAIL:
             found.append(
                 f"{100 * case.beyond:.0f} % of the discounted time lies beyond the ends of the recording, where nothing "
                 "corrects the critics; a horizon asks for what was recorded"
             )
-        return found + self._unsettled(case, nuisances)
+        return found + self._convergence_warnings(case, nuisances)
 
     @staticmethod
-    def _span(case: Case) -> float:
+    def _span(case: OPEInput) -> float:
         """Bound of a critic's expected error of one step: of one-step episodes the range of a reward, else that of a value."""
         reward = case.data.spec.reward
         if case.data.lengths.max() == 1:
             return float(reward.max - reward.min)
         return float(max(reward.max, 0.0) - min(reward.min, 0.0)) * case.span
 
-    def _unsettled(self, case: Case, nuisances: OutOfFold) -> list[str]:
+    def _convergence_warnings(self, case: OPEInput, nuisances: OutOfFold) -> list[str]:
         found = [f"the critics of {name} diverge" for name, settled in zip(case.names, nuisances.settled) if not settled]
         residual, fitted = self._residuals(case, nuisances)
         over = np.flatnonzero(residual > OVERFIT * fitted)
@@ -245,23 +248,24 @@ class DoublyRobust(Estimator):
                 f"the critics of {case.names[worst]} overfit: they are off by {residual[worst]:.2g} deviations of the reward "
                 f"where they have not learned and by {fitted[worst]:.2g} where they have; estimates stay valid, but wide"
             )
-        return found + self._network_unsettled(case)
+        return found + self._network_warnings(case)
 
     @staticmethod
-    def _residuals(case: Case, nuisances: OutOfFold) -> tuple[np.ndarray, np.ndarray]:
+    def _residuals(case: OPEInput, nuisances: OutOfFold) -> tuple[np.ndarray, np.ndarray]:
         """(policies,) root mean squares of what critics leave unexplained, in deviations of rewards: out of fold, and not."""
         scale = float(case.data.spec.reward.std) or 1.0
         return np.sqrt(np.square(nuisances.errors).mean(1)) / scale, np.sqrt(nuisances.fitted) / scale
 
-    def _diagnostics(self, case: Case, nuisances: OutOfFold) -> dict[str, np.ndarray]:
-        settled = nuisances.settled & (not self._network_unsettled(case))
+    def _diagnostics(self, case: OPEInput, nuisances: OutOfFold) -> dict[str, np.ndarray]:
+        settled = nuisances.settled & (not self._network_warnings(case))
         residual, fitted = self._residuals(case, nuisances)
         return {"residual": residual, "training residual": fitted, "settled": settled.astype(float)}
 
-    def _network_unsettled(self, case: Case) -> list[str]:
-        return self.fqe.unsettled(case, "fqe by folds" if self.folds > 1 else "fqe") if isinstance(self.fqe, FQE) else []
+    def _network_warnings(self, case: OPEInput) -> list[str]:
+        what = "fqe by folds" if self.folds > 1 else "fqe"
+        return self.fqe.convergence_warnings(case, what) if isinstance(self.fqe, FQE) else []
 
-    def _marginal(self, case: Case) -> Estimates:
+    def _marginal(self, case: OPEInput) -> Estimates:
         """By ratios of occupancies. Where all episodes are whole the log's own policy has its mean return, exactly."""
         if not isinstance(self.fqe, LinearFQE):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
@@ -273,7 +277,7 @@ class DoublyRobust(Estimator):
         episodes = case.episodes
         of_row = episodes.group[episodes.of]
         whole = bool(np.asarray(case.data.terminals)[case.data.ends].all())  # also where the horizon ends them
-        values, influence, effective = [], [], []
+        values, influence, ess = [], [], []
         for i, name in enumerate(case.names):
             if name == LOGGED and whole:
                 returns = case.data.returns(case.discount)
@@ -292,9 +296,9 @@ class DoublyRobust(Estimator):
                 weight = np.maximum(np.bincount(episodes.of, nuisances.weights[i], episodes.count), 0.0)
             values.append(value)
             influence.append(pulls)
-            effective.append(weight.sum() ** 2 / max(float(np.square(weight).sum()), 1e-300))
-        effective = np.asarray(effective)
-        warnings = [*few(case.names, effective, episodes.count), *self._unsettled(case, nuisances)]
+            ess.append(weight.sum() ** 2 / max(float(np.square(weight).sum()), 1e-300))
+        ess = np.asarray(ess)
+        warnings = [*few(case.names, ess, episodes.count), *self._convergence_warnings(case, nuisances)]
         means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
         exact = Fit(self.fqe, case).features.table is not None
         if exact:
@@ -308,7 +312,7 @@ class DoublyRobust(Estimator):
                 "nothing corrects them, and the interval does not know"
             )
         return Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=exact,
+            self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=exact,
             warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | means,
         )  # fmt: skip
 
@@ -318,7 +322,7 @@ class DoublyRobust(Estimator):
         """Corrections of several lengths, weighted so that variance plus squared bias is least.
 
         Returns:
-            The estimate, its redraws, the influence of the corrections, and the weight of no correction at all.
+            The estimate, its bootstrap samples, the influence of the corrections, and the weight of no correction at all.
         """
         from scipy.optimize import nnls  # half a second, for this kind alone
 
@@ -339,7 +343,7 @@ class DoublyRobust(Estimator):
         return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(x[0])
 
 
-def _beyond(case: Case) -> np.ndarray | None:
+def _beyond(case: OPEInput) -> np.ndarray | None:
     """(policies,) by which errors are multiplied where the recording ends early; None: by one.
 
     A share b of the discounted time lies beyond it, where the critics are believed. Their errors there are those of the same

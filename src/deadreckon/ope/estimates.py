@@ -10,7 +10,7 @@ from deadreckon.stats import inference
 from deadreckon.stats.interval import PERCENT
 
 if TYPE_CHECKING:
-    from deadreckon.ope.case import Case
+    from deadreckon.ope.case import OPEInput
 
 LOGGED = "behaviour policy"  # the name of the policy that made the log
 
@@ -25,20 +25,20 @@ class Estimates:
         value: (policies,) expected discounted return of an episode.
         low, high: (policies,) ends of intervals at `stats.interval.LEVEL`; NaN where the method gives none.
         estimand: what is estimated.
-        redraws: (n, policies) estimates of redrawn logs or of members of an ensemble, the same redraws for all policies, so
-            that differences between policies can be judged; None where there are none.
-        influence: (units, policies) influence function of the estimates at each unit of the log (`Case.units`: episodes,
+        bootstrap: (n_bootstrap, policies) estimates of bootstrap samples of the log, or of the members of an ensemble; the same
+            samples for all policies, so that differences between policies have intervals. None where there are none.
+        influence: (units, policies) influence function of the estimates at each unit of the log (`OPEInput.units`: episodes,
             clusters or groups of them), which has mean zero; the sum of its squares over units^2 is the variance of the
             estimate. The same units for all policies and methods of a case, so that gains are paired. None where there is none.
-        effective: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
+        ess: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
             weighted.
         corrected: whether logged rewards, weighted by how likely the policy is to act as logged, decide the estimate. Otherwise
             it is model-based: an error of the fitted model is not corrected by anything.
         warnings: why not to trust it, one line each.
         seconds: it took, without what was there already for another estimator.
         diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
-        inflation: (policies,) by which errors are multiplied, beyond what the influence function says; see `Case.inflation`.
-            None: by one.
+        inflation: (policies,) by which errors are multiplied, beyond what the influence function says; None: by one. See
+            `OPEInput.inflation`.
     """
 
     method: str
@@ -47,9 +47,9 @@ class Estimates:
     low: np.ndarray
     high: np.ndarray
     estimand: Estimand
-    redraws: np.ndarray | None = field(default=None, repr=False)
+    bootstrap: np.ndarray | None = field(default=None, repr=False)
     influence: np.ndarray | None = field(default=None, repr=False)
-    effective: np.ndarray | None = None
+    ess: np.ndarray | None = None
     corrected: bool = False
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
@@ -57,7 +57,7 @@ class Estimates:
     inflation: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
-    def of_influence(cls, method: str, case: "Case", value: np.ndarray, influence: np.ndarray, **more: Any) -> "Estimates":
+    def of_influence(cls, method: str, case: "OPEInput", value: np.ndarray, influence: np.ndarray, **more: Any) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
         itself.
         """
@@ -86,6 +86,6 @@ class Estimates:
         model = "" if self.corrected else ", model-based"
         lines = [f"{self.method}{model}: {self.estimand}; {PERCENT} intervals"]
         for i, name in enumerate(self.names):
-            weight = "" if self.effective is None else f"   effective sample size {self.effective[i]:,.1f} episodes"
+            weight = "" if self.ess is None else f"   effective sample size {self.ess[i]:,.1f} episodes"
             lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
         return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])

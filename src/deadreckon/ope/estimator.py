@@ -8,7 +8,7 @@ import equinox as eqx
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.training.hyperparameters import check_fields
 
@@ -29,10 +29,10 @@ class Estimator(eqx.Module):
         policies: Any,
         **options: Any,
     ) -> Estimates:
-        """The value of each policy, from the log alone; see `Case` for the options."""
-        return self.on(Case(data, policies, **options))
+        """The value of each policy, from the log alone; see `OPEInput` for the options."""
+        return self.on(OPEInput(data, policies, **options))
 
-    def on(self, case: Case) -> Estimates:
+    def on(self, case: OPEInput) -> Estimates:
         """The same on a case that several estimators share."""
         for each in (self, *vars(self).values()):
             if isinstance(each, eqx.Module):
@@ -59,7 +59,7 @@ class Estimator(eqx.Module):
         """What tables call it."""
         raise NotImplementedError
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """What the estimator is."""
         raise NotImplementedError
 

@@ -72,7 +72,7 @@ class Fits:
         complete(job, what, told)
         return jax.tree.map(lambda leaf: leaf[0], job.states)
 
-    def unsettled(self, what: str, metric: str) -> list[str]:
+    def convergence_warnings(self, what: str, metric: str) -> list[str]:
         """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
         seen = self._metrics.get(what, {})
         last = max(seen, default=0)

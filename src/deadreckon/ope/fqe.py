@@ -1,7 +1,7 @@
 """FQE-L2: fitted Q evaluation with a squared loss (Le et al. 2019; thesis 8.5; settings of the public implementation).
 
-Every policy has `members` critics, each of which learns from episodes redrawn with replacement (`Case.redrawn`): their mean is
-the estimate and their spread its interval. All critics of all policies are one program and see the same minibatches.
+Every policy has `members` critics, each of which learns from a bootstrap resample of the episodes (`OPEInput.redrawn`): their
+mean is the estimate and their spread its interval. All critics of all policies are one program and see the same minibatches.
 
 For doubly robust estimates the members are folds instead: each learns from the episodes outside its fold and stops where its
 loss on a tenth of them, which do not teach it, is least.
@@ -21,12 +21,12 @@ from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.behavior import masks
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.stats.bootstrap import ensemble_interval
-from deadreckon.training.hyperparameters import Count, NonNegative, Share, Sizes, host, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
 
 class State(NamedTuple):
@@ -39,7 +39,7 @@ class State(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """What critics count in: a return over the discounted number of steps (`Case.span`), in standard deviations of the reward.
+    """Units of the critics: a return over the discounted number of steps (`OPEInput.span`), in deviations of the reward.
 
     Attributes:
         std: of the reward, or 1 where it never changes.
@@ -53,7 +53,7 @@ class Scale(NamedTuple):
     high: float
 
     @classmethod
-    def of(cls, case: Case) -> "Scale":
+    def of(cls, case: OPEInput) -> "Scale":
         """Of a log's rewards; where episodes end, nothing (0) follows."""
         reward = case.data.spec.reward
         std = float(reward.std) or 1.0
@@ -106,7 +106,7 @@ class Critics(eqx.Module):
         target = jnp.clip(reward + self.discount * (1.0 - batch.terminal) * future, self.scale.low, self.scale.high)
         grads, (metrics, checked) = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
         critics, opt = apply_gradients(state.critics, grads, state.opt, self.settings.lr, self.settings.weight_decay)
-        targets = polyak_update(state.targets, critics, self.settings.target_rate)
+        targets = polyak_update(state.targets, critics, self.settings.tau)
         best = None if state.best is None else state.best.look(targets, checked, step, self.first)
         return State(critics, targets, opt, best), metrics
 
@@ -130,22 +130,22 @@ class FQE(Estimator):
 
     takes_horizon = True
 
-    members: Count = host(3)  # critics a policy, each on redrawn episodes
+    members: Count = host(3)  # critics per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((256, 256))  # width of each hidden layer
-    steps: Count = host(100_000)  # updates (public code: 1,000,000)
-    batch_size: Count = static(256)  # rows a batch
-    lr: NonNegative = 3e-4  # learning rate
-    weight_decay: NonNegative = 1e-5  # AdamW
-    target_rate: Share = 0.005  # Polyak rate of the target critics
-    samples: Count = host(1)  # actions drawn at each next observation, once; their mean value is the target
-    initial_samples: Count = host(10)  # actions drawn at each initial observation
+    steps: Count = host(100_000)  # updates of the critics (public code: 1,000,000)
+    batch_size: Count = static(256)  # batch size (transitions per update)
+    lr: NonNegative = 3e-4  # learning rate of the critics
+    weight_decay: NonNegative = 1e-5  # weight decay of AdamW
+    tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
+    samples: Count = host(1)  # actions sampled once at each next observation; their mean value is the target
+    initial_samples: Count = host(10)  # actions sampled at each initial observation
 
-    def fitted(self, case: Case) -> Fitted:
+    def fitted(self, case: OPEInput) -> Fitted:
         """The critics of a case's policies; made once for a case, whoever asks."""
         return case.once(self, lambda: self._fit(case))
 
     def problem(
-        self, case: Case, weight: np.ndarray | None = None, check: np.ndarray | None = None
+        self, case: OPEInput, weight: np.ndarray | None = None, check: np.ndarray | None = None
     ) -> tuple[Critics, TransitionSource]:
         """What is trained for a case, and the rows that it learns from.
 
@@ -171,12 +171,12 @@ class FQE(Estimator):
             extra["check"] = check[data.episode_of]
         return learner, TransitionSource(data, learner.needs(data.spec), extra)
 
-    def _fit(self, case: Case) -> Fitted:
+    def _fit(self, case: OPEInput) -> Fitted:
         learner, rows = self.problem(case)
         state = case.train(learner, rows, self.steps, "fqe")
         return Fitted(state.targets, Scale.of(case).unit, rows.view)
 
-    def out_of_fold(self, case: Case, folds: int, samples: int) -> OutOfFold:
+    def out_of_fold(self, case: OPEInput, folds: int, samples: int) -> OutOfFold:
         """What critics that have not seen an episode say of it, whose folds are lanes of one program.
 
         Args:
@@ -187,7 +187,7 @@ class FQE(Estimator):
         key = ("out of fold", self, folds, samples)
         return case.once(key, lambda: self._out_of_fold(case, folds, samples))
 
-    def _out_of_fold(self, case: Case, folds: int, samples: int) -> OutOfFold:
+    def _out_of_fold(self, case: OPEInput, folds: int, samples: int) -> OutOfFold:
         fold, whole = case.folds(folds), case.whole()
         weight, check = masks(case, fold, whole)
         learner, rows = self.problem(whole, weight, check)
@@ -214,17 +214,17 @@ class FQE(Estimator):
         """What tables call it."""
         return "FQE-L2"
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Mean value of the initial observations."""
         values = self.fitted(case).values(case.timed.observations[case.data.starts], case.initial_actions(self.initial_samples))
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
         low, high = ensemble_interval(found)
         return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.estimand, redraws=found,
-            warnings=tuple(self.unsettled(case)),
+            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found,
+            warnings=tuple(self.convergence_warnings(case)),
         )  # fmt: skip
 
-    def unsettled(self, case: Case, what: str = "fqe") -> list[str]:
+    def convergence_warnings(self, case: OPEInput, what: str = "fqe") -> list[str]:
         """A warning where the fit still changes."""
-        return case.unsettled(what, "q")
+        return case.convergence_warnings(what, "q")

@@ -4,7 +4,7 @@ Each critic gives probabilities of `atoms` returns, evenly spaced over what is p
 is the distribution of r + discount Z(s', a'), put back on the atoms, from a copy of the critics that is renewed every so often.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, copy, init_opt
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import in_blocks
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
@@ -125,7 +125,7 @@ class Distributions(eqx.Module):
         return jax.vmap(lambda member: jax.vmap(one, (0, 1))(member, table))(critics)
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of every critic towards the projected target; copies are renewed every `renew` steps."""
+        """One step of every critic towards the projected target; copies are renewed every `target_update_period` steps."""
         assert batch.extra is not None
         future = self.mixture(state.targets, batch.next_observation, batch.extra["policy"])
         reward = (1.0 - self.discount) * batch.reward / self.scale.std
@@ -133,10 +133,10 @@ class Distributions(eqx.Module):
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
         # Every critic's gradient is clipped by its own norm.
         square = sum(jnp.square(g).sum(tuple(range(2, g.ndim))) for g in jax.tree.leaves(grads))
-        scale = jnp.minimum(1.0, self.settings.gradient_clip / jnp.sqrt(jnp.maximum(square, 1e-12)))
+        scale = jnp.minimum(1.0, self.settings.max_grad_norm / jnp.sqrt(jnp.maximum(square, 1e-12)))
         grads = jax.tree.map(lambda g: g * scale.reshape(*scale.shape, *[1] * (g.ndim - 2)), grads)
         critics, opt = apply_gradients(state.critics, grads, state.opt, self.settings.lr)
-        over = (step + 1) % self.settings.renew == 0
+        over = (step + 1) % self.settings.target_update_period == 0
         targets = jax.tree.map(lambda new, old: jnp.where(over, new, old), critics, state.targets)
         return State(critics, targets, opt), metrics
 
@@ -157,23 +157,25 @@ def _values(learner: Distributions, critics: NormMLP, observation: Array, table:
 class FQED(Estimator):
     """Fitted Q evaluation of return distributions."""
 
-    members: Count = static(3)  # critics a policy, each on redrawn episodes
+    other_names: ClassVar[dict[str, str]] = {"renew": "target_update_period", "gradient_clip": "max_grad_norm"}
+
+    members: Count = static(3)  # critics per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((512, 512, 256))  # width of each hidden layer
-    atoms: Annotated[int, Range(ge=2)] = static(51)  # returns that have a probability
-    steps: Count = host(100_000)  # updates
-    batch_size: Count = static(1024)  # rows a batch
-    lr: NonNegative = 1e-4  # learning rate
-    renew: Count = static(100)  # updates between copies of the critics for targets
-    gradient_clip: NonNegative = 40.0  # norm of each critic's gradient
-    samples: Count = host(1)  # actions drawn at each next observation, once
-    initial_samples: Count = host(10)  # actions drawn at each initial observation
+    atoms: Annotated[int, Range(ge=2)] = static(51)  # number of returns that have a probability
+    steps: Count = host(100_000)  # updates of the critics
+    batch_size: Count = static(1024)  # batch size (transitions per update)
+    lr: NonNegative = 1e-4  # learning rate of the critics
+    target_update_period: Count = static(100)  # updates between copies of the critics to the targets
+    max_grad_norm: NonNegative = 40.0  # norm above which the gradient of a critic is clipped
+    samples: Count = host(1)  # actions sampled once at each next observation
+    initial_samples: Count = host(10)  # actions sampled at each initial observation
 
     @property
     def label(self) -> str:
         """What tables call it."""
         return "FQE-D"
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Mean of the distributions at the initial observations."""
         data, scale = case.data, Scale.of(case)
         scale = scale._replace(high=max(scale.high, scale.low + 1e-3))
@@ -188,6 +190,6 @@ class FQED(Estimator):
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = ensemble_interval(found)
         return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.estimand, redraws=found,
-            warnings=tuple(case.unsettled("fqe-d", "q")),
+            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found,
+            warnings=tuple(case.convergence_warnings("fqe-d", "q")),
         )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import WEIGHTLESS, Case
+from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.stats import inference
@@ -36,7 +36,7 @@ class Groups(NamedTuple):
 
 
 def by_group(
-    case: Case, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
+    case: OPEInput, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
 ) -> list[dict[str, Any]]:
     """The gain of one of a case's policies in each group, as JSON values: an end that nobody knows is None.
 

@@ -16,14 +16,14 @@ policies, and that the range is known without looking at the log.
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.stats.betting import lower
 from deadreckon.stats.interval import ALPHA
 
 LARGEST = 300.0  # log of a weight; larger ones are cut, which can only lower the bound
 
 
-def refuse(case: Case, return_range: tuple[float, float] | None) -> None:
+def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
     """Says what a guarantee lacks, if anything.
 
     Raises:
@@ -48,7 +48,7 @@ def refuse(case: Case, return_range: tuple[float, float] | None) -> None:
         raise UserError(f"a guarantee needs {'; and '.join(lacks)}")
 
 
-def guaranteed(case: Case, which: int, return_range: tuple[float, float] | None, alpha: float = ALPHA) -> float:
+def guaranteed(case: OPEInput, which: int, return_range: tuple[float, float] | None, alpha: float = ALPHA) -> float:
     """Lower bound of the gain of one of a case's policies, chosen among them by any rule.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
@@ -29,24 +29,28 @@ class ImportanceSampling(Estimator):
     takes_horizon = True
     takes_crossed = True
 
-    kind: Literal["trajectory", "per_decision"] = static("per_decision")  # one weight an episode, or one a step
-    normalised: bool = static(True)  # divide by the weights' sum instead of their number: biased, far less variance
-    behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
-    model: BehaviorModel = static(BehaviorModel())  # how the behaviour policy is learned
-    log_ratio_range: tuple[float, float] | None = static(None)  # cuts each step's log-ratio; the public code has (-6, 2)
-    alive_only: bool = static(False)  # forget ended episodes in the weights' sum, as the public code does (biased)
-    interval: Literal["bootstrap", "t", "hoeffding", "bernstein"] = static("bootstrap")  # the last two hold for every n
-    folds: Count = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
-    return_range: tuple[float, float] | None = static(None)  # least and greatest return of an episode; for the last two
-    max_weight: Positive | None = static(None)  # greatest weight of an episode, or of any of its steps; for the last two
+    kind: Literal["trajectory", "per_decision"] = static("per_decision")  # weights: one per episode, or one per decision
+    normalised: bool = static(True)  # whether to divide by the sum of the weights: biased, but of far less variance
+    behavior: Literal["auto", "logged", "learned"] = static("auto")
+    """source of the propensities: the log, or a fitted model; auto: the log where it has them"""
+    model: BehaviorModel = static(BehaviorModel())  # model of the behaviour policy
+    log_ratio_range: tuple[float, float] | None = static(None)
+    """range that each step's log-ratio is clipped to; the public code has (-6, 2)"""
+    alive_only: bool = static(False)  # whether ended episodes leave the sum of the weights, as in the public code (biased)
+    interval: Literal["bootstrap", "t", "hoeffding", "bernstein"] = static("bootstrap")
+    """kind of interval; hoeffding and bernstein hold for any number of episodes"""
+    folds: Count = static(5)  # folds of cross-fitting for learned propensities; 1: one model of all episodes
+    return_range: tuple[float, float] | None = static(None)
+    """smallest and largest return of an episode, for hoeffding and bernstein"""
+    max_weight: Positive | None = static(None)  # largest weight of an episode or of its steps, for hoeffding and bernstein
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Weighted sums of the logged rewards."""
         episodes = case.episodes
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
         bounds = self._bounds(episodes, rewards)
-        values, lows, highs, effective, redraws, influence, tails, average = [], [], [], [], [], [], [], []
+        values, lows, highs, ess, bootstrap, influence, tails, average = [], [], [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
             if self.kind == "trajectory":
@@ -55,25 +59,25 @@ class ImportanceSampling(Estimator):
                 sums = episodes.sums(log_rho, rewards, normalised=self.normalised, alive_only=self.alive_only)
             values.append(sums.value())
             influence.append(sums.influence())
-            redraws.append(sums.redraw(episodes.counts))
+            bootstrap.append(sums.redraw(episodes.counts))
             if self.interval != "bootstrap":
                 each = sums.value() + sums.influence()
                 if not self.normalised and episodes.even:
                     each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
-                low, high = self._interval(each, bounds) if sums.effective > 0 else (-np.inf, np.inf)
+                low, high = self._interval(each, bounds) if sums.ess > 0 else (-np.inf, np.inf)
                 lows.append(low)
                 highs.append(high)
-            effective.append(sums.effective)
+            ess.append(sums.ess)
             tails.append(episodes.typical(log_rho, whole=self.kind == "trajectory"))
             average.append(episodes.average(log_rho))
-        effective, values = np.asarray(effective), np.asarray(values)
-        warnings = episodes.warnings(case.names, effective, whole=self.kind == "trajectory")
+        ess, values = np.asarray(ess), np.asarray(values)
+        warnings = episodes.warnings(case.names, ess, whole=self.kind == "trajectory")
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
         found = Estimates.of_influence(
-            self.label, case, values, np.stack(influence, 1), redraws=np.stack(redraws, 1), effective=effective,
+            self.label, case, values, np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
             corrected=True, warnings=tuple(warnings),
-            diagnostics=diagnosed(tails) | multiplied(case, effective, average),
+            diagnostics=diagnosed(tails) | multiplied(case, ess, average),
         )  # fmt: skip
         return replace(found, low=np.asarray(lows), high=np.asarray(highs)) if lows else found
 
@@ -116,12 +120,12 @@ class ImportanceSampling(Estimator):
         return bound(each, *bounds)
 
 
-def multiplied(case: Case, effective: np.ndarray, average: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+def multiplied(case: OPEInput, ess: np.ndarray, average: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Diagnostics of weights that are multiplied along episodes.
 
     Args:
         case: log and policies.
-        effective: (policies,) episodes that they amount to.
+        ess: (policies,) episodes that they amount to.
         average: for each policy the (episodes,) means of their weights (`Episodes.average`).
 
     Returns:
@@ -133,11 +137,11 @@ def multiplied(case: Case, effective: np.ndarray, average: Sequence[np.ndarray])
     found = [case.episodes.means(each)[:2] for each in average]
     mean, influence = np.array([value for value, _ in found]), np.stack([pulls for _, pulls in found], 1)
     high = inference.student(mean, influence, 2 * inference.SURE)[1]
-    return {"effective share": effective / case.data.episodes, "mean weight": mean, "mean weight high": high}
+    return {"effective share": ess / case.data.episodes, "mean weight": mean, "mean weight high": high}
 
 
 def log_ratios(
-    case: Case,
+    case: OPEInput,
     behavior: Literal["auto", "logged", "learned"],
     model: BehaviorModel,
     within: tuple[float, float] | None,
@@ -151,7 +155,7 @@ def log_ratios(
 
 
 def logged_probs(
-    case: Case, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, folds: int = 5
+    case: OPEInput, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, folds: int = 5
 ) -> np.ndarray:
     """(rows,) log beta(a|s) of the logged actions; learned ones are those of `folds` folds."""
     if folds > 1 and behavior != "logged" and (behavior == "learned" or "behavior_log_probs" not in case.data.extras):

@@ -4,19 +4,19 @@
 
 is its fixed point (LSTD-Q: Lagoudakis and Parr 2003; as fitted Q evaluation: Duan, Jia and Wang 2020). With a horizon it is
 iterated from zero as often as steps are left, so that there is a critic for each number of steps to go. The same sums of
-features solve it for every fold and every redraw of the log, so that critics out of fold, many redraws (Hao et al. 2021) and
-ratios of occupancies, which are linear in the same features, cost little more than one fit.
+features solve it for every fold and every resample of the log, so that critics out of fold, many bootstrap samples (Hao et al.
+2021) and ratios of occupancies, which are linear in the same features, cost little more than one fit.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
@@ -31,7 +31,7 @@ SUMMED = ("gram", "next", "reward", "start", "rows", "episodes", "lost_gram", "l
 DOUBLINGS = 22  # 2^22 steps are as good as endless
 GROWN = 1e6  # of the powers of the backup: it diverges
 PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-validation
-REDRAWS = 200
+N_BOOTSTRAP = 200
 GROUPS = 100  # of units that are redrawn
 ROOM = 1e9  # bytes of sums above which there are fewer groups
 # Rows of episodes that are not judged, from which critics out of fold learn beside the judged ones: a few hundred weights are
@@ -101,10 +101,12 @@ class Sums:
 class LinearFQE(Estimator):
     """Fitted Q evaluation that is linear in features of observation and action."""
 
-    cosines: Count = static(256)  # random Fourier features, where the log has more than a few different observations
-    samples: Count = static(10)  # actions sampled at each observation of continuous actions
-    redraws: Count = static(REDRAWS)  # resamples of the log for the interval
-    ridge: NonNegative | None = static(None)  # strength of the ridge penalty, in rows; None: by cross-validation
+    other_names: ClassVar[dict[str, str]] = {"cosines": "fourier_features", "redraws": "n_bootstrap"}
+
+    fourier_features: Count = static(256)  # random Fourier features, where the log has more than a few distinct observations
+    samples: Count = static(10)  # actions sampled at each observation, for continuous actions
+    n_bootstrap: Count = static(N_BOOTSTRAP)  # bootstrap resamples of the log for the interval
+    ridge: NonNegative | None = static(None)  # strength of the ridge penalty, in transitions; None: by cross-validation
 
     takes_horizon = True
 
@@ -113,7 +115,7 @@ class LinearFQE(Estimator):
         """What tables call it."""
         return "FQE-linear"
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Mean value of the initial observations; intervals by redrawing the log and solving again."""
         fit = Fit(self, case)
         rng = np.random.default_rng([case.seed, 7])
@@ -125,18 +127,18 @@ class LinearFQE(Estimator):
         sums = fit.sums(case, group, groups)
         once = np.ones(groups)
         ridges = [fit.ridge(sums, i, None) for i in range(case.count)]
-        counts = rng.multinomial(groups, np.full(groups, 1 / groups), self.redraws).astype(float)
-        values, redraws, warnings = np.empty(case.count), np.empty((self.redraws, case.count)), []
+        counts = rng.multinomial(groups, np.full(groups, 1 / groups), self.n_bootstrap).astype(float)
+        values, bootstrap, warnings = np.empty(case.count), np.empty((self.n_bootstrap, case.count)), []
         for i in range(case.count):
             critic = fit.critic(sums, once, i, ridges[i])
             if not critic.settled:
                 warnings.append(f"{self.label}: the backup of {case.names[i]} diverges on this log's features")
             values[i] = sums.start[:, i].sum(0) @ critic.weights[-1] / sums.episodes.sum() * fit.std
             for b, weight in enumerate(counts):
-                redraws[b, i] = fit.value(sums, weight, i, critic.ridge)
-        low, high = np.array([percentile_interval(each, groups) for each in redraws.T]).T
+                bootstrap[b, i] = fit.value(sums, weight, i, critic.ridge)
+        low, high = np.array([percentile_interval(each, groups) for each in bootstrap.T]).T
         return Estimates(
-            self.label, case.names, values, low, high, case.estimand, redraws=redraws,
+            self.label, case.names, values, low, high, case.estimand, bootstrap=bootstrap,
             warnings=(*warnings, "its interval knows the variance of the log and not the bias of the features"),
         )  # fmt: skip
 
@@ -154,23 +156,24 @@ class Fit:
         case: log and policies.
     """
 
-    def __init__(self, estimator: LinearFQE, case: Case):
+    def __init__(self, estimator: LinearFQE, case: OPEInput):
         self.case = case
         self.given = estimator.ridge
         self.samples = estimator.samples
-        self.features = case.once(("features", estimator.cosines), lambda: Features(case.log, estimator.cosines, case.seed))
+        count = estimator.fourier_features
+        self.features = case.once(("features", count), lambda: Features(case.log, count, case.seed))
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
         self.counts_next = case.discount > 0 and self.horizon != 1 and not np.asarray(case.log.terminals).all()
         self._factors: dict[tuple[bytes, float, bool], Any] = {}  # the policies share them
 
-    def next_actions(self, case: Case) -> np.ndarray | None:
+    def next_actions(self, case: OPEInput) -> np.ndarray | None:
         """What the policies do after each row; None where nothing that follows counts."""
         return case.next_actions(self.samples) if self.counts_next else None
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
-    def sums(self, case: Case, group: np.ndarray, groups: int, *, start: bool = True) -> Sums:
+    def sums(self, case: OPEInput, group: np.ndarray, groups: int, *, start: bool = True) -> Sums:
         """Of the episodes of `case.data`, by their (episodes,) group; without `start` none of the initial observations."""
         data, d, count = case.data, self.features.size, case.count
         out = Sums(
@@ -253,7 +256,7 @@ class Fit:
             ridge *= 10.0
 
     def value(self, sums: Sums, weight: np.ndarray, policy: int, ridge: float) -> float:
-        """The value alone, for redraws: one solution of the linear system."""
+        """The value alone, for bootstrap samples: one solution of the linear system."""
         gram, following, reward, start, _ = sums.of(weight, policy)
         penalised = self.penalised(gram, ridge)
         if self.horizon is None:

@@ -109,7 +109,7 @@ def compare(
         normalised: on the scale where the worst policy is 0 and the best 1, by the whole set (thesis 8.5).
         clip: cut normalised estimates above this (the public notebook: `PUBLIC_CLIP`); None: as they are.
         resamples: redrawn sets of policies.
-        seed: of the redraws.
+        seed: of the bootstrap.
 
     Raises:
         UserError: not as many true values as estimates, too few policies, or estimates that are not finite.

@@ -16,7 +16,7 @@ from deadreckon.dynamics import AutoRegressive, Gaussian, Model
 from deadreckon.dynamics.model import Limits
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.stats.bootstrap import ensemble_interval
@@ -29,22 +29,24 @@ TAIL = 0.01  # made-up episodes are cut where so much of the discounted time is 
 class ModelBased(Estimator):
     """Returns of made-up episodes."""
 
-    kind: Literal["feedforward", "autoregressive"] = static("feedforward")  # of the model: MB-FF or MB-AR
-    members: Count = static(3)  # networks, each on redrawn episodes
+    kind: Literal["feedforward", "autoregressive"] = static("feedforward")
+    """kind of model: feed-forward (MB-FF) or auto-regressive (MB-AR)"""
+    members: Count = static(3)  # number of networks, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     steps: Count = static(50_000)  # updates of the models
-    batch_size: Count = static(256)  # rows a batch
-    lr: NonNegative = 3e-4  # learning rate
-    weight_decay: NonNegative = 1e-5  # AdamW
-    episodes: Count = static(100)  # made up for each member and policy, from initial observations of the log
-    horizon: CountOrZero | None = static(None)  # steps of an episode; None: until 1 % is left, or as the longest where all end
-    model: BehaviorModel = static(BehaviorModel())  # how the log's own policy is learned, where it is judged too
+    batch_size: Count = static(256)  # batch size (transitions per update)
+    lr: NonNegative = 3e-4  # learning rate of the models
+    weight_decay: NonNegative = 1e-5  # weight decay of AdamW
+    episodes: Count = static(100)  # simulated episodes per network and policy, from initial observations of the log
+    horizon: CountOrZero | None = static(None)
+    """steps of an episode; None: until 1 % of the discount is left, or the longest where all end"""
+    model: BehaviorModel = static(BehaviorModel())  # model of the behaviour policy, where it is estimated too
 
-    def fitted(self, case: Case) -> tuple[Model, Any, TransitionSource]:
+    def fitted(self, case: OPEInput) -> tuple[Model, Any, TransitionSource]:
         """The model and its parameters; made once for a case."""
         return case.once(self.replace(episodes=1, horizon=None, model=None), lambda: self._fit(case))
 
-    def _fit(self, case: Case) -> tuple[Model, Any, TransitionSource]:
+    def _fit(self, case: OPEInput) -> tuple[Model, Any, TransitionSource]:
         model = KINDS[self.kind](self.members, self.hidden, self.lr, self.weight_decay, self.batch_size)
         extra = {"weight": case.redrawn(self.members)[case.data.episode_of]}
         rows = TransitionSource(case.data, model.needs(case.data.spec), extra)
@@ -56,7 +58,7 @@ class ModelBased(Estimator):
         """What tables call it."""
         return {"feedforward": "MB-FF", "autoregressive": "MB-AR"}[self.kind]
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Makes up episodes and averages their returns."""
         model, (params, unit), rows = self.fitted(case)
         data, members, count = case.data, self.members, self.episodes
@@ -90,7 +92,7 @@ class ModelBased(Estimator):
                 )
             returns[:, i] = unit * np.asarray(total.mean(1))
         low, high = ensemble_interval(returns)
-        return Estimates(self.label, case.names, returns.mean(0), low, high, case.estimand, redraws=returns)
+        return Estimates(self.label, case.names, returns.mean(0), low, high, case.estimand, bootstrap=returns)
 
 
 @eqx.filter_jit

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from deadreckon.errors import UserError
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.linear import PILOT, RIDGES, Critic, Fit, blocks
@@ -142,7 +142,7 @@ def mrdr_linear(
 
 
 def out_of_fold(
-    case: Case, fit: Fit, folds: int, propensities: Callable[[Case], tuple[np.ndarray, np.ndarray | None]]
+    case: OPEInput, fit: Fit, folds: int, propensities: Callable[[OPEInput], tuple[np.ndarray, np.ndarray | None]]
 ) -> OutOfFold:
     """What critics of least variance that have not seen an episode say of it, linear in the features of `fit`.
 

@@ -10,7 +10,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.ope.behavior import PROPENSITIES
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimates import Estimates
@@ -22,6 +22,7 @@ from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.model_based import ModelBased
 from deadreckon.ope.state_marginal import StateMarginal
 from deadreckon.ope.vpm import VPM
+from deadreckon.training.field_names import meant, with_field_names
 from deadreckon.training.hyperparameters import static
 
 ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
@@ -66,13 +67,13 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
 PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE, "alive_only": True, "folds": 1}
 # What one core does on a log of a million rows in an hour or two. Targets follow faster than in the full setting: a reward is
 # seen one step earlier each time they have caught up, and 20,000 updates at the usual 0.005 are only a hundred such steps.
-_FQE = {"steps": 20_000, "target_rate": 0.05}
+_FQE = {"steps": 20_000, "tau": 0.05}
 _MARGINAL = {"steps": 10_000, "members": 1, "batch_size": 256, "lr": 3e-4}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     "fqe": _FQE,
     # The behaviour model keeps its own size: it is fitted once for all estimators of a log.
     **{name: {"fqe": _FQE, "samples": 1} for name in ("dr", "plain-dr", "magic")},
-    "fqe-d": {"steps": 5_000, "members": 1, "batch_size": 256, "hidden": (256, 256), "renew": 20},
+    "fqe-d": {"steps": 5_000, "members": 1, "batch_size": 256, "hidden": (256, 256), "target_update_period": 20},
     **{name: _MARGINAL for name in ("dice", "dual-dice", "gen-dice", "vpm")},
     "mb-ff": {"steps": 20_000, "members": 1},
     "mb-ar": {"steps": 10_000, "members": 1},
@@ -98,7 +99,7 @@ def estimator(name: str, **changes: Any) -> Estimator:
     made = [make() for make, _ in ESTIMATORS.values()]
     fields = {field.name for each in made for field in dataclasses.fields(each)}
     for field in changes:
-        if field not in fields:
+        if not any(meant(type(each), field) for each in made):
             raise unknown("field of estimators", field, sorted(fields))
     return with_fields(ESTIMATORS[name][0](), changes)
 
@@ -113,10 +114,14 @@ def titled(label: str) -> str:
 def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
     """The estimator with those fields changed that it, or what it fits inside, has; a mapping changes an inner one alone."""
     own = {f.name for f in dataclasses.fields(found)}
+    inner = {name: getattr(found, name) for name in _INNER if name in own}
     nested = {name: value for name, value in changes.items() if isinstance(value, Mapping)}
-    changes = {name: value for name, value in changes.items() if name not in nested}
-    inner = {name: with_fields(getattr(found, name), {**nested.get(name, {}), **changes}) for name in _INNER if name in own}
-    return dataclasses.replace(found, **{name: value for name, value in changes.items() if name in own}, **inner)
+    plain = {name: value for name, value in changes.items() if name not in nested}
+    for name, part in inner.items():
+        both = (with_field_names(type(part), given) for given in (nested.get(name, {}), plain))
+        inner[name] = with_fields(part, {field: value for given in both for field, value in given.items()})
+    plain = with_field_names(type(found), plain)
+    return dataclasses.replace(found, **{name: value for name, value in plain.items() if name in own}, **inner)
 
 
 class Function(Estimator):
@@ -130,7 +135,7 @@ class Function(Estimator):
         """What tables call it."""
         return self.name
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Calls the function; it gives no intervals."""
         values = np.asarray(self.fn(case.data, case.policies, case.discount), float)
         if values.shape != (len(case.policies),):
@@ -138,7 +143,7 @@ class Function(Estimator):
         if case.logged:
             values = np.append(values, case.data.returns(case.discount).mean())
         nothing = np.full(len(values), np.nan)
-        return Estimates(self.name, case.names, values, nothing, nothing, case.estimand, redraws=values[None])
+        return Estimates(self.name, case.names, values, nothing, nothing, case.estimand, bootstrap=values[None])
 
 
 def as_estimator(given: Any) -> Estimator:

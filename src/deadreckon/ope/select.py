@@ -18,7 +18,7 @@ from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
 from deadreckon.stats.interval import ALPHA
 
-BOOTSTRAP = 100  # redraws from which their percentiles are an interval; fewer are members of an ensemble
+BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
 MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
 UNITS = 20  # episodes or clusters below which no interval is believed
 HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
@@ -80,21 +80,21 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     Raises:
         UserError: the behaviour policy was not judged.
     """
-    if LOGGED not in found.names or (found.redraws is None and found.influence is None):
-        raise UserError(f"{found.method} was not asked about the behaviour policy; use Case(..., logged=True)")
+    if LOGGED not in found.names or (found.bootstrap is None and found.influence is None):
+        raise UserError(f"{found.method} was not asked about the behaviour policy; use OPEInput(..., logged=True)")
     logged = found.names.index(LOGGED)
     known = np.ones(len(found.names), bool) if known is None else np.array(known)
-    if found.effective is not None:
-        known &= found.effective > 0
+    if found.ess is not None:
+        known &= found.ess > 0
     if found.influence is not None:
         middle, low, high = inference.gains(found.value, found.influence, logged, alpha, known)
     else:
-        assert found.redraws is not None
+        assert found.bootstrap is not None
         middle = found.value - found.value[logged]
-        draws = found.redraws - found.redraws[:, [logged]]
+        draws = found.bootstrap - found.bootstrap[:, [logged]]
         each = alpha / max(len(found.names) - 1, 1)
         ends = [
-            percentile_interval(own, np.inf if found.effective is None else found.effective[i], each)
+            percentile_interval(own, np.inf if found.ess is None else found.ess[i], each)
             if len(draws) >= BOOTSTRAP else ensemble_interval(own, each)
             for i, own in enumerate(draws.T)
         ]  # fmt: skip
@@ -189,8 +189,8 @@ def select(
             warnings.append(f"{names[i]}: {'; '.join(own)}")
     for each in estimates[1:]:
         if not _overlaps(each, best):
-            assert each.effective is not None
-            warnings.append(f"the weights of {name} in {each.method} rest on {each.effective[best]:.1f} episodes")
+            assert each.ess is not None
+            warnings.append(f"the weights of {name} in {each.method} rest on {each.ess[best]:.1f} episodes")
         warnings += [f"{each.method}: {line}" for line in each.warnings if line not in warnings]
     keep = [i for i, each in enumerate(first.names) if each != LOGGED]
     return Choice(
@@ -208,11 +208,11 @@ def _unreliable(found: Estimates, which: int) -> list[str]:
             "--cross-fit where the log has as many"
         )
     if not _overlaps(found, which):
-        assert found.effective is not None
-        own.append(f"its weights rest on {found.effective[which]:.1f} episodes, {FEW:g} are needed{MORE}")
-    elif share is not None and found.effective is not None and share[which] < SHARE and found.effective[which] < MANY:
+        assert found.ess is not None
+        own.append(f"its weights rest on {found.ess[which]:.1f} episodes, {FEW:g} are needed{MORE}")
+    elif share is not None and found.ess is not None and share[which] < SHARE and found.ess[which] < MANY:
         own.append(
-            f"its weights, which are multiplied along an episode, rest on {found.effective[which]:.1f} episodes, {MANY:g} or "
+            f"its weights, which are multiplied along an episode, rest on {found.ess[which]:.1f} episodes, {MANY:g} or "
             f"{100 * SHARE:g} % of all are needed{MORE}"
         )
     high = found.diagnostics.get("mean weight high")
@@ -223,7 +223,7 @@ def _unreliable(found: Estimates, which: int) -> list[str]:
         )
     # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
     low = found.diagnostics.get("pareto k low")
-    if low is not None and low[which] > HEAVY and (found.effective is None or found.effective[which] < MANY):
+    if low is not None and low[which] > HEAVY and (found.ess is None or found.ess[which] < MANY):
         own.append(
             f"its weights have too heavy a tail (Pareto k {found.diagnostics['pareto k'][which]:.2f}, above {low[which]:.2f} "
             f"with 95 % confidence, at most {HEAVY:g})"
@@ -252,7 +252,7 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
 
 def _overlaps(found: Estimates, which: int) -> bool:
     """Whether nothing is weighted, or the weights rest on enough episodes."""
-    return found.effective is None or bool(found.effective[which] >= FEW)
+    return found.ess is None or bool(found.ess[which] >= FEW)
 
 
 def _speaks(found: Estimates, which: int) -> bool:
@@ -264,6 +264,6 @@ def _standing(found: Estimates, told: np.ndarray) -> tuple[bool, float]:
     """How a policy stands by its gain: by the lower end, or of a few members, whose spread is a matter of chance, by the
     gain.
     """
-    few = found.influence is None and (found.redraws is None or len(found.redraws) < BOOTSTRAP)
+    few = found.influence is None and (found.bootstrap is None or len(found.bootstrap) < BOOTSTRAP)
     sure = told[0] if few or not np.isfinite(told[1]) else told[1]
     return bool(np.isfinite(told[1])), float(sure) if np.isfinite(sure) else -np.inf

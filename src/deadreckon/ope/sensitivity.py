@@ -24,7 +24,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.sequences import cumulate, starts_of
 from deadreckon.stats.interval import ALPHA
 
-CELLS = 4_000_000  # of redraws by episodes that are held at a time
+CELLS = 4_000_000  # bootstrap samples by episodes that are held at a time
 
 
 def weight_box(

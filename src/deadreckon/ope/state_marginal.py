@@ -21,7 +21,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior import PROPENSITIES
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
@@ -43,7 +43,7 @@ class Marginal:
             are, is the value, and their variance over n that of the value.
         states: (steps, states) the policy's distribution d_t, which may sum to less than one where episodes end.
         lost: probability that went, before the last step, into states that all episodes in them were cut off at.
-        effective: (steps,) episodes that the weights d_t(s) n rho_t / n_t(s) of each step amount to, (sum w)^2 / sum w^2, where
+        ess: (steps,) episodes that the weights d_t(s) n rho_t / n_t(s) of each step amount to, (sum w)^2 / sum w^2, where
             the policy's whole probability is still in states that the log knows.
     """
 
@@ -51,7 +51,7 @@ class Marginal:
     scores: np.ndarray
     states: np.ndarray
     lost: float
-    effective: np.ndarray
+    ess: np.ndarray
 
 
 class StateMarginal(Estimator):
@@ -59,46 +59,47 @@ class StateMarginal(Estimator):
 
     takes_horizon = True
 
-    normalised: bool = static(True)  # divide by sums of ratios in a state instead of numbers of episodes
-    behavior: Literal["auto", "logged", "learned"] = static("auto")  # the log's own probabilities, or a model's
-    model: BehaviorModel = static(PROPENSITIES)  # how the behaviour policy is learned
-    folds: Count = static(5)  # learned propensities: each fold's come from a model of the others; 1: from a model of all
+    normalised: bool = static(True)  # whether to divide by the sum of ratios in a state instead of the number of episodes
+    behavior: Literal["auto", "logged", "learned"] = static("auto")
+    """source of the propensities: the log, or a fitted model; auto: the log where it has them"""
+    model: BehaviorModel = static(PROPENSITIES)  # model of the behaviour policy
+    folds: Count = static(5)  # folds of cross-fitting for learned propensities; 1: one model of all episodes
 
     @property
     def label(self) -> str:
         """What tables call it."""
         return "SMIS"
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """Carries each policy from step to step; intervals by the influence of episodes."""
         data, episodes = case.data, case.episodes
-        cosines = LinearFQE().cosines  # which it has no use for, but shares with those who have
-        features = case.once(("features", cosines), lambda: Features(case.log, cosines, case.seed))
+        count = LinearFQE().fourier_features  # which it has no use for, but shares with those who have
+        features = case.once(("features", count), lambda: Features(case.log, count, case.seed))
         if features.table is None:
             raise UserError(
                 f"smis needs discrete actions and few different observations, {TABLE // 2} with two actions, which {data.name} "
                 "does not have; bin its observations, or use dr-linear or drl"
             )
         states, rewards = features.table.codes(data.observations), np.asarray(data.rewards, np.float64)
-        values, influence, effective, tails, lost = [], [], [], [], []
+        values, influence, ess, tails, lost = [], [], [], [], []
         for row in log_ratios(case, self.behavior, self.model, None, self.folds):
             found = state_marginal(
                 states, row, rewards, data.lengths, episodes.ended, case.discount, normalised=self.normalised
             )
             values.append(found.value)
             influence.append(episodes.means(found.scores)[1])
-            effective.append(episodes.least(found.effective))
+            ess.append(episodes.least(found.ess))
             tails.append(row)  # of single steps: these are what is averaged
             lost.append(found.lost)
-        effective = np.asarray(effective)
+        ess = np.asarray(ess)
         warnings = [
-            *episodes.warnings(case.names, effective),
+            *episodes.warnings(case.names, ess),
             "SMIS rests on states that hold all that matters (the Markov property), which its interval does not know",
             *(f"{100 * share:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
               for name, share in zip(case.names, lost) if share > TAIL),
         ]  # fmt: skip
         return Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), effective=effective, corrected=True,
+            self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=True,
             warnings=tuple(warnings), diagnostics=diagnosed(tails) | {"lost": np.array(lost)},
         )  # fmt: skip
 
@@ -160,14 +161,14 @@ def state_marginal(
 
     reached = np.zeros((steps, size))
     reached[0] = per_state(states[first], count) / all_of_them
-    lost, scores, effective = 0.0, np.zeros(len(lengths)), np.zeros(steps)
+    lost, scores, ess = 0.0, np.zeros(len(lengths)), np.zeros(steps)
     over = 0.0  # probability of having ended
     for t in range(steps):
         there, s, ratio, _, known, on, after = at(t)
         weight = all_of_them * count[there] * ratio * shares(s, count[there] * (ratio if normalised else 1.0)) * reached[t][s]
         # Those that ended have no rows any more; what they know of the step is counted like their share of the episodes.
         sure = weight.sum() + all_of_them * over
-        effective[t] = sure**2 / max(np.square(weight).sum() + all_of_them * over, 1e-300)
+        ess[t] = sure**2 / max(np.square(weight).sum() + all_of_them * over, 1e-300)
         if t == steps - 1:
             break
         each = count[there] * (ratio if normalised else 1.0)
@@ -190,4 +191,4 @@ def state_marginal(
         scores[there] += all_of_them * discount**t * reached[t][s] * pull
         ahead = now + then
     value = float(reached[0] @ ahead)
-    return Marginal(value, scores + ahead[states[first]], reached, lost, effective)
+    return Marginal(value, scores + ahead[states[first]], reached, lost, ess)

@@ -10,7 +10,7 @@ import numpy as np
 
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.coverage import LEVEL, coverage
 from deadreckon.ope.importance import log_ratios
 from deadreckon.stats import inference
@@ -51,7 +51,7 @@ class Support(NamedTuple):
         return found
 
 
-def support(case: Case, model: BehaviorModel, folds: int = 5) -> Support:
+def support(case: OPEInput, model: BehaviorModel, folds: int = 5) -> Support:
     """Checks a case's policies; the models of the behaviour policy are those of its estimators.
 
     Args:
@@ -62,7 +62,7 @@ def support(case: Case, model: BehaviorModel, folds: int = 5) -> Support:
     return case.once(("support", model, folds), lambda: _support(case, model, folds))
 
 
-def _support(case: Case, model: BehaviorModel, folds: int) -> Support:
+def _support(case: OPEInput, model: BehaviorModel, folds: int) -> Support:
     count, discrete = len(case.policies), case.data.spec.discrete
     nothing = np.full(count, np.nan)
     degenerate = case.degenerate

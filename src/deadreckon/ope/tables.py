@@ -17,7 +17,7 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic, Gaussian, OneStep
 
 BLOCK = 8192  # rows at a time
@@ -53,7 +53,7 @@ class Actor:
         for policy, name in zip(self.policies, self.names):
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
-            if self.greedy and not self.spec.discrete and not isinstance(policy, Deployed) and policy.has_log_prob:
+            if self.greedy and not self.spec.discrete and not isinstance(policy, EnvPolicy) and policy.has_log_prob:
                 raise UserError(
                     f"{name} samples its actions and does not tell a deterministic (greedy) one; judge sampled actions "
                     "(greedy=False)"
@@ -63,7 +63,7 @@ class Actor:
                 raise UserError(
                     f"{name} is made for observations of {wanted} numbers, {self.spec.name} has {self.spec.observation_size}"
                 )
-            if isinstance(policy, Deployed):
+            if isinstance(policy, EnvPolicy):
                 self._fits(name, _action_shape(policy, self.spec.observation_size))
 
     def _fits(self, name: str, shape: tuple[int, ...]) -> None:
@@ -150,7 +150,7 @@ class Actor:
                     z = (view.to_unit(taken) - unit) / self.noise
                     found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(self.noise * np.sqrt(2 * np.pi)) - view.log_scale
                 elif policy.has_log_prob:
-                    own = isinstance(policy, Deployed)
+                    own = isinstance(policy, EnvPolicy)
                     found = _padded(_log_prob, policy, seen, taken) if own else policy.log_prob(seen, taken)
                     if np.shape(found) != (len(taken),):
                         raise UserError(f"{name}: log_prob must give one number a row, ({len(taken)},), got {np.shape(found)}")
@@ -168,7 +168,7 @@ class Actor:
     def _actions(self, which: int, observations: np.ndarray, key: list[int], samples: int) -> np.ndarray:
         """(rows, samples, size) in [-1, 1]."""
         policy = self.policies[which]
-        if isinstance(policy, Deployed):
+        if isinstance(policy, EnvPolicy):
             seed = jnp.uint32(np.random.SeedSequence(key).generate_state(1)[0])
             drawn = _padded(_draw, policy, observations, seed=seed, samples=samples, greedy=self.greedy)
         else:
@@ -204,14 +204,14 @@ class Actor:
 
 def _observation_size(policy: Any) -> int | None:
     """Of a policy of ours; None where it is not known."""
-    if not isinstance(policy, Deployed) or not hasattr(policy.inner, "net"):
+    if not isinstance(policy, EnvPolicy) or not hasattr(policy.inner, "net"):
         return None
     net = policy.inner.net  # pyright: ignore[reportAttributeAccessIssue]
     # What acts in one step sees as many numbers of noise as it has actions.
     return int(net.weights[0].shape[0]) - (int(net.biases[-1].shape[-1]) if isinstance(policy.inner, OneStep) else 0)
 
 
-def _action_shape(policy: Deployed, observation_size: int) -> tuple[int, ...]:
+def _action_shape(policy: EnvPolicy, observation_size: int) -> tuple[int, ...]:
     """Of one action of a policy of ours."""
     step = Step(jnp.zeros((1, observation_size)), jnp.zeros(1), jnp.ones(1, bool))
     act = lambda: policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]  # noqa: E731
@@ -220,7 +220,7 @@ def _action_shape(policy: Deployed, observation_size: int) -> tuple[int, ...]:
 
 def draws_nothing(policy: Any) -> bool:
     """Whether a policy of ours has nothing random in it."""
-    if not isinstance(policy, Deployed):
+    if not isinstance(policy, EnvPolicy):
         return False
     inner = policy.inner
     if isinstance(inner, Gaussian):  # one that was published without a deviation
@@ -236,7 +236,7 @@ def _room(shape: tuple[int, ...]) -> np.ndarray:
         return np.memmap(file, np.float32, "w+", shape=shape)
 
 
-def _padded(function: Any, policy: Deployed, *columns: np.ndarray, **options: Any) -> np.ndarray:
+def _padded(function: Any, policy: EnvPolicy, *columns: np.ndarray, **options: Any) -> np.ndarray:
     """`function` on whole blocks, so that one compiled program serves the last, shorter block too."""
     rows = len(columns[0])
     size = min(BLOCK, 1 << (rows - 1).bit_length())
@@ -245,7 +245,7 @@ def _padded(function: Any, policy: Deployed, *columns: np.ndarray, **options: An
 
 
 @eqx.filter_jit
-def _draw(policy: Deployed, observations: Any, *, seed: Any, samples: int, greedy: bool) -> Any:
+def _draw(policy: EnvPolicy, observations: Any, *, seed: Any, samples: int, greedy: bool) -> Any:
     """(rows, samples, size) environment actions."""
     step = Step(observations, jnp.zeros(len(observations)), jnp.ones(len(observations), bool))
     keys = jax.random.split(jax.random.key(seed), samples)
@@ -254,5 +254,5 @@ def _draw(policy: Deployed, observations: Any, *, seed: Any, samples: int, greed
 
 
 @eqx.filter_jit
-def _log_prob(policy: Deployed, observations: Any, actions: Any) -> Any:
+def _log_prob(policy: EnvPolicy, observations: Any, actions: Any) -> Any:
     return policy.log_prob(observations, actions)

@@ -15,7 +15,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import WEIGHTLESS, Case
+from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.importance import log_ratios
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
@@ -32,13 +32,13 @@ class Tail:
         quantile: the return that the worst share of episodes does not exceed.
         influence: (episodes,) how far each pulls the value, to first order; their mean is zero, their variance over n that of
             the value.
-        effective: episodes that the weights of the tail amount to, (sum w)^2 / sum w^2.
+        ess: episodes that the weights of the tail amount to, (sum w)^2 / sum w^2.
     """
 
     value: float
     quantile: float
     influence: np.ndarray
-    effective: float
+    ess: float
 
     @property
     def error(self) -> float:
@@ -75,18 +75,18 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     last = min(int(np.searchsorted(total, share * total[-1] * (1 - 1e-12))), len(order) - 1)
     quantile = float(returns[order[last]])
     within = weights[returns <= quantile]
-    effective = float(within.sum() ** 2 / np.square(within).sum())
-    if effective < least:
+    ess = float(within.sum() ** 2 / np.square(within).sum())
+    if ess < least:
         raise UserError(
-            f"the worst {100 * share:g} % of episodes rest on {effective:.1f} of {len(returns):,} in the log, fewer than the "
+            f"the worst {100 * share:g} % of episodes rest on {ess:.1f} of {len(returns):,} in the log, fewer than the "
             f"{least:g} that an estimate needs; ask for a larger share or bring more episodes"
         )
     each = quantile - np.maximum(quantile - returns, 0.0) / share
     value = float((weights * each).mean())
-    return Tail(value, quantile, weights * (each - value), effective)
+    return Tail(value, quantile, weights * (each - value), ess)
 
 
-def tails(case: Case, which: int, share: float, model: BehaviorModel, alpha: float = ALPHA) -> dict[str, Any]:
+def tails(case: OPEInput, which: int, share: float, model: BehaviorModel, alpha: float = ALPHA) -> dict[str, Any]:
     """The lower tail of one of a case's policies beside that of the behaviour policy, as JSON values.
 
     The interval of the difference is Student's, of influences that are paired unit by unit.
@@ -111,4 +111,4 @@ def tails(case: Case, which: int, share: float, model: BehaviorModel, alpha: flo
     gain, pulls = own.value - logged.value, episodes.means(own.influence - logged.influence)[1]
     low, high = inference.student(np.array([gain]), case.inflation[which] * pulls[:, None], alpha)
     return {"share": share, "value": own.value, "logged": logged.value, "gain": gain, "low": float(low[0]),
-            "high": float(high[0]), "effective": own.effective}  # fmt: skip
+            "high": float(high[0]), "effective": own.ess}  # fmt: skip

@@ -11,7 +11,7 @@ variational form whose solution is that ratio and which needs only expectations;
 mass of an occupancy, E_log[tau (1 - g (1 - terminal))] = 1 - g. The weights need no behaviour policy.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ from jaxtyping import Array
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.ope.case import Case
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.dice import estimates, mass, occupancy_rows, weighted
 from deadreckon.ope.estimates import Estimates
@@ -60,10 +60,10 @@ class Power(eqx.Module):
         return State(tau, copy(tau), jnp.zeros((members, self.policies)), init_opt(tau))
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of the fit; every `inner` steps an iteration is over and the next begins."""
+        """One step of the fit; every `inner_updates` steps an iteration is over and the next begins."""
         grads, (whole, metrics) = jax.grad(self.loss, has_aux=True)(state.tau, state.before, state.excess, batch)
         tau, opt = apply_gradients(state.tau, grads, state.opt, self.settings.lr)
-        over = (step + 1) % self.settings.inner == 0
+        over = (step + 1) % self.settings.inner_updates == 0
         before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
         # The square of one batch's mass would be penalised for its variance, which a terminal's mass of 1 / (1 - discount)
         # makes huge; the slope of the square at the running mean is right, and quiet once the mass is.
@@ -93,21 +93,23 @@ def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:
 class VPM(Estimator):
     """The variational power method."""
 
-    members: Count = static(3)  # networks a policy, each on redrawn episodes
-    hidden: Sizes = static((64, 64))  # width of each hidden layer
-    steps: Count = host(100_000)  # updates
-    inner: Count = static(10)  # updates an iteration of the power method
-    batch_size: Count = static(2048)  # rows a batch
-    lr: NonNegative = 1e-4  # learning rate
-    penalty: NonNegative = 1.0  # of a mass other than one
-    samples: Count = host(1)  # actions drawn at each next observation, once
-    initial_samples: Count = host(10)  # actions drawn at each initial observation
+    other_names: ClassVar[dict[str, str]] = {"inner": "inner_updates"}
 
-    def ratios(self, case: Case) -> np.ndarray:
+    members: Count = static(3)  # networks per policy, each fitted on a bootstrap resample of the episodes
+    hidden: Sizes = static((64, 64))  # width of each hidden layer
+    steps: Count = host(100_000)  # updates of the networks
+    inner_updates: Count = static(10)  # updates per iteration of the power method
+    batch_size: Count = static(2048)  # batch size (transitions per update)
+    lr: NonNegative = 1e-4  # learning rate of the networks
+    penalty: NonNegative = 1.0  # weight of the penalty on a mass other than one
+    samples: Count = host(1)  # actions sampled once at each next observation
+    initial_samples: Count = host(10)  # actions sampled at each initial observation
+
+    def ratios(self, case: OPEInput) -> np.ndarray:
         """(members, policies, rows) occupancy of the policy over that of the log."""
         return case.once(self, lambda: self._fit(case))
 
-    def _fit(self, case: Case) -> np.ndarray:
+    def _fit(self, case: OPEInput) -> np.ndarray:
         data = case.data
         learner = Power(self, case.discount, case.count)
         rows = occupancy_rows(case, learner, self.members, self.samples, self.initial_samples)
@@ -120,9 +122,9 @@ class VPM(Estimator):
         """What tables call it."""
         return "VPM"
 
-    def solve(self, case: Case) -> Estimates:
+    def solve(self, case: OPEInput) -> Estimates:
         """The weighted average of the logged rewards."""
         data, ratios = case.data, self.ratios(case)
         masses = weighted(case, ratios, mass(np.asarray(data.terminals, np.float64), case.discount))
         found = weighted(case, ratios, data.rewards) / (1.0 - case.discount) / masses
-        return estimates(case, self.label, ratios, found, case.unsettled("vpm", "mass"))
+        return estimates(case, self.label, ratios, found, case.convergence_warnings("vpm", "mass"))

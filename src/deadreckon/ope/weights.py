@@ -30,13 +30,13 @@ class Sums:
     Attributes:
         numerators: (groups, steps).
         denominators: (groups, steps).
-        effective: episodes that the weights amount to, (sum w)^2 / sum w^2, at the step where they are fewer for a quarter
+        ess: episodes that the weights amount to, (sum w)^2 / sum w^2, at the step where they are fewer for a quarter
             of the discounted time: the first steps rest on many, and would hide what the later ones rest on.
     """
 
     numerators: np.ndarray
     denominators: np.ndarray
-    effective: float
+    ess: float
 
     def value(self) -> float:
         """The estimate."""
@@ -65,14 +65,14 @@ class Sums:
         return len(self.numerators) * _ratios(self.numerators - ratio * self.denominators, total[None])
 
 
-def few(names: tuple[str, ...], effective: np.ndarray, episodes: int) -> list[str]:
+def few(names: tuple[str, ...], ess: np.ndarray, episodes: int) -> list[str]:
     """A warning where the weights of a policy amount to less than `FEW` of so many episodes, else nothing."""
-    below = np.flatnonzero(effective < FEW)
+    below = np.flatnonzero(ess < FEW)
     if not len(below):
         return []
-    worst = int(below[np.argmin(effective[below])])
+    worst = int(below[np.argmin(ess[below])])
     others = f", and {len(below) - 1} more below {FEW:g}" if len(below) > 1 else ""
-    return [f"the weights of {names[worst]} rest on {effective[worst]:.1f} of {episodes:,} episodes{others}"]
+    return [f"the weights of {names[worst]} rest on {ess[worst]:.1f} of {episodes:,} episodes{others}"]
 
 
 def _ratios(numerators: np.ndarray, denominators: np.ndarray) -> np.ndarray:
@@ -113,12 +113,12 @@ class Episodes:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(redraws, groups) how often each group counts."""
+        """(n_bootstrap, groups) how often each group counts."""
         rng = np.random.default_rng([self.seed, 3])
         return rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
 
     def means(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Mean of `x` (episodes,), its (groups,) influence function, and its (redraws,) redrawn means."""
+        """Mean of `x` (episodes,), its (groups,) influence function, and its (n_bootstrap,) bootstrap means."""
         total, size = (np.bincount(self.group, weights, self.groups) for weights in (x, None))
         mean = float(x.mean())
         return mean, self.groups * (total - mean * size) / self.count, (self.counts @ total) / (self.counts @ size)
@@ -169,12 +169,12 @@ class Episodes:
         squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)
         return Sums(numerators, denominators, self.least(_ratios(np.square(plain), squares)))
 
-    def least(self, effective: np.ndarray) -> float:
+    def least(self, ess: np.ndarray) -> float:
         """Of (steps,) numbers of effective episodes, the one that a quarter of the discounted time does not exceed."""
         fade = self.discount ** np.arange(self.steps)
-        order = np.argsort(effective)
+        order = np.argsort(ess)
         share = np.cumsum(fade[order]) / fade.sum()
-        return float(effective[order][np.searchsorted(share, QUARTER)])
+        return float(ess[order][np.searchsorted(share, QUARTER)])
 
     def typical(self, log_rho: np.ndarray, *, whole: bool) -> np.ndarray:
         """(episodes,) logarithm of each episode's weight: its last, or the discounted mean of those of its steps."""
@@ -217,27 +217,27 @@ class Episodes:
         relative = np.exp(last - shift)
         numerators = np.bincount(self.group, rho * total, self.groups)[:, None]
         denominators = np.bincount(self.group, rho if normalised else np.ones(self.count), self.groups)[:, None]
-        effective = _ratios(np.square(relative.sum()), np.square(relative).sum())
-        return Sums(numerators, denominators, float(effective))
+        ess = _ratios(np.square(relative.sum()), np.square(relative).sum())
+        return Sums(numerators, denominators, float(ess))
 
-    def percentiles(self, draws: np.ndarray, effective: float) -> tuple[float, float]:
+    def percentiles(self, draws: np.ndarray, ess: float) -> tuple[float, float]:
         """The bootstrap's interval, with no more episodes than groups of them were redrawn; endless where nothing is known."""
-        if self.groups < 2 or not effective > 0:
+        if self.groups < 2 or not ess > 0:
             return -np.inf, np.inf
-        return percentile_interval(draws, min(effective, self.groups))
+        return percentile_interval(draws, min(ess, self.groups))
 
     def warnings(
-        self, names: tuple[str, ...], effective: np.ndarray, *, whole: bool = False, beyond: bool = False
+        self, names: tuple[str, ...], ess: np.ndarray, *, whole: bool = False, beyond: bool = False
     ) -> list[str]:
         """Why weighted sums of this log may not be trusted.
 
         Args:
             names: of the policies.
-            effective: (policies,) episodes that the weights amount to.
+            ess: (policies,) episodes that the weights amount to.
             whole: each episode has one weight.
             beyond: what lies behind a cut is estimated otherwise.
         """
-        found = few(names, effective, self.count)
+        found = few(names, ess, self.count)
         cut = ~self.ended
         if whole and not self.even:
             found.append("episodes are cut off at different steps, which one weight an episode cannot take into account")

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deadreckon.data.step import Step
     from deadreckon.policies.dapg import load_dapg
-    from deadreckon.policies.deployed import Deployed
+    from deadreckon.policies.deployed import EnvPolicy
     from deadreckon.policies.dope import load_dope
     from deadreckon.policies.policy import BlackBoxPolicy, Policy
     from deadreckon.policies.store import load, save
 
 _HOMES = {
-    "BlackBoxPolicy": "policy", "Deployed": "deployed", "Policy": "policy", "Step": "policy", "load": "store",
+    "BlackBoxPolicy": "policy", "EnvPolicy": "deployed", "Policy": "policy", "Step": "policy", "load": "store",
     "load_dapg": "dapg", "load_dope": "dope", "save": "store",
 }  # fmt: skip
-__all__ = ["BlackBoxPolicy", "Deployed", "Policy", "Step", "load", "load_dapg", "load_dope", "save"]
+__all__ = ["BlackBoxPolicy", "EnvPolicy", "Policy", "Step", "load", "load_dapg", "load_dope", "save"]
 
 
 def __dir__() -> list[str]:

@@ -11,7 +11,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, VAEDecoder, stochastic
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 
 Kind = Literal["gaussian", "vae"]
 
@@ -76,7 +76,7 @@ def censored(
     return nll, {"behavior_nll": nll}
 
 
-def policy(model: MLP | VAE | Clipped | Categorical) -> Inner:
+def policy(model: MLP | VAE | Clipped | Categorical) -> NormalizedPolicy:
     """The model as something that acts."""
     if isinstance(model, Clipped):
         return _clipped(model)

@@ -12,12 +12,12 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Gaussian
 from deadreckon.policies.torch_pickle import load_network
 
 
-def load_dapg(path: Path | str) -> Deployed:
+def load_dapg(path: Path | str) -> EnvPolicy:
     """Reads one policy file of DAPG, such as `door-v0.pickle`.
 
     Raises:
@@ -39,7 +39,7 @@ def load_dapg(path: Path | str) -> Deployed:
     weights[-1], biases[-1] = scale[:, None] * weights[-1], scale * biases[-1] + shift
     net = MLP(tuple(_single(w.T) for w in weights), tuple(map(_single, biases)), "tanh")
     mean, std = _array(path, model, "in_shift"), _array(path, model, "in_scale") + 1e-8  # as mjrl divides
-    return Deployed(Gaussian.of(net, _single(log_std)), _single(mean), _single(std), None, None)
+    return EnvPolicy(Gaussian.of(net, _single(log_std)), _single(mean), _single(std), None, None)
 
 
 def _single(value: np.ndarray) -> Any:

@@ -12,11 +12,11 @@ from jaxtyping import Array, PRNGKeyArray
 from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, Supported, TanhGaussian
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian, ThresholdedPolicy
+from deadreckon.policies.policy import NormalizedPolicy
 
 
-class Deployed(eqx.Module):
+class EnvPolicy(eqx.Module):
     """An inner policy between raw observations and the environment's actions: what is saved, evaluated and shipped.
 
     Attributes:
@@ -25,14 +25,14 @@ class Deployed(eqx.Module):
         low, high: (size,) bounds of the actions.
     """
 
-    inner: Inner
+    inner: NormalizedPolicy
     mean: Array | None
     std: Array | None
     low: Array | None
     high: Array | None
 
     @classmethod
-    def of(cls, inner: Inner, view: Normalizer) -> "Deployed":
+    def of(cls, inner: NormalizedPolicy, view: Normalizer) -> "EnvPolicy":
         """`inner` seen through `view`."""
         arrays = (None if v is None else jnp.asarray(v) for v in (view.mean, view.std, view.low, view.high))
         return cls(inner, *arrays)
@@ -83,7 +83,7 @@ class Deployed(eqx.Module):
             if len(told) < len(found):
                 return None
             return lambda observations: np.mean([tells(observations) for tells in told], 0)
-        if not isinstance(self.inner, Categorical | Supported):
+        if not isinstance(self.inner, Categorical | ThresholdedPolicy):
             return None
         return lambda observations: np.asarray(_probs(self, jnp.asarray(observations)))
 
@@ -95,7 +95,7 @@ class Deployed(eqx.Module):
         return np.asarray(actions[0] if single else actions)
 
 
-class Mixture(Inner):
+class Mixture(NormalizedPolicy):
     """One of several policies, drawn with equal chances when an episode begins, also when `greedy`, and kept to its end.
 
     A policy that came of another part of a log has its own coordinates, so these are whole policies: a mixture sees raw
@@ -105,19 +105,19 @@ class Mixture(Inner):
         members: the policies.
     """
 
-    members: tuple[Deployed, ...]
+    members: tuple[EnvPolicy, ...]
 
     @classmethod
-    def of(cls, members: Sequence[Deployed]) -> Deployed:
+    def of(cls, members: Sequence[EnvPolicy]) -> EnvPolicy:
         """Of policies with equal sizes, as what is saved and judged."""
-        return Deployed(cls(tuple(members)), None, None, None, None)
+        return EnvPolicy(cls(tuple(members)), None, None, None, None)
 
     def start(self, n: int) -> tuple[Array, tuple[Any, ...]]:
         """(n,) which member acts, not drawn yet, and the members' carries."""
         return jnp.zeros(n, jnp.int32), tuple(member.start(n) for member in self.members)
 
     def act(self, step, carry, key, *, greedy):
-        """See `Inner`; in the environment's bounds."""
+        """See `NormalizedPolicy`; in the environment's bounds."""
         which, carries = carry
         draw, *keys = jax.random.split(key, 1 + len(self.members))
         first = jnp.asarray(step.first, bool)
@@ -128,7 +128,7 @@ class Mixture(Inner):
 
 
 @eqx.filter_jit
-def first_actions(policy: Deployed, observations: Array, key: PRNGKeyArray, greedy: bool) -> Array:
+def first_actions(policy: EnvPolicy, observations: Array, key: PRNGKeyArray, greedy: bool) -> Array:
     """What the policy does at raw observations (n, *shape) as the first of an episode, (n, size)."""
     n = len(observations)
     step = Step(observations, jnp.zeros(n), jnp.ones(n, bool))
@@ -136,6 +136,6 @@ def first_actions(policy: Deployed, observations: Array, key: PRNGKeyArray, gree
 
 
 @eqx.filter_jit
-def _probs(policy: Deployed, observations: Array) -> Array:
-    assert isinstance(policy.inner, Categorical | Supported)
+def _probs(policy: EnvPolicy, observations: Array) -> Array:
+    assert isinstance(policy.inner, Categorical | ThresholdedPolicy)
     return policy.inner.probs(policy.view.observe(observations))

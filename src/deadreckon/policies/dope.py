@@ -15,11 +15,11 @@ import numpy as np
 from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic, Gaussian, TanhGaussian
 
 
-def load_dope(path: Path | str) -> Deployed:
+def load_dope(path: Path | str) -> EnvPolicy:
     """Reads one policy file of DOPE (`.pkl`).
 
     Raises:
@@ -54,10 +54,10 @@ def load_dope(path: Path | str) -> Deployed:
     size = len(head[1])
     if squashed and np.isneginf(biases[-1][size:]).all():  # it never draws
         only = MLP((*net.weights[:-1], net.weights[-1][:, :size]), (*net.biases[:-1], net.biases[-1][:size]), net.activation)
-        return Deployed(Deterministic(only), None, None, -jnp.ones(size), jnp.ones(size))
+        return EnvPolicy(Deterministic(only), None, None, -jnp.ones(size), jnp.ones(size))
     if squashed:  # with deviations as they were published, which are not clipped
-        return Deployed(TanhGaussian(net, (-20.0, 20.0)), None, None, -jnp.ones(size), jnp.ones(size))
-    return Deployed(Gaussian(net), None, None, None, None)
+        return EnvPolicy(TanhGaussian(net, (-20.0, 20.0)), None, None, -jnp.ones(size), jnp.ones(size))
+    return EnvPolicy(Gaussian(net), None, None, None, None)
 
 
 def _array(path: Path | str, found: dict[Any, Any], key: str) -> np.ndarray:

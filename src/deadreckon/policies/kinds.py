@@ -13,21 +13,21 @@ from deadreckon.data.step import Step
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 
 
-class Deterministic(Inner):
+class Deterministic(NormalizedPolicy):
     """a = tanh(net(s))."""
 
     net: MLP
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`; every draw is the same."""
+        """See `NormalizedPolicy`; every draw is the same."""
         out = self.net(observation)
         return jnp.broadcast_to(out, (*count, *out.shape))
 
 
-class TanhGaussian(Inner):
+class TanhGaussian(NormalizedPolicy):
     """a = tanh(mean + std * noise); greedy is tanh(mean).
 
     Attributes:
@@ -43,7 +43,7 @@ class TanhGaussian(Inner):
         return dist.gaussian_head(self.net(observation), *self.log_std)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         d = self._head(observation)
         if greedy:
             return jnp.broadcast_to(d.mean, (*count, *d.mean.shape))
@@ -54,7 +54,7 @@ class TanhGaussian(Inner):
         return dist.log_prob(self._head(observation), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
 
 
-class Gaussian(Inner):
+class Gaussian(NormalizedPolicy):
     """a = mean + std * noise without bounds, as published policies have it; the environment clips. Greedy is the mean."""
 
     net: MLP
@@ -68,11 +68,11 @@ class Gaussian(Inner):
         return cls(MLP(weights, (*means.biases[:-1], jnp.concatenate([bias, log_std])), means.activation))
 
     def act(self, step, carry, key, *, greedy):
-        """See `Inner`; the action is not squashed."""
+        """See `NormalizedPolicy`; the action is not squashed."""
         return self.pre_actions(step.observation, key, greedy=greedy), carry
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
         if greedy:
             return jnp.broadcast_to(mean, (*count, *mean.shape))
@@ -94,7 +94,7 @@ class ClippedGaussian(Gaussian):
     """A `Gaussian` whose draws are cut to [-1, 1]; each bound has the probability of all that lies beyond."""
 
     def act(self, step, carry, key, *, greedy):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         return jnp.clip(self.pre_actions(step.observation, key, greedy=greedy), -1.0, 1.0), carry
 
     def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
@@ -104,44 +104,47 @@ class ClippedGaussian(Gaussian):
         return jnp.where(jnp.abs(action) >= EDGE, beyond, _log_densities(mean, log_std, action)).sum(-1)
 
 
-class VAEDecoder(Inner):
+class VAEDecoder(NormalizedPolicy):
     """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
 
     vae: VAE
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         if greedy:
             size = self.vae.decoder.weights[0].shape[0] - observation.shape[-1]
             return self.vae.decode(observation, jnp.zeros((*count, *observation.shape[:-1], size)))
         return self.vae.sample(observation, key, count)
 
 
-def moved(mover: MLP, reach: Any, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]) -> Float[Array, "*c n a"]:
-    """Actions in [-1, 1], each moved by `reach` tanh(mover(s, a)) and kept within."""
-    return jnp.clip(action + reach * jnp.tanh(mover.beside(observation, action)), -1.0, 1.0)
+def perturbed(
+    network: MLP, largest: Any, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]
+) -> Float[Array, "*c n a"]:
+    """Actions in [-1, 1], each changed by `largest` tanh(network(s, a)) and kept within."""
+    return jnp.clip(action + largest * jnp.tanh(network.beside(observation, action)), -1.0, 1.0)
 
 
-class Moved(Inner):
-    """Actions of a VAE, each moved a little by a network (BCQ's).
+class PerturbedPolicy(NormalizedPolicy):
+    """Actions of a VAE, each changed a little by a perturbation network (BCQ's).
 
     Attributes:
-        vae: makes actions.
-        mover: of observation and action, to which way an action goes.
-        reach: how far at most.
+        vae: samples actions.
+        perturbation: network of observation and action, to the direction in which an action changes.
+        max_perturbation: how far it changes at most.
     """
 
     vae: VAE
-    mover: MLP
-    reach: Array
+    perturbation: MLP
+    max_perturbation: Array
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         pre = VAEDecoder(self.vae).pre_actions(observation, key, greedy=greedy, count=count)
-        return jnp.arctanh(jnp.clip(moved(self.mover, self.reach, observation, jnp.tanh(pre)), -EDGE, EDGE))
+        action = perturbed(self.perturbation, self.max_perturbation, observation, jnp.tanh(pre))
+        return jnp.arctanh(jnp.clip(action, -EDGE, EDGE))
 
 
-class OneStep(Inner):
+class OneStep(NormalizedPolicy):
     """a = net(s, z), cut to [-1, 1], with z standard normal (FQL's). It draws also when `greedy`: no z is the best."""
 
     net: MLP
@@ -153,11 +156,11 @@ class OneStep(Inner):
         return jnp.clip(self.net(jnp.concatenate([seen, z], -1)), -1.0, 1.0)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         return jnp.arctanh(jnp.clip(self.drawn(observation, key, count), -EDGE, EDGE))
 
 
-class Categorical(Inner):
+class Categorical(NormalizedPolicy):
     """A choice among discrete actions by a network's logits; greedy is the likeliest."""
 
     net: MLP
@@ -181,7 +184,7 @@ class Categorical(Inner):
         return jnp.take_along_axis(self.log_probs(observation), action[:, None], -1)[:, 0]
 
     def act(self, step, carry, key, *, greedy):
-        """See `Inner`."""
+        """See `NormalizedPolicy`."""
         logits = self.net(step.observation)
         return (logits.argmax(-1) if greedy else jax.random.categorical(key, logits)).astype(jnp.int32), carry
 
@@ -193,27 +196,28 @@ def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP 
     return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
 
 
-def stochastic(actor: MLP | Categorical) -> Inner:
+def stochastic(actor: MLP | Categorical) -> NormalizedPolicy:
     """What `create_actor` made as a policy; greedy is its mean, or its likeliest action."""
     return actor if isinstance(actor, Categorical) else TanhGaussian(actor)
 
 
-class Supported(Inner):
+class ThresholdedPolicy(NormalizedPolicy):
     """Of the discrete actions that a model of the log finds likely enough, the best by a critic (discrete BCQ).
 
     Attributes:
         behavior: the model.
         critic: to a value an action.
-        share: of the likeliest action's probability, which others need.
+        threshold: smallest probability of an action, relative to the most probable one's.
     """
 
     behavior: Categorical
     critic: MLP
-    share: Array
+    threshold: Array
 
     def act(self, step, carry, key, *, greedy):
-        """See `Inner`; nothing is drawn."""
-        values = jnp.where(supported(self.behavior, self.share, step.observation), self.critic(step.observation), -jnp.inf)
+        """See `NormalizedPolicy`; nothing is drawn."""
+        allowed = probable_enough(self.behavior, self.threshold, step.observation)
+        values = jnp.where(allowed, self.critic(step.observation), -jnp.inf)
         return values.argmax(-1).astype(jnp.int32), carry
 
     def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
@@ -223,21 +227,21 @@ class Supported(Inner):
         return jax.nn.one_hot(chosen, self.critic.biases[-1].shape[-1])
 
 
-def supported(behavior: Categorical, share: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:
-    """Which actions have at least this share of the likeliest one's probability."""
+def probable_enough(behavior: Categorical, threshold: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:
+    """Which actions have at least `threshold` times the probability of the most probable one."""
     log_probs = behavior.log_probs(observation)
-    return log_probs >= log_probs.max(-1, keepdims=True) + jnp.log(share)
+    return log_probs >= log_probs.max(-1, keepdims=True) + jnp.log(threshold)
 
 
-class GreedyQ(Inner):
+class GreedyQ(NormalizedPolicy):
     """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
 
-    actor: Inner
+    actor: NormalizedPolicy
     critic: MLP
     samples: int = eqx.field(static=True, default=10)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `Inner`. The candidates are drawn also when `greedy`: choosing among them is what makes it so."""
+        """See `NormalizedPolicy`. The candidates are drawn also when `greedy`: choosing among them is what makes it so."""
         pre = self.actor.pre_actions(observation, key, greedy=False, count=(self.samples, *count))
         critics = jax.tree.map(lambda w: w[None], self.critic)
         q = q_values(critics, observation, jnp.tanh(pre))[0]

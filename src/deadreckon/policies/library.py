@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.errors import UserError, unknown
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.store import load
 
 ROOT = Path(__file__).parent / "library"
@@ -62,7 +62,7 @@ class Snapshot:
     sampled: Returns
     greedy: Returns
 
-    def policy(self) -> Deployed:
+    def policy(self) -> EnvPolicy:
         """The policy itself."""
         return load(ROOT / self.task / f"{self.name}.npz")
 
@@ -110,7 +110,7 @@ def library(task: str) -> list[Snapshot]:
     ]
 
 
-def load_policies(task: str) -> list[Deployed]:
+def load_policies(task: str) -> list[EnvPolicy]:
     """The 11 policies of a task, evenly spaced over one run to its end (DOPE, thesis 8.4).
 
     The runs are of SAC in Gym-MuJoCo and of DAPG in Maze2D and Adroit, whose first policies are untrained, and of behaviour

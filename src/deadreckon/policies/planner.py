@@ -8,18 +8,18 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.terminations import LEARNED, termination
 from deadreckon.dynamics import Gaussian, ended
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 
 
-class Planner(Inner):
+class Planner(NormalizedPolicy):
     """Plans in an ensemble of Gaussian networks by the cross-entropy method.
 
     Attributes:
         nets, bounds: of the networks, as `dynamics.Gaussian` has them.
         mean, std: of their inputs.
         size: of an action.
-        ends: task that tells when episodes end, or "learned".
-        horizon, population, chosen, iterations, particles, smoothing: see `PETS`.
+        termination: task that tells when episodes end, or "learned".
+        horizon, population, cem_elites, cem_iterations, particles, smoothing: see `PETS`.
     """
 
     nets: MLP
@@ -27,11 +27,11 @@ class Planner(Inner):
     mean: Array
     std: Array
     size: int = eqx.field(static=True)
-    ends: str = eqx.field(static=True)
+    termination: str = eqx.field(static=True)
     horizon: int = eqx.field(static=True)
     population: int = eqx.field(static=True)
-    chosen: int = eqx.field(static=True)
-    iterations: int = eqx.field(static=True)
+    cem_elites: int = eqx.field(static=True)
+    cem_iterations: int = eqx.field(static=True)
     particles: int = eqx.field(static=True)
     smoothing: float = eqx.field(static=True)
 
@@ -57,18 +57,18 @@ class Planner(Inner):
             near = jnp.minimum(jnp.square((mean + 1.0) / 2.0), jnp.square((1.0 - mean) / 2.0))
             noise = jax.random.truncated_normal(k_draw, -2.0, 2.0, (self.population, *mean.shape))
             actions = mean + jnp.sqrt(jnp.minimum(near, variance)) * noise
-            best = actions[jax.lax.top_k(self.returns(observation, actions, k_follow), self.chosen)[1]]
+            best = actions[jax.lax.top_k(self.returns(observation, actions, k_follow), self.cem_elites)[1]]
             keep = self.smoothing
             return keep * mean + (1 - keep) * best.mean(0), keep * variance + (1 - keep) * best.var(0)
 
-        return jax.lax.fori_loop(0, self.iterations, improve, (before, jnp.full_like(before, 0.25)))[0]
+        return jax.lax.fori_loop(0, self.cem_iterations, improve, (before, jnp.full_like(before, 0.25)))[0]
 
     def returns(self, observation: Float[Array, "o"], actions: Float[Array, "p t a"], key: PRNGKeyArray) -> Float[Array, "p"]:
         """Mean sum of rewards of each sequence, over its particles."""
         members = self.bounds.shape[0]
         rows = self.population * (self.particles // members)
         params = {"nets": self.nets, "bounds": self.bounds, "choices": jnp.zeros((members, 0, 0))}
-        model, over = Gaussian(members), None if self.ends == LEARNED else termination(self.ends).ends
+        model, over = Gaussian(members), None if self.termination == LEARNED else termination(self.termination).ends
 
         def step(carry: tuple[Array, Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], None]:
             seen, alive, total = carry

@@ -30,7 +30,7 @@ class Policy(Protocol):
         ...
 
 
-class Inner(eqx.Module):
+class NormalizedPolicy(eqx.Module):
     """A policy in a method's coordinates: observations as trained on, actions in [-1, 1] or indices.
 
     Memoryless continuous ones implement `pre_actions` alone; those that remember, or choose among discrete actions,

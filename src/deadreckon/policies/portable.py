@@ -1,7 +1,7 @@
 """Policy files that need numpy alone: this module imports nothing else, so it can be copied to wherever actions are needed.
 
 A file is an npz archive of float32 or float16 arrays and one JSON text, `policy.json`. Nothing is pickled. The JSON is a tree:
-`{"kind": "Deployed", "inner": {...}, "mean": array, ...}`, where an array is the string `"@name"` of an archive member.
+`{"kind": "EnvPolicy", "inner": {...}, "mean": array, ...}`, where an array is the string `"@name"` of an archive member.
 `deadreckon.policies.save` writes it, `deadreckon.policies.load` reads it back into the package.
 
     play = load("policy.npz")
@@ -23,6 +23,13 @@ _ACTIVATIONS = {
 }
 _LOG_STD = (-5.0, 2.0)
 _LATENT_CLIP = 0.5
+# Kinds of policy and their fields as older files name them: kind -> (kind, {field: field}).
+RENAMED = {
+    "Deployed": ("EnvPolicy", {}),
+    "Moved": ("PerturbedPolicy", {"mover": "perturbation", "reach": "max_perturbation"}),
+    "Planner": ("Planner", {"chosen": "cem_elites", "ends": "termination", "iterations": "cem_iterations"}),
+    "Supported": ("ThresholdedPolicy", {"share": "threshold"}),
+}
 _EDGE = 1.0 - 1e-6
 
 
@@ -43,9 +50,20 @@ def read(path):
         tree = json.loads(arrays.pop("policy.json").tobytes())
         if tree["format"] != FORMAT:
             raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
-        return tree, arrays
+        return tree | {"policy": _with_present_names(tree["policy"])}, arrays
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is not a whole policy file: {error}") from error
+
+
+def _with_present_names(node):
+    """A policy's tree with the names that kinds and fields have now."""
+    if isinstance(node, list):
+        return [_with_present_names(part) for part in node]
+    if not isinstance(node, dict):
+        return node
+    given = str(node.get("kind"))
+    kind, fields = RENAMED.get(given, (given, {}))
+    return {fields.get(name, name): _with_present_names(part) for name, part in node.items()} | {"kind": kind}
 
 
 def _single(array):
@@ -84,7 +102,7 @@ class NumpyPolicy:
         get = self._array
         if self.tree["mean"] is not None:
             batch = (batch - get(self.tree["mean"])) / get(self.tree["std"])
-        if self.tree["inner"]["kind"] in ("Categorical", "Supported"):
+        if self.tree["inner"]["kind"] in ("Categorical", "ThresholdedPolicy"):
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy, ())
@@ -127,9 +145,9 @@ class NumpyPolicy:
 
     def _chosen(self, node, x, rng, greedy):
         """Indices of discrete actions, (n,)."""
-        if node["kind"] == "Supported":
+        if node["kind"] == "ThresholdedPolicy":
             likely = self._net(node["behavior"]["net"], x)
-            enough = likely >= likely.max(-1, keepdims=True) + np.log(self._array(node["share"]))
+            enough = likely >= likely.max(-1, keepdims=True) + np.log(self._array(node["threshold"]))
             scores = np.where(enough, self._net(node["critic"], x), -np.inf)
         else:
             scores = self._net(node["net"], x)
@@ -155,11 +173,11 @@ class NumpyPolicy:
             z = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
             z = np.clip(z, -_LATENT_CLIP, _LATENT_CLIP)
             return self._net(decoder, np.concatenate([np.broadcast_to(x, (*shape[:-1], x.shape[-1])), z], -1))
-        if kind == "Moved":
+        if kind == "PerturbedPolicy":
             action = np.tanh(self._pre({"kind": "VAEDecoder", "vae": node["vae"]}, x, rng, greedy, count))
             seen = np.broadcast_to(x, (*action.shape[:-1], x.shape[-1]))
-            move = np.tanh(self._net(node["mover"], np.concatenate([seen, action], -1)))
-            return np.arctanh(np.clip(action + self._array(node["reach"]) * move, -_EDGE, _EDGE))
+            move = np.tanh(self._net(node["perturbation"], np.concatenate([seen, action], -1)))
+            return np.arctanh(np.clip(action + self._array(node["max_perturbation"]) * move, -_EDGE, _EDGE))
         if kind == "OneStep":
             size = self._array(node["net"]["weights"][-1]).shape[-1]
             z = rng.standard_normal((*count, len(x), size), np.float32)

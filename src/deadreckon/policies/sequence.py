@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, Real
 from deadreckon.data.spec import Spec
 from deadreckon.nets.mlp import MLP, standardised
 from deadreckon.nets.transformer import Transformer, dropped
-from deadreckon.policies.policy import Inner
+from deadreckon.policies.policy import NormalizedPolicy
 
 
 class Sequence(eqx.Module):
@@ -63,7 +63,7 @@ class Memory(NamedTuple):
     there: Float[Array, "n k"]
 
 
-class Asking(Inner):
+class Asking(NormalizedPolicy):
     """Acts as the log did where it got the return that is asked for.
 
     Attributes:

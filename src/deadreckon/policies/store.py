@@ -14,20 +14,20 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import planner, portable  # noqa: F401 - a planner registers itself
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.sequence import Sequence
 
 _TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`
-_EXACT = ("mean", "std", "low", "high")  # the coordinates of a `Deployed`
+_EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
 # Beside the policies that register themselves (`policy.KINDS`) the only classes that a file can name: reading one runs no code
 # of the file's choosing.
-_PARTS: dict[str, Any] = {part.__name__: part for part in (Deployed, MLP, VAE, Transformer, Block, Sequence)}
+_PARTS: dict[str, Any] = {part.__name__: part for part in (EnvPolicy, MLP, VAE, Transformer, Block, Sequence)}
 
 
 def save(
     path: Path | str,
-    policy: Deployed,
+    policy: EnvPolicy,
     meta: dict[str, Any] | None = None,
     *,
     half: bool = False,
@@ -72,7 +72,7 @@ def save(
         write(file, **{"policy.json": text}, **arrays, **noted)  # pyright: ignore[reportArgumentType]
 
 
-def load(path: Path | str) -> Deployed:
+def load(path: Path | str) -> EnvPolicy:
     """Reads a policy file.
 
     Raises:
@@ -102,7 +102,7 @@ def load(path: Path | str) -> Deployed:
         policy = decode(tree["policy"])
     except (KeyError, TypeError) as error:
         raise UserError(f"{path} is not a whole policy file: {error}") from error
-    if not isinstance(policy, Deployed):
+    if not isinstance(policy, EnvPolicy):
         raise UserError(f"{path} does not hold a policy")
     return policy
 

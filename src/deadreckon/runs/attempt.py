@@ -37,7 +37,7 @@ from deadreckon.ope.registry import PROPENSITIES
 from deadreckon.runs import offline
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, usual
-from deadreckon.runs.recorder import Enough
+from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
@@ -69,7 +69,7 @@ CONTINUOUS = (
     Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
     Candidate("iql", "iql", {}, "weighs logged actions by their advantage; joins parts of episodes"),
     Candidate("awac", "awac", {}, "advantage-weighted imitation with a policy's own values"),
-    Candidate("iql-bold", "iql", {"expectile": 0.9, "sharpness": 10.0}, "for rewards that are rare"),
+    Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
     Candidate("td3_bc", "td3_bc", {}, "stays near the logged actions, improves where the values are sure", True),
     Candidate("td3_bc-loose", "td3_bc", {"alpha": 10.0}, "for logs of poor or varied behaviour", True),
     Candidate("td3_bc-close", "td3_bc", {"alpha": 1.0}, "for narrow logs of good behaviour", True),
@@ -78,10 +78,10 @@ CONTINUOUS = (
 DISCRETE = (
     Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
     Candidate("iql", "iql", {}, "weighs logged actions by their advantage"),
-    Candidate("cql", "cql", {"conservatism": 1.0}, "values of actions that the log lacks are pushed down"),
+    Candidate("cql", "cql", {"cql_weight": 1.0}, "values of actions that the log lacks are pushed down"),
     Candidate("bcq", "bcq", {}, "takes the best among actions that the log takes often enough"),
-    Candidate("iql-bold", "iql", {"expectile": 0.9, "sharpness": 10.0}, "for rewards that are rare"),
-    Candidate("cql-strict", "cql", {"conservatism": 5.0}, "for logs that show few actions a state"),
+    Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
+    Candidate("cql-strict", "cql", {"cql_weight": 5.0}, "for logs that show few actions a state"),
 )
 LARGE, SMALL = (256, 256), (64, 64)  # networks
 DEARER = 10.0  # so many times as long as an update of the first candidate, an imitator, takes one of the others, roughly
@@ -254,7 +254,7 @@ class Attempt:
         start, rate = max(each.start for each in pilots), pilots[0].rate
         wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one a fold
         networks = PROPENSITIES.steps * 5 / (rate * wide)
-        features = Features(log if log.spec.discrete else learning, LinearFQE().cosines, self.job.seed)
+        features = Features(log if log.spec.discrete else learning, LinearFQE().fourier_features, self.job.seed)
         rows = np.arange(min(BLOCK, len(learning)))
         seen, size = np.asarray(learning.observations[rows]), learning.spec.action_size
         shape = (len(rows), 1, size) if learning.spec.discrete else (len(rows), 1, LinearFQE().samples, size)
@@ -314,7 +314,7 @@ class Attempt:
         def look(progress: Chunk, steps: int) -> None:
             self.send("watch", [candidate.name, progress.step, steps])
             if time.time() > end:
-                raise Enough
+                raise StopTraining
 
         return train(
             _agent(candidate, hidden, self.job.discount), log, steps=steps, seed=self.job.seed, task=False, watch=look,
@@ -351,7 +351,7 @@ class Attempt:
         if self.job.accept and any(each["deterministic"] for each in learned):
             rate = pilots[0].rate / (MEMBERS * len(runs))  # an update of so many critics
             steps = min(max(int(0.3 * left * rate), FEWEST_FITS), MOST_FITS)
-            estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, target_rate=0.02)]
+            estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, tau=0.02)]
         judged = offline.judge(
             runs, log, estimators, out=self.out, discount=self.job.discount, seed=self.job.seed, model=model,
             accept_model_based=self.job.accept, watch=lambda what, step, steps: self.send("watch", [what, step, steps]),

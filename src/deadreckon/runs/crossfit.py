@@ -21,7 +21,7 @@ from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import file_part, read_json, write_json
 from deadreckon.policies import store
-from deadreckon.policies.deployed import Deployed, Mixture
+from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.runs.seen import seen
 from deadreckon.runs.train import Run, lanes_of, load, train
 from deadreckon.versions import differences
@@ -58,7 +58,7 @@ class CrossFit:
         return self.path / (MIXTURE if self.config["deliver"] == "mixture" else REFIT)
 
     @property
-    def policy(self) -> Deployed:
+    def policy(self) -> EnvPolicy:
         """What is to be deployed."""
         return store.load(self.delivered) if self.config["deliver"] == "mixture" else load(self.delivered).policy
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
-from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.task import Task
@@ -58,7 +58,7 @@ class LogProbe:
         pairs = np.square(self.logged[: half // 2] - self.logged[half // 2 : 2 * (half // 2)]).sum(-1)
         self.variance = float(np.median(pairs)) if len(pairs) else 1.0
 
-    def __call__(self, policy: Deployed, seed: int = 0) -> dict[str, float]:
+    def __call__(self, policy: EnvPolicy, seed: int = 0) -> dict[str, float]:
         """The two measures of one policy, its actions drawn, not greedy."""
         actions = np.asarray(first_actions(policy, jnp.asarray(self.observations), jax.random.key(seed), False))
         outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
@@ -112,7 +112,7 @@ def _q(agents: Agent, states: Any, observations: Array, actions: Array) -> Array
 
 
 def estimated_values(
-    agents: Agent, states: Any, view: Normalizer, policies: list[Deployed], starts: np.ndarray
+    agents: Agent, states: Any, view: Normalizer, policies: list[EnvPolicy], starts: np.ndarray
 ) -> np.ndarray | None:
     """(lanes, episodes) each lane's Q at initial observations and its policy's own actions; None without a critic.
 

@@ -12,7 +12,7 @@ import numpy as np
 from deadreckon.data.spec import Discrete
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.deployed import Deployed, first_actions
+from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.policies.resolve import policies_of
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval
@@ -73,7 +73,7 @@ def action_key(seed: Any, t: Any) -> jax.Array:
 
 
 @eqx.filter_jit
-def _act(stacked: Deployed, step: Step, carry: Any, seed: jax.Array, t: jax.Array, greedy: bool) -> tuple[jax.Array, Any]:
+def _act(stacked: EnvPolicy, step: Step, carry: Any, seed: jax.Array, t: jax.Array, greedy: bool) -> tuple[jax.Array, Any]:
     key = action_key(seed, t)
     return jax.vmap(lambda p, s, c: p.act(s, c, key, greedy=greedy))(stacked, step, carry)
 
@@ -83,14 +83,14 @@ class _Actors:
 
     def __init__(self, policies: Sequence[Any], n: int, seed: int, greedy: bool):
         # A policy's own floats become arrays too, so that policies that differ in them still act as one program.
-        policies = [jax.tree.map(jnp.asarray, p) if isinstance(p, Deployed) else p for p in policies]
+        policies = [jax.tree.map(jnp.asarray, p) if isinstance(p, EnvPolicy) else p for p in policies]
         self.policies, self.seed, self.greedy = policies, seed, greedy
         self.groups: list[tuple[list[int], Any]] = []
         self.carries: list[Any] = []
         self.others: dict[int, Any] = {}
         alike: dict[Any, list[int]] = {}
         for i, policy in enumerate(policies):
-            if isinstance(policy, Deployed):
+            if isinstance(policy, EnvPolicy):
                 shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(policy))
                 alike.setdefault((jax.tree.structure(policy), shapes), []).append(i)
             else:
@@ -193,7 +193,7 @@ def evaluate(
 
 def _check_fit(policy: Any, task: Task, name: str) -> None:
     """Tries a policy of our own on one observation, so that a wrong one is told before the simulator starts."""
-    if not isinstance(policy, Deployed):
+    if not isinstance(policy, EnvPolicy):
         return
     try:
         jax.eval_shape(lambda: first_actions(policy, jnp.zeros((1, *task.observation_shape)), jax.random.key(0), True))

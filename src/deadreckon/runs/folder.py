@@ -16,6 +16,7 @@ checkpoints together: beside them, not in them.
 
 import contextlib
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from deadreckon.agents import agent_class
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, replacing, write_json
+from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
 
@@ -104,9 +107,19 @@ class Folder:
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()
 
+    def asked(self) -> Any:
+        """What was asked for, from run.json; hyperparameters under the names that their fields have now."""
+        config = read_json(self.config)
+        if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
+            return config
+        name, fields = str(config["agent"].get("name")), config["agent"].get("fields", {})
+        if ":" in name and name.partition(":")[0] not in sys.modules:  # a folder from elsewhere must not name code that runs
+            return config
+        return config | {"agent": {**config["agent"], "fields": with_field_names(agent_class(name), fields)}}
+
     def period(self, resume: bool) -> int | None:
         """Updates between the evaluations of the run that is gone on with, which it keeps where nobody names others."""
-        before = read_json(self.config) if resume and self.config.exists() else {}
+        before = self.asked() if resume and self.config.exists() else {}
         return before.get("evaluation", {}).get("every")
 
     def check(self, config: dict[str, Any], *, resume: bool) -> list[str]:
@@ -125,7 +138,7 @@ class Folder:
             return []
         if not resume:
             raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
-        before = read_json(self.config)
+        before = self.asked()
         longer = before.get("steps", 0) < config["steps"]
         asked = config | {"steps": before.get("steps")} if longer else config
         kept = ("together", "agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")

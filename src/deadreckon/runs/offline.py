@@ -14,7 +14,7 @@ from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, write_json
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import Case, CrossFitted
+from deadreckon.ope.case import CrossFitted, OPEInput
 from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.groups import Groups
@@ -241,7 +241,7 @@ def judge(
     rows = fresh(found, data, unseen)
     cluster = cluster or next((g.by for g in found if g.by not in (None, RANDOM, TIME)), None)
     policies = [_acting(g, data) for g in found]
-    case = Case(
+    case = OPEInput(
         data, policies, discount=discount, horizon=horizon, seed=seed, greedy=greedy, names=names, logged=True,
         out=None if out is None else Path(out) / "fits", watch=watch, held=rows.held, noise=None,
         clusters=None if cluster is None else clusters_of(data, cluster),
@@ -282,7 +282,7 @@ def judge(
             {"method": each.method, "title": titled(each.method), "corrected": each.corrected, "value": each.value.tolist(),
              "low": each.low.tolist(), "high": each.high.tolist(), "gain": told_gains.tolist(),
              "seconds": each.seconds, "warnings": list(each.warnings),
-             "effective": None if each.effective is None else each.effective.tolist(),
+             "effective": None if each.ess is None else each.ess.tolist(),
              "diagnostics": {name: shares(numbers) for name, numbers in each.diagnostics.items()}}
             for each, told_gains in zip(results, every)
         ],

@@ -15,7 +15,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.files import file_part, read_json
+from deadreckon.files import file_part
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
 from deadreckon.runs.folder import Folder
@@ -127,7 +127,7 @@ def reopened(path: Path | str) -> Fit:
         UserError: `path` is no online run, or its checkpoint cannot be read.
     """
     folder = Folder(Path(path))
-    config = read_json(folder.config) if folder.config.exists() else {}
+    config = folder.asked() if folder.config.exists() else {}
     if "online" not in config:
         raise UserError(f"{path} is not the folder of an online run")
     lanes = agents_of(config)

@@ -12,7 +12,7 @@ from deadreckon.agents import agent_name
 from deadreckon.data.dataset import Dataset
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder
@@ -24,11 +24,11 @@ RECORDED = 8  # episodes a policy whose observations are kept for pictures
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 
 
-class Enough(Exception):
+class StopTraining(Exception):
     """Raised by a watcher: the run ends with this chunk, as if no more had been asked for. It may be resumed with more."""
 
 
-def _nothing(policy: Deployed) -> dict[str, float]:
+def _nothing(policy: EnvPolicy) -> dict[str, float]:
     return {}
 
 
@@ -62,12 +62,12 @@ class Recorder:
         # Evaluations start where no training ever looks; the same starts every time, so that curves are paired.
         self.starts = None if judge is None else judge.simulate(episode_seeds(0, episodes)).reset()
 
-    def policies(self) -> list[Deployed]:
+    def policies(self) -> list[EnvPolicy]:
         """The lanes' present policies."""
         view = self.job.rows.view
         lanes = range(len(self.job.seeds))
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
-        return [Deployed.of(agent.policy(state), view) for agent, state in zip(self.job.learners, states)]
+        return [EnvPolicy.of(agent.policy(state), view) for agent, state in zip(self.job.learners, states)]
 
     def picture(self, log: Dataset) -> None:
         """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
@@ -101,12 +101,12 @@ class Recorder:
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
     def follow(self, watch: ChunkWatcher) -> None:
-        """Walks the fit to its end: every chunk is recorded, then told. A watcher may have it end before; see `Enough`."""
+        """Walks the fit to its end: every chunk is recorded, then passed to `watch`, which may raise `StopTraining`."""
         for progress in self.job.chunks():
             self.record(progress)
             try:
                 watch(progress, self.job.steps)
-            except Enough:
+            except StopTraining:
                 self.job.steps = progress.step
                 for folder in self.folders:
                     folder.shorten(progress.step)

@@ -23,11 +23,12 @@ ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and t
 class RunSettings:
     """What runs on a log and runs in a simulator have in common."""
 
-    evaluate_every: int | None = None  # updates between evaluations; None: a tenth of the run; the last update is evaluated too
+    evaluate_every: int | None = None
+    """updates between evaluations; None: a tenth of the run; the last update is evaluated too"""
     episodes: int = 20  # number of episodes per evaluation
     chunk: int = 1000  # updates between checkpoints, which is also what a kill can lose
     resume: bool = False  # continue the run in the output folder; a finished one is made longer if more steps are asked for
-    watch: ChunkWatcher = unwatched  # called after every chunk; ends the run there by raising `runs.recorder.Enough`
+    watch: ChunkWatcher = unwatched  # called after every chunk; ends the run there by raising `runs.recorder.StopTraining`
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -67,8 +68,8 @@ class RunSettings:
 class TrainSettings(RunSettings):
     """Of a run on a log."""
 
-    stream: bool | None = None  # fetch batches from the host; None: only where the log does not fit on the device
-    strict: bool = False  # refuse logs with actions out of bounds instead of clipping them
+    stream: bool | None = None  # whether batches are fetched from the host; None: where the log does not fit on the device
+    strict: bool = False  # whether to refuse logs with actions out of bounds instead of clipping them
     holdout: Holdout | Fold | float | None = None
     """Episodes to judge by, which are not learned from (`data.split.Holdout`, or its share alone; 0: none). None: a fifth at
     random of a log that no simulator judges, none of others; of a memory-mapped log the latest fifth, so that the rest is not
@@ -82,9 +83,9 @@ class OnlineSettings(RunSettings):
     evaluate_every: int | None = None  # environment steps between evaluations; None: a fiftieth of the run
     episodes: int = 10  # number of episodes per evaluation, with greedy actions
     chunk: int = 2000  # updates between checkpoints, which is also what a kill can lose
-    threads: int | None = None  # threads to simulate with; None: all cores; results do not depend on it
+    threads: int | None = None  # threads of the simulator; None: one per core; results do not depend on it
     settings: Online | None = None  # how acting and learning take turns; None: the agent's own, or the defaults of `Online`
-    demonstrations: Dataset | str | Path | None = None  # log to be shown first, for agents that learn from such (DAPG)
+    demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that learn from them (DAPG)
 
 
 class _Options(TypedDict, total=False):

@@ -19,7 +19,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json, safe_name
 from deadreckon.policies import store
-from deadreckon.policies.deployed import Deployed
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
@@ -47,11 +47,11 @@ class Run:
     path: Path
     config: dict[str, Any]
     seeds: list[int]
-    policies: list[Deployed]
+    policies: list[EnvPolicy]
     failures: list[Failure | None]
 
     @property
-    def policy(self) -> Deployed:
+    def policy(self) -> EnvPolicy:
         """The first seed's policy."""
         return self.policies[0]
 
@@ -170,7 +170,7 @@ def _train(
     judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
     folders, resume = [Folder(path) for path in asked], settings.resume
-    before = read_json(folders[0].config) if resume and folders[0].config.exists() else None
+    before = folders[0].asked() if resume and folders[0].config.exists() else None
     part = divided(log, settings.holdout, judge, before)
     lanes = [lane.resolve(part.learning.spec, steps) for each in asked.values() for lane in each]
     seeds = len(lanes) // len(folders)
@@ -233,7 +233,7 @@ def load(path: Path | str) -> Run:
     folder = Folder(Path(path))
     if not folder.config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
-    config = read_json(folder.config)
+    config = folder.asked()
     if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
         raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
     missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]

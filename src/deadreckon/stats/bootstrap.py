@@ -9,14 +9,14 @@ RESAMPLES = 1000
 TAIL = 10  # bootstrap samples beyond a percentile that it takes to know it
 
 
-def percentile_interval(draws: np.ndarray, effective: float, alpha: float = ALPHA) -> tuple[float, float]:
+def percentile_interval(draws: np.ndarray, ess: float, alpha: float = ALPHA) -> tuple[float, float]:
     """The bootstrap's interval from (n,) bootstrap samples, wider where few episodes count.
 
     Their percentiles are those of a normal with a deviation that is too small by sqrt(1 - 1/n); they are expanded to those of
     Student's t (Hesterberg 2015), with as many episodes as the weights amount to. An end beyond which fewer than `TAIL`
     bootstrap samples would lie is continued from the last percentile that has so many, as a normal's would be.
     """
-    n = max(effective, 2.0)
+    n = max(ess, 2.0)
     # In standard deviations of the bootstrap samples, and how far they reach for sure.
     wanted = float(np.sqrt(1.0 / (1.0 - 1.0 / n)) * special.stdtrit(n - 1, 1 - alpha / 2))
     safe = min(wanted, float(special.ndtri(1 - min(TAIL / len(draws), 0.5 - 1e-3))))

@@ -50,14 +50,14 @@ class Effects(NamedTuple):
         """
         if not self.sources:  # one policy in one episode
             return Interval(float(mean), math.nan, math.nan)
-        parts = [_reach(variance, freedom, miss) for variance, freedom in self.sources]
+        parts = [_reach(variance, dof, miss) for variance, dof in self.sources]
         half = math.sqrt(max(sum(parts) - _reach(*self.twice, miss), *parts))
         return Interval(float(mean), float(mean) - half, float(mean) + half)
 
 
-def _reach(variance: float, freedom: float, miss: float) -> float:
+def _reach(variance: float, dof: float, miss: float) -> float:
     """The square of half of the interval of a normal mean whose estimated variance has that many degrees of freedom."""
-    return float(stdtrit(freedom, 1.0 - miss / 2)) ** 2 * variance
+    return float(stdtrit(dof, 1.0 - miss / 2)) ** 2 * variance
 
 
 def mean_interval(values: np.ndarray) -> Interval:

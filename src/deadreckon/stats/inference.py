@@ -5,8 +5,8 @@ from scipy import special
 
 from deadreckon.stats.interval import ALPHA
 
-REDRAWS = 2000  # of the units, for the simultaneous interval
-BEYOND = 10  # redraws that must lie beyond a quantile
+N_BOOTSTRAP = 2000  # of the units, for the simultaneous interval
+BEYOND = 10  # bootstrap samples that must lie beyond a quantile
 SURE = 0.01  # error rate of a test that weights average one, for each policy
 
 
@@ -28,16 +28,16 @@ def student(value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA) -> t
     return value - half, value + half
 
 
-def studentised(influence: np.ndarray, seed: int = 0, redraws: int = REDRAWS) -> np.ndarray:
-    """(redraws, policies) |t| of the means of influence functions over redrawn units (bootstrap-t: Efron and Tibshirani 1993,
-    12.5).
+def studentised(influence: np.ndarray, seed: int = 0, n_bootstrap: int = N_BOOTSTRAP) -> np.ndarray:
+    """(n_bootstrap, policies) |t| of the means of influence functions over resampled units (bootstrap-t: Efron and Tibshirani
+    1993, 12.5).
 
     A redraw of equal units has no spread: its t is infinite, or zero where it is at the mean itself.
     """
     n = len(influence)
     with np.errstate(divide="ignore", invalid="ignore"):
         psi = (influence - influence.mean(0)) / influence.std(0)
-    counts = np.random.default_rng([seed, 5]).multinomial(n, np.full(n, 1 / n), redraws).astype(np.float64)
+    counts = np.random.default_rng([seed, 5]).multinomial(n, np.full(n, 1 / n), n_bootstrap).astype(np.float64)
     mean = counts @ psi / n
     variance = np.maximum(counts @ np.square(psi) / n - np.square(mean), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -46,11 +46,11 @@ def studentised(influence: np.ndarray, seed: int = 0, redraws: int = REDRAWS) ->
 
 
 def _reach(t: np.ndarray, n: int, alpha: float) -> np.ndarray:
-    """The quantile of (redraws, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of
+    """The quantile of (n_bootstrap, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of
     freedom, which is exact for one normal estimate.
 
-    Far out, where fewer than `BEYOND` redraws lie beyond it, it is the last quantile that has so many, times the ratio of
-    Student's. Infinite where there are no more redraws than these.
+    Far out, where fewer than `BEYOND` bootstrap samples lie beyond it, it is the last quantile that has so many, times the
+    ratio of Student's. Infinite where there are no more samples than these.
     """
     student = lambda level: special.stdtrit(n - 1, 1 - level / 2)  # noqa: E731
     least = BEYOND / (len(t) + 1)
@@ -82,16 +82,16 @@ def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0) -> 
     Args:
         influence: (units, policies), mean zero.
         alpha: share of logs for which one of the intervals may miss.
-        seed: of the redraws.
+        seed: of the bootstrap.
 
     Returns:
-        The factor; infinite where there are fewer than two units, or where the redraws do not reach so far.
+        The factor; infinite where there are fewer than two units, or where the bootstrap samples do not reach so far.
     """
     n = len(influence)
     psi = influence[:, influence.std(0) > 0]
     if n < 2:
         return np.inf
-    t = studentised(psi, seed).max(1) if psi.shape[1] else np.zeros(REDRAWS)
+    t = studentised(psi, seed).max(1) if psi.shape[1] else np.zeros(N_BOOTSTRAP)
     return float(_reach(t, n, alpha))
 
 
@@ -106,7 +106,7 @@ def gains(
         against: index of the one that is subtracted.
         alpha: share of logs for which one of the intervals may miss.
         known: (policies,) whether anything is known of an estimate; the intervals of the others are endless. None: of all.
-        seed: of the redraws.
+        seed: of the bootstrap.
 
     Returns:
         (policies,) differences, lower and upper ends; zero for `against` itself.

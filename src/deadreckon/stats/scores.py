@@ -32,12 +32,12 @@ class Difference(Interval):
     Attributes:
         p: two-sided; of a difference this far from zero if there were none.
         p_better: one-sided; of a difference this great if ours were no better.
-        freedom: degrees of freedom of Student's t.
+        dof: degrees of freedom of Student's t.
     """
 
     p: float
     p_better: float
-    freedom: float
+    dof: float
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def interval(
         statistic: of one (..., seeds) array a task, reducing the last axis, such as `partial(optimality_gap, target=100)`.
         level: share of cases in which the interval is meant to hold the truth.
         resamples: redrawn tables.
-        seed: of the redraws.
+        seed: of the bootstrap.
 
     Raises:
         UserError: no task, no run, numbers that are not finite, or a statistic that does not reduce the last axis.
@@ -242,11 +242,11 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     value = float(np.mean([gap[0] for gap in gaps]))
     if min(len(x) for _, x, _ in pairs) < 2:
         return Difference(value, *[math.nan] * 5)
-    error, freedom = _pool([(gap[1] / len(pairs) ** 2, len(x) - 1) for gap, (_, x, _) in zip(gaps, pairs)])
+    error, dof = _pool([(gap[1] / len(pairs) ** 2, len(x) - 1) for gap, (_, x, _) in zip(gaps, pairs)])
     if error == 0.0:
-        return Difference(value, value, value, float(value == 0.0), float(1.0 - np.sign(value)) / 2, freedom)
-    half, t = error * float(stdtrit(freedom, (1 + level) / 2)), value / error
-    return Difference(value, value - half, value + half, _two_sided(t, freedom), float(stdtr(freedom, -t)), freedom)
+        return Difference(value, value, value, float(value == 0.0), float(1.0 - np.sign(value)) / 2, dof)
+    half, t = error * float(stdtrit(dof, (1 + level) / 2)), value / error
+    return Difference(value, value - half, value + half, _two_sided(t, dof), float(stdtr(dof, -t)), dof)
 
 
 def _moments(runs: np.ndarray) -> tuple[float, float]:
@@ -257,7 +257,7 @@ def _moments(runs: np.ndarray) -> tuple[float, float]:
 
 
 def _pool(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
-    """Standard error and degrees of freedom (Welch 1947, Satterthwaite 1946) of a sum, of (variance, freedom) of its parts."""
+    """Standard error and degrees of freedom (Welch 1947, Satterthwaite 1946) of a sum, of (variance, dof) of its parts."""
     variances, freedoms = np.array(parts, np.float64).T
     total = float(variances.sum())
     if total == 0.0:
@@ -265,8 +265,8 @@ def _pool(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
     return math.sqrt(total), float(1.0 / (np.square(variances / total) / freedoms).sum())
 
 
-def _two_sided(t: float, freedom: float) -> float:
-    return float(2.0 * stdtr(freedom, -abs(t)))
+def _two_sided(t: float, dof: float) -> float:
+    return float(2.0 * stdtr(dof, -abs(t)))
 
 
 def performance_profile(
@@ -282,7 +282,7 @@ def performance_profile(
         thresholds: (thresholds,) on the scale of the scores.
         level: of the band.
         resamples: redrawn tables.
-        seed: of the redraws.
+        seed: of the bootstrap.
 
     Raises:
         UserError: thresholds that are not a list of finite numbers, or what `interval` raises.
@@ -353,5 +353,5 @@ def _alike(cell: _Cell, best: _Cell, level: float) -> bool:
         return True
     if min(cell.runs, best.runs) < 2:
         return False
-    error, freedom = _pool([(cell.variance, cell.runs - 1), (best.variance, best.runs - 1)])
-    return error > 0.0 and _two_sided((best.mean - cell.mean) / error, freedom) > level
+    error, dof = _pool([(cell.variance, cell.runs - 1), (best.variance, best.runs - 1)])
+    return error > 0.0 and _two_sided((best.mean - cell.mean) / error, dof) > level

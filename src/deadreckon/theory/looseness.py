@@ -43,7 +43,7 @@ class Measured:
 
     Attributes:
         value: J of the new policy.
-        promised: what the model says of it.
+        estimated: what the model says of it.
         branched: (n, k + 1) J_branch by length.
         under_old, under_new: the model's error under either policy, in the world.
         policy: eps_pi.
@@ -51,7 +51,7 @@ class Measured:
     """
 
     value: np.ndarray
-    promised: np.ndarray
+    estimated: np.ndarray
     branched: np.ndarray
     under_old: np.ndarray
     under_new: np.ndarray
@@ -63,20 +63,20 @@ def _exact(transitions, model, rewards, initial, old, new, discount, length, ste
     begun = solve.occupancy(transitions, initial, old, discount)
     branched = branching.branched_occupancies(model, initial, new, begun, length, discount)
     value = initial @ solve.values(transitions, rewards, new, discount)
-    promised = initial @ solve.values(model, rewards, new, discount)
+    estimated = initial @ solve.values(model, rewards, new, discount)
     under_old, under_new = (branching.expected_error(transitions, model, initial, policy, steps) for policy in (old, new))
-    return value, promised, (branched * rewards).sum((1, 2)) / (1.0 - discount), under_old, under_new
+    return value, estimated, (branched * rewards).sum((1, 2)) / (1.0 - discount), under_old, under_new
 
 
 def measure(drawn: Sample, length: int = 10, steps: int = 250) -> Measured:
     """Solves them exactly, with rollouts of up to `length` steps."""
     worlds = drawn.worlds
     run = solve.exactly(partial(_exact, length=length, steps=steps), over=(0,) * 7)
-    value, promised, branched, under_old, under_new = run(
+    value, estimated, branched, under_old, under_new = run(
         worlds.transitions, drawn.model, worlds.rewards, worlds.initial, drawn.old, drawn.new, drawn.discount
     )
     apart, r_max = branching.policy_divergence(drawn.old, drawn.new), np.abs(worlds.rewards).max((1, 2))
-    return Measured(value, promised, branched, under_old, under_new, apart, r_max)
+    return Measured(value, estimated, branched, under_old, under_new, apart, r_max)
 
 
 K = 4  # length of the rollouts in the picture
@@ -105,7 +105,7 @@ def looseness(count: int = 4000, seed: int = 0) -> Looseness:
     drawn = sample(count, np.random.default_rng(seed))
     m, discount = measure(drawn, K), drawn.discount
     errors = {"old": (m.under_old, m.policy, discount, m.r_max), "new": (m.under_new, m.policy, discount, m.r_max)}
-    gaps = {"full": m.promised - m.value, "branched": m.branched[:, K] - m.value}
+    gaps = {"full": m.estimated - m.value, "branched": m.branched[:, K] - m.value}
     bounds = {
         "Theorem 5.2.1": (gaps["full"], branching.full_bound(*errors["old"])),
         "5.2.1, sharper": (gaps["full"], branching.sharp_full_bound(*errors["old"])),

@@ -110,9 +110,9 @@ def improve(
         stay = np.broadcast_to(np.eye(world.states)[:, None], counts.shape)
         model = MDP(np.where(seen > 0, counts / np.maximum(seen, 1), stay), world.rewards, world.initial)
         error = min(model_error(world, model, policy), 1.0)
-        found, promised = _best(model.transitions, world.rewards, world.initial, policy, RADII, discount)
+        found, estimated = _best(model.transitions, world.rewards, world.initial, policy, RADII, discount)
         far = np.minimum(policy_divergence(policy[None], found), 1.0)
-        score = promised if penalty is None else promised - penalty(error, far, discount, r_max)
+        score = estimated if penalty is None else estimated - penalty(error, far, discount, r_max)
         which = int(score.argmax())
         if not keep or score[which] > returns[-1]:
             distances.append(float(far[which]))

@@ -1,6 +1,6 @@
 """What hyperparameters may be: ranges that stand at the fields themselves, and their check.
 
-A field says its range in its type, `discount: Share = 0.99`, and the comment behind it is its help on the command line.
+A field says its range in its type, `discount: UnitInterval = 0.99`, and the comment behind it is its help on the command line.
 """
 
 import dataclasses
@@ -39,7 +39,7 @@ class Range:
 Number = Annotated[float, Range()]
 NonNegative = Annotated[float, Range(ge=0)]
 Positive = Annotated[float, Range(gt=0)]
-Share = Annotated[float, Range(ge=0, le=1)]
+UnitInterval = Annotated[float, Range(ge=0, le=1)]
 Count = Annotated[int, Range(ge=1)]
 CountOrZero = Annotated[int, Range(ge=0)]
 Fraction = Annotated[float, Range(gt=0, le=1)]

@@ -1,4 +1,4 @@
-"""Design problems with their judges."""
+"""Design problems with their oracles."""
 
 from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.mbo.problems.registry import PROBLEMS, problem

@@ -1,4 +1,4 @@
-"""GFP: proteins of 237 amino acids that glow (Sarkisyan et al. 2016; thesis 6.5), judged by a learned oracle.
+"""GFP: proteins of 237 amino acids that glow (Sarkisyan et al. 2016; thesis 6.5), scored by a learned oracle.
 
 The oracle is a model of global epistasis (Otwinowski et al. 2018): every substitution moves a few hidden traits by fixed
 amounts, and the brightness is a nonlinear function of the traits. Substitutions that nobody has measured move nothing.
@@ -38,7 +38,7 @@ STEPS, BATCH, LR = 10_000, 512, 3e-3
 
 
 def gfp(*, path: Path | str | None = None, least: float = 50.0, most: float = 60.0, limit: int | None = 5000) -> Problem:
-    """Proteins of middling brightness; a learned oracle judges.
+    """Proteins of middling brightness; scored by a learned oracle.
 
     Args:
         path: the TSV; None: the package's folder of designs. Variants with a stop codon are left out.
@@ -56,10 +56,10 @@ def gfp(*, path: Path | str | None = None, least: float = 50.0, most: float = 60
         raise UserError(f"{place}: columns variant and score are needed, separated by tabs")
     x, rows = _sequences(table.column("variant").to_pylist(), place)
     y = np.asarray(table.column("score"), np.float64)[rows]
-    judge = Epistasis.of(x, y)
+    oracle = Epistasis.of(x, y)
     variables = tuple(Variable(f"acid{i}", "categorical", levels=tuple(ACIDS)) for i in range(len(WILD_TYPE)))
     full = Designs(x, y, variables, "gfp", "log10 brightness")
-    return hidden("gfp", full, judge, judge.about, least=least, most=most, limit=limit)
+    return hidden("gfp", full, oracle, oracle.about, least=least, most=most, limit=limit)
 
 
 def _sequences(variants: list[str], place: Path) -> tuple[np.ndarray, np.ndarray]:

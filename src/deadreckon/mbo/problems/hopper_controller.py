@@ -1,4 +1,4 @@
-"""HopperController: the weights of a neural network that makes a hopper hop, judged in MuJoCo (thesis 6.5).
+"""HopperController: the weights of a neural network that makes a hopper hop, scored in MuJoCo (thesis 6.5).
 
 A design is 5,126 numbers, as in Design-Bench: weights and biases of an 11-64-64-3 network with tanh between its layers, and
 three logarithms of deviations, which a deterministic controller does not use. Its score is the return of one episode of at most
@@ -110,7 +110,7 @@ def _designs(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def hopper_controller() -> Problem:
-    """3,200 controllers with their returns, all shown; MuJoCo judges.
+    """3,200 controllers with their returns, all shown; scored in MuJoCo.
 
     Raises:
         UserError: numpy's generator draws other numbers than it did.

@@ -40,7 +40,7 @@ def fingerprints(smiles: list[str]) -> np.ndarray:
 
 
 def molecule(*, path: Path | str | None = None, column: str | None = None, shown: float = 50.0) -> Problem:
-    """Substructures of molecules, of which the less active part is shown; a random forest judges.
+    """Substructures of molecules, of which the less active part is shown; the oracle is a random forest.
 
     A design is a fingerprint, and nothing makes sure that a molecule has it.
 
@@ -62,7 +62,7 @@ def molecule(*, path: Path | str | None = None, column: str | None = None, shown
     activity = np.asarray(table.column(wanted[0]), np.float64)
     bits, owner = np.unique(fingerprints(table.column("smiles").to_pylist()), axis=0, return_inverse=True)
     y = np.bincount(owner.reshape(-1), activity) / np.bincount(owner.reshape(-1))
-    judge = forest("molecule", bits, y)
+    oracle = forest("molecule", bits, y)
     variables = tuple(Variable(f"bit{i}", "categorical", levels=(0, 1)) for i in range(BITS))
     full = Designs(bits, y, variables, "molecule", wanted[0])
-    return hidden("molecule", full, judge, judge.about, most=shown)
+    return hidden("molecule", full, oracle, oracle.about, most=shown)

@@ -1,4 +1,4 @@
-"""AntMorphology and DKittyMorphology: bodies for a gait that knows them, judged in MuJoCo (thesis 6.5).
+"""AntMorphology and DKittyMorphology: bodies for a gait that knows them, scored in MuJoCo (thesis 6.5).
 
 A design is four legs (`tasks/morphology.py`); its score is the return of 100 steps from a start without noise, with one gait
 for all designs. In a gait every joint swings about a middle of its own, in shares of the range that the design gives it, so
@@ -104,7 +104,7 @@ def designs_of(task: Morphology, steps: np.ndarray) -> np.ndarray:
 
 
 def morphology(name: str, *, shown: float = 40.0) -> Problem:
-    """25,009 bodies with their returns, of which the worse part is shown; MuJoCo judges.
+    """25,009 bodies with their returns, of which the worse part is shown; scored in MuJoCo.
 
     Args:
         name: `ant-morphology` or `dkitty-morphology`.

@@ -1,4 +1,4 @@
-"""Learned judges: trained once, on all but a tenth of the data, and kept in the package's folder of designs."""
+"""Learned oracles: trained once, on all but a tenth of the data, and kept in the package's folder of designs."""
 
 import hashlib
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 from deadreckon.files import home
 from deadreckon.training.checkpoint import load_arrays, save_arrays
 
-HELD_OUT = 0.1  # share of the data that tells how good a judge is
+HELD_OUT = 0.1  # share of the data that tells how good an oracle is
 
 Kept = tuple[dict[str, np.ndarray], dict[str, Any]]  # arrays, and JSON values
 
@@ -28,7 +28,7 @@ def kept(name: str, x: np.ndarray, y: np.ndarray, settings: tuple[Any, ...], tra
         x: designs of the data.
         y: their scores.
         settings: numbers and texts that `train` depends on.
-        train: makes the judge.
+        train: fits the oracle.
     """
     digest = hashlib.blake2b(x.tobytes() + y.tobytes() + repr((*settings, HELD_OUT)).encode(), digest_size=8).hexdigest()
     place = home() / "designs" / "oracles" / f"{name}-{digest}.npz"

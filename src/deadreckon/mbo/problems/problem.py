@@ -1,4 +1,4 @@
-"""A design problem: the scored designs that methods see, and the judge that they do not."""
+"""A design problem: the scored designs that methods see, and the oracle that they do not."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,13 +39,13 @@ class Scores:
 
     @property
     def exploitation(self) -> float:
-        """Median of what was promised beyond the truth, in ranges of all data; NaN where nothing was promised."""
+        """Median of predicted less true scores, in ranges of all data; NaN where nothing was predicted."""
         return float(np.median(self.predicted - self.true) / (self.high - self.low))
 
     def __str__(self) -> str:
         best, middle = (f"{self.percentile(q):,.4g} ({self.percentile(q, True):.2f})" for q in (100, 50))
-        promised = "" if np.isnan(self.exploitation) else f", promised {np.median(self.predicted):,.4g}"
-        return f"{self.method} on {self.problem}: best of {len(self.true)} {best}, median {middle}{promised}"
+        predicted = "" if np.isnan(self.exploitation) else f", predicted {np.median(self.predicted):,.4g}"
+        return f"{self.method} on {self.problem}: best of {len(self.true)} {best}, median {middle}{predicted}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Problem:
         name: of the problem.
         visible: what methods see.
         low, high: least and greatest score of all data, shown or not.
-        oracle: the judge.
+        oracle: the true scores of designs.
         about: one line: what the oracle is, and how far it can be trusted.
         optimum: the greatest score that any design has, where it is known.
     """

@@ -29,14 +29,14 @@ class Known(NamedTuple):
 
 
 PROBLEMS: dict[str, Known] = {
-    "hopper-controller": Known(hopper_controller, "5,126 weights of a controller; MuJoCo judges (thesis 6.5)"),
-    "ant-morphology": Known(partial(morphology, "ant-morphology"), "60 numbers of an ant's legs; MuJoCo judges (thesis 6.5)"),
-    "dkitty-morphology": Known(partial(morphology, "dkitty-morphology"), "56 numbers of a kitty's legs; MuJoCo judges"),
+    "hopper-controller": Known(hopper_controller, "5,126 weights of a controller, scored in MuJoCo (thesis 6.5)"),
+    "ant-morphology": Known(partial(morphology, "ant-morphology"), "60 numbers of an ant's legs; MuJoCo (thesis 6.5)"),
+    "dkitty-morphology": Known(partial(morphology, "dkitty-morphology"), "56 numbers of a kitty's legs, scored in MuJoCo"),
     "superconductor": Known(
-        superconductor, "81 statistics of a material; a random forest judges its critical temperature", SUPERCONDUCTOR_FILE
+        superconductor, "81 statistics of a material; critical temperature by a random forest", SUPERCONDUCTOR_FILE
     ),
-    "gfp": Known(gfp, "237 amino acids; a learned oracle judges the brightness", GFP_FILE),
-    "molecule": Known(molecule, "1,024 substructures; a random forest judges the activity", MOLECULE_FILE),
+    "gfp": Known(gfp, "237 amino acids; brightness by a learned oracle", GFP_FILE),
+    "molecule": Known(molecule, "1,024 substructures; activity by a random forest", MOLECULE_FILE),
     "tfbind8": Known(tfbind8, "8 bases of DNA; every design's score is known", TFBIND8_FILE),
     "nk": Known(nk, "8 sites of 4 letters with neighbours' influence; every design's score is known"),
     **{name: Known(partial(synthetic, name), f"{f.dimensions} numbers; a test function") for name, f in FUNCTIONS.items()},

@@ -104,7 +104,7 @@ def _ten(t: np.ndarray, share: np.ndarray) -> list[float]:
 def superconductor(
     *, path: Path | str | None = None, form: Literal["statistics", "composition"] = "statistics", shown: float = 80.0
 ) -> Problem:
-    """Materials with a critical temperature in K, of which the colder part is shown; a random forest judges.
+    """Materials with a critical temperature in K, of which the colder part is shown; the oracle is a random forest.
 
     Args:
         path: a CSV with columns `name` (formula) and `Tc`, UCI's `train.csv` (statistics) or `unique_m.csv` (composition);
@@ -131,10 +131,10 @@ def superconductor(
         y, names = np.asarray(table.column("critical_temp"), np.float64), wide
     else:
         raise UserError(f"{place}: neither columns name and Tc, nor critical_temp and the columns of {form}, as in {SOURCE}")
-    judge = forest(f"superconductor-{form}", x, y)
+    oracle = forest(f"superconductor-{form}", x, y)
     variables = tuple(Variable(n, "continuous", *_ends(column)) for n, column in zip(names, x.astype(np.float32).T))
     full = Designs(x, y, variables, "superconductor", "critical temperature, K")
-    return hidden("superconductor", full, judge, judge.about, most=shown)
+    return hidden("superconductor", full, oracle, oracle.about, most=shown)
 
 
 def _ends(column: np.ndarray) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from deadreckon.mbo.designs import Designs
 SAMPLE = 1000  # designs of the data whose neighbours tell what near is
 
 
-def reach(data: Designs, x: np.ndarray) -> np.ndarray:
+def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
     """Distance of designs to the nearest scored one, in standardised coordinates, in units of what is usual among the data.
 
     Args:

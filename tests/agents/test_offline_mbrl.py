@@ -9,8 +9,8 @@ import pytest
 
 from deadreckon.agents import COMBO, MOBILE, MOPO, MOReL
 from deadreckon.agents.cql import soft_maximum
-from deadreckon.agents.dreaming import Dreaming
 from deadreckon.agents.mopo import deviation
+from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.dynamics import Branch
@@ -20,7 +20,7 @@ from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.training.fit import fit
 from tests.agents.tiny import MODEL
 
-TINY = MODEL | {"hidden": (8,), "batch_size": 16, "logged_rows": 6, "rollouts": 8, "keep": 2}
+TINY = MODEL | {"hidden": (8,), "batch_size": 16, "real_batch_size": 6, "rollout_batch_size": 8, "retain_rounds": 2}
 
 
 def walk(n=120, seed=0):
@@ -51,7 +51,7 @@ def batch_of(rows, n=16):
 
 
 def test_a_batch_is_logged_rows_and_made_up_ones():
-    agent, rows, state = prepared(Dreaming)
+    agent, rows, state = prepared(OfflineMBRL)
     assert int(state.model.turns) == 1
     first = np.asarray(state.model.rows[0])
     assert (np.asarray(state.model.rows[1]) == 0).all()
@@ -63,7 +63,7 @@ def test_a_batch_is_logged_rows_and_made_up_ones():
     assert all((first == row).all(1).any() for row in made)  # from the slot that is filled alone
     starts = first[(first[:, None, :2] == np.asarray(LOG.observations)).all(-1).any(1)]
     assert len(starts) >= 8  # rollouts begin at logged observations
-    _, _, later = prepared(Dreaming, turns=3)
+    _, _, later = prepared(OfflineMBRL, turns=3)
     assert (np.asarray(later.model.rows[0]) != first).any()  # the oldest slot was used again
     for one, other in zip(jax.tree.leaves(later.model.ensemble), jax.tree.leaves(state.model.ensemble)):
         np.testing.assert_array_equal(one, other)  # the model is fitted once
@@ -73,19 +73,19 @@ def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
     def agent(name, shape=(11,), **fields):
         return MOPO(**TINY | fields).resolve(dataclasses.replace(LOG.spec, name=name, observation_shape=shape), 10)
 
-    assert (agent("walk").ends, agent("walk").over) == ("learned", None)
+    assert (agent("walk").termination, agent("walk").over) == ("learned", None)
     hopper = agent("hopper-medium-v2@dr1")
     standing = np.zeros((2, 11), np.float32)
     standing[0, 0] = 1.25
     np.testing.assert_array_equal(hopper.over(standing), [False, True])
-    assert hopper.over == agent("hopper-expert-v2").over == agent("walk", ends="hopper").over
-    assert agent("maze2d-umaze-v1").ends == "learned"  # its observations do not tell
-    assert agent("hopper").ends == "learned"  # a log that has a task's name is not known to be the task's
-    assert agent("hopper-medium-v2", ends="learned").over is None
-    with pytest.raises(UserError, match=r"ends='hopper': its observations are \(11,\), walk has \(2,\)"):
-        agent("walk", shape=(2,), ends="hopper")
+    assert hopper.over == agent("hopper-expert-v2").over == agent("walk", termination="hopper").over
+    assert agent("maze2d-umaze-v1").termination == "learned"  # its observations do not tell
+    assert agent("hopper").termination == "learned"  # a log that has a task's name is not known to be the task's
+    assert agent("hopper-medium-v2", termination="learned").over is None
+    with pytest.raises(UserError, match=r"termination='hopper': its observations are \(11,\), walk has \(2,\)"):
+        agent("walk", shape=(2,), termination="hopper")
     with pytest.raises(UserError, match="maze2d-umaze: its observations do not tell when an episode ends"):
-        agent("walk", ends="maze2d-umaze")
+        agent("walk", termination="maze2d-umaze")
 
 
 def test_mopo_lowers_rewards_by_the_greatest_deviation():
@@ -100,13 +100,13 @@ def test_mopo_lowers_rewards_by_the_greatest_deviation():
         log_variance = np.asarray(agent.model._heads(one["nets"], one["bounds"], jnp.asarray(seen, jnp.float32))[1])
         deviations.append(np.sqrt(np.exp(log_variance).sum(1)))
     np.testing.assert_allclose(deviation(agent.model, state.model.ensemble, branch), np.max(deviations, 0), rtol=1e-4)
-    lowered = agent.replace(penalty=2.0).doubted(state.model.ensemble, [branch], rows)[0]
+    lowered = agent.replace(penalty=2.0).penalised(state.model.ensemble, [branch], rows)[0]
     np.testing.assert_allclose(lowered.reward, logged.reward - 2.0 * np.max(deviations, 0), rtol=1e-4)
     np.testing.assert_array_equal(lowered.next_observation, branch.next_observation)
 
 
 def test_mobile_lowers_values_by_the_disagreement_of_backups():
-    agent, rows, state = prepared(MOBILE, draws=2000, penalty=3.0)
+    agent, rows, state = prepared(MOBILE, samples=2000, penalty=3.0)
     logged = batch_of(rows)
     mixed, plain = (each.mixed(state, logged, jax.random.key(3)) for each in (agent, agent.replace(penalty=0.0)))
     np.testing.assert_array_equal(mixed.reward[:6], logged.reward[:6])
@@ -120,14 +120,14 @@ def test_mobile_lowers_values_by_the_disagreement_of_backups():
     wanted = np.asarray(means)[..., 0].std(0, ddof=1)
     noise = float(np.exp(0.5 * np.asarray(log_variance)[..., 0]).max()) / np.sqrt(2000)
     np.testing.assert_allclose(seen, wanted, atol=5 * noise)
-    low = agent.replace(floor=0.5).target(state, plain, jax.random.key(0))
-    free = agent.replace(floor=None).target(state, plain, jax.random.key(0))
+    low = agent.replace(min_target=0.5).target(state, plain, jax.random.key(0))
+    free = agent.replace(min_target=None).target(state, plain, jax.random.key(0))
     np.testing.assert_allclose(low, np.maximum(free, 0.5))
     assert (np.asarray(free) < 0.5).any()
 
 
 def test_combo_holds_critics_down():
-    agent, rows, state = prepared(COMBO, draws=4000)
+    agent, rows, state = prepared(COMBO, samples=4000)
     batch = batch_of(rows)
     # A critic that is constant has log 2^size of it, and the number of draws.
     flat = MLP((jnp.zeros((2, 3, 1)),), (jnp.full((2, 1), 0.7),))
@@ -139,7 +139,7 @@ def test_combo_holds_critics_down():
     np.testing.assert_allclose(soft_maximum(rising, state.actor, batch, 4000, jax.random.key(0)), wanted, atol=0.15)
     critics, target, key = state.critics, jnp.zeros(16), jax.random.key(1)
     with_it, metrics = agent.critic_loss(critics, state, batch, target, key)
-    without, _ = agent.replace(conservatism=0.0).critic_loss(critics, state, batch, target, key)
+    without, _ = agent.replace(cql_weight=0.0).critic_loss(critics, state, batch, target, key)
     high = soft_maximum(critics, state.actor, batch, 4000, jax.random.fold_in(key, 2)).mean(1)
     logged = q_values(critics, batch.observation[:6], batch.action[:6]).mean(1)
     assert with_it - without == pytest.approx(5.0 * float((high - logged).sum()), rel=1e-4)
@@ -168,12 +168,12 @@ def test_targets_without_the_entropy_bonus():
 
 
 def test_morel_ends_rollouts_that_the_model_does_not_know():
-    agent, rows, state = prepared(MOReL, familiar=0.9, penalty=4.0)
+    agent, rows, state = prepared(MOReL, trusted_quantile=0.9, penalty=4.0)
     usual = rows.take(np.arange(rows.count))
     far = usual["observation"][:16] + 50.0 * (np.arange(16) % 2)[:, None].astype(np.float32)
     make = lambda seen: Branch(jnp.asarray(seen), jnp.asarray(usual["action"][:16]), jnp.ones(16), jnp.asarray(seen),  # noqa: E731
                                jnp.zeros(16, bool), jnp.ones(16, bool))  # fmt: skip
-    first, second = agent.doubted(state.model.ensemble, [make(far), make(usual["observation"][:16])], rows)
+    first, second = agent.penalised(state.model.ensemble, [make(far), make(usual["observation"][:16])], rows)
     lost = np.asarray(first.terminal)
     assert lost[1::2].all()
     assert lost[::2].sum() <= 4
@@ -184,15 +184,15 @@ def test_morel_ends_rollouts_that_the_model_does_not_know():
 
 
 @pytest.mark.parametrize(("fields", "words"), [
-    ({"logged_rows": 16}, "MOPO.logged_rows must be fewer than a batch has, 16, got 16"),
+    ({"real_batch_size": 16}, "MOPO.real_batch_size must be fewer than a batch has, 16, got 16"),
     ({"elites": 4}, "MOPO.elites are members at most, got 4 of 3"),
-    ({"model_decay": (0.1,)}, "MOPO.model_decay needs 2 numbers, one a layer of the model, got 1"),
+    ({"model_weight_decay": (0.1,)}, "MOPO.model_weight_decay needs 2 numbers, one a layer of the model, got 1"),
 ])  # fmt: skip
 def test_refusals(fields, words):
     with pytest.raises(UserError, match=words):
         MOPO(**TINY | fields).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="COMBO needs logged rows in a batch, got 0"):
-        COMBO(**TINY | {"logged_rows": 0}).resolve(LOG.spec, 1)
+        COMBO(**TINY | {"real_batch_size": 0}).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="MOBILE.elites must be 2 or more, got 1"):
         MOBILE(**TINY | {"elites": 1}).resolve(LOG.spec, 1)
 

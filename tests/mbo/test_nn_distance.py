@@ -3,19 +3,19 @@
 import numpy as np
 
 from deadreckon.mbo.designs import Designs, Variable
-from deadreckon.mbo.reach import reach
+from deadreckon.mbo.nn_distance import nn_distance
 
 
 def test_on_a_line_by_hand():
     """Evenly spaced designs: one step is the usual distance."""
     data = Designs.from_arrays(np.arange(20.0)[:, None], np.arange(20.0))
-    np.testing.assert_allclose(reach(data, np.array([[3.0], [3.5], [29.0]])), [0.0, 0.5, 10.0], atol=1e-5)
+    np.testing.assert_allclose(nn_distance(data, np.array([[3.0], [3.5], [29.0]])), [0.0, 0.5, 10.0], atol=1e-5)
 
 
 def test_designs_that_are_there_twice_do_not_shrink_the_unit():
     x = np.repeat(np.arange(10.0), 3)[:, None]
     data = Designs.from_arrays(np.concatenate([x, [[10.0]]]), np.arange(31.0))
-    np.testing.assert_allclose(reach(data, np.array([[12.0]])), [2.0], atol=1e-5)
+    np.testing.assert_allclose(nn_distance(data, np.array([[12.0]])), [2.0], atol=1e-5)
 
 
 def test_letters():
@@ -23,4 +23,4 @@ def test_letters():
     variables = [Variable(f"s{i}", "categorical", levels=("a", "b")) for i in range(4)]
     x = np.indices((2,) * 4).reshape(4, -1).T[:12]
     data = Designs.from_arrays(x, np.arange(12.0), variables)
-    np.testing.assert_allclose(reach(data, np.array([[1, 1, 0, 0], [1, 1, 1, 1]])), [1.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(nn_distance(data, np.array([[1, 1, 0, 0], [1, 1, 1, 1]])), [1.0, 1.0], atol=1e-6)

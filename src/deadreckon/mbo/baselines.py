@@ -3,13 +3,13 @@
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.designer import Designer, Proposals, Setting
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 
 
 class BestOfData(Designer):
     """The designs of the data with the highest scores, as they are."""
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """The same for every seed.
 
         Raises:
@@ -25,7 +25,7 @@ class BestOfData(Designer):
 class Random(Designer):
     """Each variable drawn for itself: continuous ones evenly between their bounds (those of the data where it has none)."""
 
-    def solve(self, setting: Setting) -> list[Proposals]:
+    def solve(self, setting: DesignInput) -> list[Proposals]:
         """A draw for every seed."""
         data, found = setting.data, []
         nan = np.full(setting.n, np.nan)
