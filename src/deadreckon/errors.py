@@ -18,7 +18,7 @@ class BusyError(UserError):
 
 
 class DivergedError(UserError):
-    """Numbers of a fit went bad, which other settings may mend and other fits need not share."""
+    """A fit diverged (NaN or infinite numbers), which other settings may mend and other fits need not share."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:

@@ -58,7 +58,8 @@ def test_a_penalty_grows_where_too_much_is_promised():
     """One step of Adam on the logarithm of its weight, up where the difference is above the margin, down where below."""
     data = Designs.from_arrays(np.linspace(-1, 1, 20)[:, None], np.linspace(-3, 3, 20))
     for margin, sign in ((0.0, 1), (1e3, -1)):
-        learner = Conservative(COMs(hidden=(8,), batch_size=20, lr=1e-3, alpha_lr=0.01, margin=margin, ascent=5, design_lr=0.5))
+        rates = {"lr": 1e-3, "alpha_lr": 0.01, "design_lr": 0.5}
+        learner = Conservative(COMs(hidden=(8,), batch_size=20, margin=margin, ascent_steps=5, **rates))
         state = learner.init(data.coordinates, jax.random.key(0))
         state = state._replace(net=linear([[2.0]], [0.0]))  # its slope leads beyond the data
         x = jnp.asarray(data.coordinates.encode(data.x))

@@ -137,7 +137,7 @@ def test_a_policy_that_draws_nothing_gets_noise(greedy):
     z = (log.actions[:, 0] - done) / 5.0 / NOISE
     expected = -0.5 * z**2 - np.log(NOISE * np.sqrt(2 * np.pi)) - np.log(5.0)
     np.testing.assert_allclose(OPEInput(log, deterministic(1), greedy=greedy).log_probs[0], expected, rtol=1e-3)
-    if greedy:  # of a function it is known only where its best guess is asked for
+    if greedy:  # of a function it is known only where its greedy action is asked for
         own = BlackBoxPolicy(lambda seen, rng: 5.0 * np.tanh(-0.1 * seen))
         np.testing.assert_allclose(OPEInput(log, own, greedy=True).log_probs[0], expected, rtol=1e-3)
 
@@ -185,7 +185,7 @@ def test_policies_that_do_not_fit_the_log_are_told_in_a_line():
     with pytest.raises(UserError, match="policy 0 is made for observations of 11 numbers, lqr has 1"):
         OPEInput(log, snapshot)
     column = BlackBoxPolicy(lambda seen, rng: seen, log_prob=lambda seen, a: np.zeros((len(a), 1)))
-    with pytest.raises(UserError, match=r"log_prob must give one number a row, \(15,\), got \(15, 1\)"):
+    with pytest.raises(UserError, match=r"log_prob must give one number per row, \(15,\), got \(15, 1\)"):
         _ = OPEInput(log, column).log_probs
     flat = BlackBoxPolicy(lambda seen, rng: seen[:, 0])
     with pytest.raises(UserError, match=r"policy 0 gives actions that are one number, lqr has shape \(1,\)"):

@@ -54,7 +54,7 @@ def test_values_are_true_within_their_intervals(world, name):
     assert (half < 6.0 * case.data.returns(case.discount).std() / np.sqrt(case.data.episodes)).all()
     assert found.influence.shape == (case.episodes.groups, 3)
     np.testing.assert_allclose(found.influence.mean(0), 0.0, atol=1e-9)
-    # The log's own policy is worth what the log got, and paired gains are surer than values.
+    # The behaviour policy is worth what the log got, and paired gains are surer than values.
     assert found.value[2] == pytest.approx(case.data.returns(case.discount).mean(), rel=1e-4 if name != "drl" else 0.1)
     assert found.diagnostics.get("pareto k", np.zeros(3))[2] <= 0.0
 

@@ -156,7 +156,7 @@ def test_members_of_episodes_of_different_lengths(name):
     )
     found = FITTED[name].replace(members=3).estimate(log, as_policy(policy), discount=DISCOUNT)
     np.testing.assert_allclose(found.bootstrap[:, 0], 10.0, rtol=0.06)
-    # The weights of the log's own policy are the episodes' lengths: twenty of 5 rows, five of 200.
+    # The weights of the behaviour policy are the episodes' lengths: twenty of 5 rows, five of 200.
     assert found.ess[0] == pytest.approx((20 * 5 + 5 * 200) ** 2 / (20 * 5**2 + 5 * 200**2), rel=0.1)
     assert any("the weights of policy 0 rest on 6." in line for line in found.warnings)
 

@@ -1,4 +1,4 @@
-"""How often the intervals of estimates hold the truth."""
+"""How often the intervals of estimates cover the true value."""
 
 from functools import partial
 

@@ -269,7 +269,7 @@ def test_broken_files_are_told_in_one_line(damage, tmp_path):
 def test_files_of_other_kinds_are_told_apart(content, tmp_path):
     path = tmp_path / "p.csv"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"^{path} is no policy file \(\.npz\)$"):
+    with pytest.raises(ValueError, match=rf"^{path} is not a policy file \(\.npz\)$"):
         portable.read(path)
     np.savez(tmp_path / "log.npz", observations=np.zeros(1))
     with pytest.raises(ValueError, match=r"not a whole policy file: no policy.json in it"):

@@ -40,7 +40,7 @@ def test_what_is_told(made):
     assert [each["method"] for each in told["results"]] == ["FQE-L2", "WPDIS"]
     assert [each["name"] for each in told["policies"]] == ["bc seed 0", "bc seed 1"]
     np.testing.assert_allclose(told["results"][0]["value"], estimates[0].value)
-    assert len(told["results"][0]["value"]) == 3  # the log's own policy is the last
+    assert len(told["results"][0]["value"]) == 3  # the behaviour policy is the last
     assert len(told["truth"]["mean"]) == 2
     assert choice.name in ("bc seed 0", "bc seed 1")
 

@@ -321,7 +321,7 @@ def test_by_default_a_run_has_its_name_from_agent_and_task(tmp_path, monkeypatch
     with pytest.raises(Told) as told:
         dr.train_online(Little(), "hopper", steps=100_000, settings=Online(updates_per_step=0.5))
     assert str(told.value.args[0]) == "runs/Little-hopper-online"
-    assert told.value.args[1] == 1024  # a fiftieth of the run, half an update a step, in whole blocks of 32
+    assert told.value.args[1] == 1024  # a fiftieth of the run, half an update per step, in whole blocks of 32
 
 
 @pytest.mark.slow

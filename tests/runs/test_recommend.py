@@ -131,7 +131,7 @@ def test_what_was_found_is_told(doing, tmp_path):
     ("os.kill(os.getpid(), 9)", "ended unexpectedly (exit code -9)"),
     ("sys.exit(3)", "ended unexpectedly (exit code 3)"),
     ("send('fault', 'TypeError: of ours')", "TypeError: of ours"),
-    ("send('unfinished', 'the numbers of all of them went bad')", "the numbers of all of them went bad"),
+    ("send('unfinished', 'all of them diverged (NaN or Inf)')", "all of them diverged (NaN or Inf)"),
     ("send('refused', 'the log has one action')", "the log has one action"),
 ])  # fmt: skip
 def test_work_that_dies_leaves_a_card(doing, tmp_path, end, reason):
@@ -184,7 +184,7 @@ def test_an_interruption_ends_the_work(doing, tmp_path):
 
 @pytest.mark.parametrize(("budget", "options", "words"), [
     (0.0, {}, "the budget must be more than nothing"), (-5.0, {}, "the budget must be more than nothing"),
-    ("soon", {}, "a time is written"), (60.0, {"discount": 1.0}, r"discount must be 0 \.\. 1 without 1, got 1"),
+    ("soon", {}, "a time is written"), (60.0, {"discount": 1.0}, r"discount must be in \[0, 1\), got 1"),
     (60.0, {"holdout": 0.0}, "the share held out must lie between 0 and 1"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_at_once(tmp_path, budget, options, words):
@@ -267,7 +267,7 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 60)
     sent, out = attempt(tmp_path, a_log())
     lines = of(sent, "line")
-    assert "pilot: bold is left out, its numbers go bad on this log" in lines
+    assert "pilot: bold is left out, it diverges (NaN or Inf) on this log" in lines
     assert any(line.startswith("bc was ended after") for line in lines)
     assert dr.load_run(out / "bc").config["steps"] < 60
     assert (out / "estimates.json").exists()

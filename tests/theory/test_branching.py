@@ -328,7 +328,7 @@ def test_errors_of_policies_and_models():
 
 
 def test_refusals():
-    with pytest.raises(UserError, match=r"discount must be 0 \.\. 1 without 1, got 1.0"):
+    with pytest.raises(UserError, match=r"discount must be in \[0, 1\), got 1.0"):
         full_bound(0.1, 0.1, 1.0)
     with pytest.raises(UserError, match=r"errors are total variations, 0 \.\. 1, got 1.5 and 0.1"):
         branched_bound(1, 1.5, 0.1, 0.9)

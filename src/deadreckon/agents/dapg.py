@@ -30,7 +30,7 @@ from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Si
 
 LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall
 PASSES, MINIBATCH = 2, 64  # of the critic over a block, and rows
-CLONED = 32  # rows a batch of the cloning
+CLONED = 32  # batch size of the cloning
 TOLD = "kl", "improvement", "demonstrations", "deviation", "reward"  # of a block's step
 
 

@@ -46,7 +46,7 @@ class MVE(ModelledSAC):
             reward, following, over, lost = transition(self.model, state.model, self.over, observation, action, k_next)
             observations.append(observation)
             actions.append(action)
-            # A step whose numbers went bad is none: the row stays where it was.
+            # A step with NaN or infinite numbers does not count: the row stays where it was.
             skipped.append(1.0 * lost)
             rewards.append(jnp.where(lost, 0.0, reward))
             goes_on.append(1.0 - (over & ~lost))

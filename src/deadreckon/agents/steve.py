@@ -61,7 +61,7 @@ class STEVE(ModelledSAC):
             drawn, logit = self.model.sample(model.best(), inputs, k_draw)
             following = observation + drawn[..., :-1]
             over = ended(self.over, following, logit, k_end)
-            # A step whose numbers went bad is none: the rollout stays where it was.
+            # A step with NaN or infinite numbers does not count: the rollout stays where it was.
             lost = ~jnp.isfinite(drawn).all(-1)
             so_far = jnp.where(lost, so_far, so_far + discount * (drawn[..., -1] + bonus))
             discount = jnp.where(lost, discount, discount * self.discount * (1.0 - over))

@@ -17,7 +17,7 @@ TRIES = 3  # of a program whose process dies; what went on until then is on disk
 
 
 class Event(NamedTuple):
-    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one a job), `failed` (why),
+    """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one per job), `failed` (why),
     `elsewhere` (another command is at it), `split` (it failed for a reason, and its jobs go on one by one) or `died` (and is
     begun again)."""
 

@@ -33,7 +33,7 @@ class Local:
 
     Args:
         path: the store's folder.
-        workers: processes; None: one a core, or one for a GPU.
+        workers: processes; None: one per core, or one for a GPU.
         work: does a program.
 
     Raises:

@@ -1,6 +1,6 @@
-"""Results: one row a cell, and the curves behind them, in Parquet parts that are written once and never changed.
+"""Results: one row per cell, and the curves behind them, in Parquet parts that are written once and never changed.
 
-    results/JOB.parquet    a row a cell
+    results/JOB.parquet    a row per cell
     curves/JOB.parquet     a row an evaluation of a cell
     failed/CELL.json       why a cell's job ended without results; gone when it has some
     runs/JOB               the job's run folder; of jobs that shared a program runs/PROGRAM/JOB
@@ -40,7 +40,7 @@ RESULT = pa.schema(
         ("score", pa.float64()),  # normalised; of designs the best
         ("raw", pa.float64()),  # undiscounted return, or the best design's score by the oracle
         ("more", pa.string()),  # JSON: further numbers by name
-        ("failure", pa.string()),  # of this seed: which metric went bad, and when
+        ("failure", pa.string()),  # of this seed: which metric was not finite, and when
         ("seconds", pa.float64()),  # of the whole program, since it was last begun
         ("steps", pa.int64()),
         ("code", pa.string()),

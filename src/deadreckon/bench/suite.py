@@ -1,4 +1,4 @@
-"""A benchmark, declared: which methods, on what, with which settings and seeds. One TOML file a suite.
+"""A benchmark, declared: which methods, on what, with which settings and seeds. One TOML file per suite.
 
     about = "One line."
     kind = "learn"                    # from logs; or "online" in simulators, "design", or "ope" (estimators as methods)

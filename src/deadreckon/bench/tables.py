@@ -71,7 +71,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Scores of one method on one thing, one a seed."""
+    """Scores of one method on one thing, one per seed."""
 
     scores: np.ndarray
     missing: int
@@ -80,7 +80,7 @@ class Cell:
 
     @property
     def sound(self) -> bool:
-        """Whether all seeds are there, have a score, and none went bad."""
+        """Whether all seeds are there, have a score, and none diverged."""
         return not (self.missing or self.failed) and len(self.scores) > 0 and bool(np.isfinite(self.scores).all())
 
     @property
@@ -245,7 +245,7 @@ def rendered(tables: Sequence[Table], form: str = "text") -> str:
 
 
 def _grid(table: Table, mark: str) -> list[list[str]]:
-    """Heads, a row a log, task or problem with the thesis's scores below, and the interquartile means."""
+    """Heads, a row per log, task or problem with the thesis's scores below, and the interquartile means."""
     methods, digits = list(table.cells), table.metric.digits
     rows = [["", *methods]]
     for on in table.suite.on:

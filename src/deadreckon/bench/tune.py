@@ -45,7 +45,7 @@ class Trial:
         fields: what differs from the agent's defaults.
         scores: (logs, seeds) normalised scores in the simulators; NaN where there is none, or none may be used.
         values: (seeds,) what its policies are estimated at from the log; empty where that was not asked for.
-        failure: why a seed's numbers went bad, or "": then it is not chosen.
+        failure: why a seed diverged, or "": then it is not chosen.
     """
 
     fields: dict[str, Any]
@@ -199,7 +199,7 @@ def tune(
         executor: where jobs run; closed at the end.
         told: called with what happens.
         estimators: the first chooses, by the mean over seeds.
-        model: how the log's own policy is learned, to see what of the policies' actions the log covers.
+        model: how the behaviour policy is learned, to see what of the policies' actions the log covers.
         discount: of estimated returns.
         watch: called while estimators fit.
 
@@ -208,7 +208,7 @@ def tune(
         UserError: a setting that failed, in the first one's words.
     """
     if not 0.0 <= discount < 1.0:
-        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+        raise UserError(f"discount must be in [0, 1), got {discount}")
     jobs = plan(asked, executor.lanes)
     run(asked.name, jobs, store, told, executor)
     failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
@@ -246,7 +246,7 @@ def _estimated(
     jobs: Sequence[Job], store: Store, rows: Mapping[str, Mapping[str, Any]], estimators: Sequence[Any], model: BehaviorModel,
     discount: float, watch: Watcher,
 ) -> dict[str, list[float]]:  # fmt: skip
-    """Method -> what its policies are estimated at, one a seed."""
+    """Method -> what its policies are estimated at, one per seed."""
     from deadreckon.bench.work import source
 
     folders = {store.path / "runs" / rows[cell]["job"]: job.method for job in jobs for cell in job.cells}

@@ -153,7 +153,7 @@ class Lines:
 
 
 def _page(suite, jobs, store):
-    """The suite's page, which links to one a log or task."""
+    """The suite's page, which links to one per log or task."""
     from deadreckon.bench.plan import file_name
     from deadreckon.bench.tables import tables
     from deadreckon.report import write

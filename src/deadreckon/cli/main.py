@@ -15,7 +15,7 @@ from deadreckon.errors import UserError, unknown
 
 # name: (module, function, one line)
 COMMANDS = {
-    "demo": ("demo", "demo", "the main job in minutes: collect a log, learn five ways, judge, report"),
+    "demo": ("demo", "demo", "an end-to-end demo in minutes: collect a log, learn five ways, judge, report"),
     "tasks": ("show", "tasks", "the simulators that policies are judged in; logs and policies made in them, with scores"),
     "agents": ("show", "agents", "the learning algorithms, and where they come from"),
     "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),

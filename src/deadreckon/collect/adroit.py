@@ -104,7 +104,7 @@ def collect_adroit(
         name: of the recipe, such as `door-cloned-v1`.
         steps: rows; of the human log at most what there is.
         scratch: folder of a collection under way.
-        seed: of everything random; the human log has nothing random, so 0.
+        seed: random seed; the human log has nothing random, so 0.
         threads: to simulate with.
         progress: called with rows done and rows in all.
 

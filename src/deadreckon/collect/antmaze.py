@@ -145,7 +145,7 @@ def collect_antmaze(
         name: of the recipe, such as `antmaze-umaze-v2`.
         steps: rows.
         scratch: folder of a collection under way.
-        seed: of everything random.
+        seed: random seed.
         threads: to simulate with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and `steps`.
     """

@@ -131,7 +131,7 @@ def collect_flow(
         name: of the recipe, such as `flow-ring-controller-v0`.
         steps: rows.
         scratch: folder of a collection under way.
-        seed: of everything random.
+        seed: random seed.
         threads: to simulate with.
         progress: called with rows done and rows in all.
     """

@@ -66,7 +66,7 @@ def collect_gym(
         kind: among `KINDS`.
         name: of the recipe, such as `hopper-medium-v2`.
         steps: rows; of kinds with two parts, half each.
-        seed: of everything random.
+        seed: random seed.
         threads: to simulate with.
         scratch: folder of a collection under way.
         progress: called with rows done and rows in all.

@@ -25,7 +25,7 @@ BATCH = 16  # episodes side by side; part of the recipe, so that data does not d
 DIRECTED = 4  # in the partial log, one episode in so many is directed to the task
 KNOWN = ("microwave", "kettle", "bottom burner", "top burner", "light switch", "slide cabinet")  # what the demonstrator can do
 SHAKE = 0.008  # standard deviation of a waypoint's place, m
-HASTE = (0.7, 1.0)  # m/s of the hand at most, drawn once an episode
+HASTE = (0.7, 1.0)  # m/s of the hand at most, drawn once per episode
 MOST = 0.9  # of an action: at the bounds themselves, policies that are squashed by a tanh have nothing to say
 _ARM = 7  # joints without the fingers
 _MARGIN = 0.03  # rad before a joint's limit at which it is no longer driven on
@@ -230,7 +230,7 @@ def collect_kitchen(
         name: of the recipe, such as `kitchen-mixed-v0`.
         steps: rows; the last episode is cut where they are full.
         scratch: folder of a collection under way, which is gone on with after a kill.
-        seed: of everything random.
+        seed: random seed.
         threads: to simulate with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and `steps`.
     """

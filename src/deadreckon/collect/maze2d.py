@@ -133,7 +133,7 @@ def collect_maze2d(
         task: the maze and its reward.
         name: of the recipe, such as `maze2d-umaze-v1`; the log is called `maze2d-umaze-v1@dr1`.
         steps: rows.
-        seed: of everything random.
+        seed: random seed.
         threads: to step with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and `steps`.
     """

@@ -91,7 +91,7 @@ def generate(
     Args:
         name: of the recipe.
         steps: rows; those of the full log if None.
-        seed: of everything random.
+        seed: random seed.
         threads: to simulate with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and the rows in all.
     """
@@ -130,7 +130,7 @@ def collect(
     Args:
         name: of the recipe, such as `maze2d-umaze-v1`.
         steps: rows; those of the full log if None.
-        seed: of everything random.
+        seed: random seed.
         out: the file; if None, the place in the cache where `deadreckon.load` finds it (see `default_path`).
         threads: to simulate with; all cores if None. The log does not depend on it.
         force: replace a file that is there.

@@ -89,7 +89,7 @@ def collect_rollouts(
         task: with continuous actions and flat observations.
         segments: at least one.
         name: of the log.
-        seed: of everything random.
+        seed: random seed.
         provenance: of the log.
         threads: to simulate with; all cores if None. The log does not depend on it.
         scratch: a folder for what is done so far; one left by a killed collection of the same log is gone on with. The

@@ -1,4 +1,4 @@
-"""The log: immutable columns in episodes, checked once at the door."""
+"""The log: immutable columns in episodes, validated on load."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -48,7 +48,7 @@ class Dataset:
         action_space: declared bounds, or the range of the data.
         name: such as `maze2d-umaze-v1@dr1`.
         provenance: where the log comes from.
-        warnings: what was noticed at the door, one line each.
+        warnings: what was noticed on load, one line each.
         part_of: where it is a part of another log, what gives the `episode_ids` that its episodes have there.
     """
 
@@ -153,7 +153,7 @@ class Dataset:
             final, known = _observation_column(name, "final_observations", final_observations), np.ones(len(last), bool)
             if final.shape != (len(last), *observations.shape[1:]):
                 want = (len(last), *observations.shape[1:])
-                raise UserError(f"{name}: final_observations have shape {final.shape}, {want} is needed, one an episode")
+                raise UserError(f"{name}: final_observations have shape {final.shape}, {want} is needed, one per episode")
             _check_numbers(name, "final_observations", final)
             if final_known is not None:
                 known = _flag(name, "final_known", final_known)
@@ -398,7 +398,7 @@ def _given(ids: np.ndarray) -> Callable[[], np.ndarray]:
     return lambda: ids
 
 
-# ---- checks at the door ---------------------------------------------------------------------------------------------
+# ---- checks on load ---------------------------------------------------------------------------------------------
 
 
 def _blocks(column: np.ndarray) -> range:

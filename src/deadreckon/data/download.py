@@ -157,7 +157,7 @@ def _laid_out(log: Dataset, width: int, kept: tuple[int, ...], constants: tuple[
         UserError: observations have not the `width` that the layout is for.
     """
     if log.spec.observation_size != width:
-        raise UserError(f"it has {log.spec.observation_size} numbers an observation, not the {width} that are known of it")
+        raise UserError(f"it has {log.spec.observation_size} numbers per observation, not the {width} that are known of it")
 
     def change(seen: np.ndarray | None) -> np.ndarray | None:
         if seen is None:

@@ -46,7 +46,7 @@ def frame_columns(
 ) -> FrameColumns:
     """The columns of a log that a table holds; `Dataset.from_frame` makes the log of them.
 
-    Texts, categories and truth values among the observations become one 0/1 column a level (levels in
+    Texts, categories and truth values among the observations become one 0/1 column per level (levels in
     `provenance.extra`); missing numbers become the column's mean, and a 0/1 column `<name>_missing` tells where.
 
     Args:

@@ -1,4 +1,4 @@
-"""Which episodes a method learns from and which are kept to judge by: whole episodes, or whole clusters of them."""
+"""Which episodes per method learns from and which are kept to judge by: whole episodes, or whole clusters of them."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -112,7 +112,7 @@ def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
 
 
 def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
-    """The values of a column that has one an episode, and (episodes,) the number of each episode's; see `clusters`."""
+    """The values of a column that has one per episode, and (episodes,) the number of each episode's; see `clusters`."""
     columns = {name: column for name, column in log.extras.items() if column.size == len(log)}
     if by not in columns:
         known = unknown("column", by, columns) if columns else f"unknown column {by!r}"

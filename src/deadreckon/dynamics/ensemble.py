@@ -90,7 +90,7 @@ class Trainer(eqx.Module):
             model: what it consists of.
             spec: of the observations and actions.
             columns: `observation`, `action`, `reward`, `next_observation` and `terminal` of some rows.
-            seed: of everything random.
+            seed: random seed.
             start: an earlier ensemble, whose weights are gone on from.
 
         Raises:

@@ -67,7 +67,7 @@ class Model(eqx.Module):
     hidden: Sizes = static((200, 200, 200, 200))  # width of each hidden layer
     lr: NonNegative = 1e-3  # learning rate
     weight_decay: NonNegative = 1e-5  # decoupled from the gradient (AdamW)
-    batch_size: Count = static(256)  # rows a batch
+    batch_size: Count = static(256)  # batch size (transitions per update)
     layer_decay: Weights = static(())  # of half the squared weights of each layer, in the loss; none if empty
 
     def needs(self, spec: Spec) -> BatchSpec:

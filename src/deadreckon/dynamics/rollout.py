@@ -46,7 +46,7 @@ def branches(
         policy: what is done, in the coordinates of the model.
         starts: observations, dealt out to the elites anew at every step.
         length: steps.
-        key: of everything random.
+        key: random key.
         ends: where episodes end; None asks the model.
     """
     found, observation, running = [], starts, jnp.ones(len(starts), bool)
@@ -94,7 +94,7 @@ def transition(
     model: Model, ensemble: Ensemble, ends: Ends | None, observation: Float[Array, "n o"], action: Float[Array, "n a"],
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, "n"], Float[Array, "n o"], Bool[Array, "n"], Bool[Array, "n"]]:  # fmt: skip
-    """What an elite a row says that follows: reward, next observation, whether the episode ends, whether numbers went bad."""
+    """One transition per row from one elite: reward, next observation, whether the episode ends, whether it diverged."""
     k_order, k_draw, k_end = jax.random.split(key, 3)
     n, elites = len(observation), len(ensemble.elites)
     # Rows are dealt to the elites in equal shares: a draw for each row would have every elite do all rows. Where they do

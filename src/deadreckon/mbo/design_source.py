@@ -14,7 +14,7 @@ class DesignSource:
     Args:
         designs: what is learned from.
         needs: of the learner; only the batch size counts.
-        more: further columns, a row a design.
+        more: further columns, a row per design.
     """
 
     initial: dict[str, np.ndarray] | None = None

@@ -38,7 +38,7 @@ class Proposals:
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
         predicted: (n,) what the method believes that they score; NaN where it believes nothing.
         predicted_std: (n,) standard deviation of that belief; NaN likewise.
-        seed: of everything random.
+        seed: random seed.
         seconds: it took, of all seeds of a program together.
     """
 
@@ -73,10 +73,10 @@ class DesignInput(NamedTuple):
         return jnp.asarray(self.data.coordinates.low), jnp.asarray(self.data.coordinates.high)
 
     def train(self, learner: Any, steps: int, what: str, more: dict[str, np.ndarray] | None = None) -> list[Any]:
-        """States of a learner on the designs after `steps` updates, one a seed, gone on with from checkpoints.
+        """States of a learner on the designs after `steps` updates, one per seed, gone on with from checkpoints.
 
         Raises:
-            UserError: its numbers went bad.
+            UserError: it diverged (NaN or infinite numbers).
         """
         points = DesignSource(self.data, learner.needs(self.data.coordinates), more)
         folder = None if self.out is None else self._folder(learner, points, steps, what)
@@ -118,12 +118,12 @@ class Designer(eqx.Module):
         Args:
             data: scored designs, all that is looked at.
             n: how many to propose.
-            seed: of everything random.
+            seed: random seed.
             out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
             watch: called with what is fitted, the updates done and those in all.
 
         Raises:
-            UserError: settings that no designer can work with, or numbers that went bad.
+            UserError: settings that no designer can work with, or a fit that diverged.
         """
         return self.propose_many(data, n, seeds=[seed], out=out, watch=watch)[0]
 
@@ -155,7 +155,7 @@ class Designer(eqx.Module):
         return type(self).__name__
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """What the designer is: proposals, one a seed."""
+        """What the designer is: proposals, one per seed."""
         raise NotImplementedError
 
     def replace(self, **changes: Any) -> Any:

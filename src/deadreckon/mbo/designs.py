@@ -72,7 +72,7 @@ class Designs:
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
         object.__setattr__(self, "y", np.asarray(self.y, np.float64))
         if self.x.ndim != 2 or self.x.shape != (len(self.y), len(self.variables)):
-            asked = f"({len(self.y)}, {len(self.variables)}), a row a score and a column a variable"
+            asked = f"({len(self.y)}, {len(self.variables)}), a row a score and a column per variable"
             raise UserError(f"{self.name}: x must have shape {asked}, got {self.x.shape}")
         self.check(self.x)
         if not np.isfinite(self.y).all():

@@ -154,7 +154,7 @@ def published() -> dict[str, dict[str, dict[str, tuple[float, float]]]]:
 
 
 def markdown(results: Sequence[Result], q: int = 100, normalised: bool = False) -> str:
-    """A table of one percentile: a row a problem, below it what the thesis prints, a column a method.
+    """A table of one percentile: a row per problem, below it what the thesis prints, a column per method.
 
     Args:
         results: of one or several problems.
@@ -189,7 +189,7 @@ COLUMNS = {
 
 
 def trust(results: Sequence[Result], what: str) -> str:
-    """A table of how far proposals are to be trusted: a row a problem, a column a method.
+    """A table of how far proposals are to be trusted: a row per problem, a column per method.
 
     Args:
         results: of one or several problems.

@@ -73,7 +73,7 @@ class BranchedRollouts(ModelLearning):
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
             key = jax.random.fold_in(jax.random.key(self._mixed(lane, turn)), _DREAM)
             rows = self._made_up(agent, state, starts, length, key)
-            if not len(rows):  # a lane whose numbers went bad, which it is told after its updates
+            if not len(rows):  # a lane that diverged, which it is told after its updates
                 rows = real[:, : self._width]
             # Lanes have equally many rows; those of rollouts that ended early are made up for by others.
             found.append(rows[np.resize(rng.permutation(len(rows)), min(n * length, self._share))])

@@ -29,7 +29,7 @@ class Online:
     Attributes:
         copies: environments a seed, stepped together with one call of the policy.
         explore: environment steps of uniform actions before the first update.
-        updates_per_step: updates an environment step after that (the update-to-data ratio).
+        updates_per_step: updates per environment step after that (the update-to-data ratio).
         block: environment steps between two blocks of updates; the policy does not change in between.
     """
 
@@ -79,7 +79,7 @@ def _act(
     def one(learner: Any, state: Any, seen: Array, carry: Any, root: PRNGKeyArray) -> tuple[Array, Any]:
         step = Step(seen, jnp.zeros(len(seen)), jnp.zeros(len(seen), bool))
         action, carry = learner.policy(state).act(step, carry, _key(root, t), greedy=False)
-        # A lane whose numbers went bad is told so after its updates; until then it must not stop the simulator.
+        # A lane that diverged is told so after its updates; until then it must not stop the simulator.
         return jnp.nan_to_num(action), carry
 
     return jax.vmap(one)(learner, states, seen, carry, roots)
@@ -104,10 +104,10 @@ class Exploration:
     Args:
         task: where.
         agent: one of the lanes; it says what batches hold.
-        seeds: one a lane.
+        seeds: one per lane.
         updates: in the whole run.
         settings: how acting and learning take turns.
-        paths: of the replay files, one a lane; none keeps rows in memory alone.
+        paths: of the replay files, one per lane; none keeps rows in memory alone.
         threads: to simulate with.
 
     Raises:

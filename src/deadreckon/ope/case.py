@@ -38,7 +38,7 @@ class CrossFitted:
     Its value is that of the mixture which draws one of the policies for each episode, where folds are equally large.
 
     Attributes:
-        policies: one a fold.
+        policies: one per fold.
         which: (episodes of the log,) the policy of each episode.
     """
 
@@ -56,7 +56,7 @@ class OPEInput(Fits):
         seed: random seed.
         greedy: deterministic (greedy) instead of sampled actions of the policies.
         names: of the policies.
-        logged: judge the log's own policy too, as the last and under the name `LOGGED`: at each row it does what was logged.
+        logged: judge the behaviour policy too, as the last and under the name `LOGGED`: at each row it does what was logged.
         out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
         watch: called with what is fitted, the updates done and those in all.
         horizon: steps of an episode that count, None for all, or "auto"; see `Estimand.of`.
@@ -108,7 +108,7 @@ class OPEInput(Fits):
         if len(np.unique(self.held)) < len(self.held) or not len(self.held):
             raise UserError("held must be different episodes of the log, one or more")
         if clusters is not None and np.shape(clusters) != (data.episodes,):
-            raise UserError(f"clusters must be one number an episode, ({data.episodes},), got {np.shape(clusters)}")
+            raise UserError(f"clusters must be one number per episode, ({data.episodes},), got {np.shape(clusters)}")
         self._given = data
         self.log = self.estimand.cut(data)
         self.data = self.log if held is None else self.log.select(self.held)
@@ -282,7 +282,7 @@ class OPEInput(Fits):
         return self._table("final", self.data.final_observations, samples, FINAL, self.data.ends)
 
     def _table(self, name: str, observations: Any, samples: int, purpose: int, rows: np.ndarray) -> np.ndarray:
-        """The policies' table; the log's own policy does what it did at `rows`."""
+        """The policies' table; the behaviour policy does what it did at `rows`."""
 
         def make() -> np.ndarray:
             table = self.actor.table(observations, samples, purpose, more=int(self.logged))
@@ -303,7 +303,7 @@ class OPEInput(Fits):
 
     @cached_property
     def log_probs(self) -> np.ndarray:
-        """(policies, rows) log-probabilities of the logged actions, without the log's own policy."""
+        """(policies, rows) log-probabilities of the logged actions, without the behaviour policy."""
         found = self.actor.log_probs(self.data.observations, self.data.actions)
         if not self.crossed:
             return found

@@ -2,7 +2,7 @@
 
 A model of the policy that made the log tells how likely an action is where it is taken. An action is covered unless that is
 less than for all but the least likely 1 % of the log's own actions. This bound comes from episodes that the model has not seen,
-and so holds for new ones of the log's own policy however well the model fits (split conformal prediction: Vovk et al. 2005, Lei
+and so holds for new ones of the behaviour policy however well the model fits (split conformal prediction: Vovk et al. 2005, Lei
 et al. 2018); exactly if rows were independent, roughly where they come in episodes, of which it takes more than a few.
 
 Actions are looked at in states of the log alone: a policy that is covered may still lead to states that the log never saw.
@@ -43,7 +43,7 @@ def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, 
         model: how the policy that made the log is learned.
 
     Returns:
-        (policies,) of 0 .. 1, without the log's own policy, which has 0.99; NaN where the log is too short to tell: the
+        (policies,) of 0 .. 1, without the behaviour policy, which has 0.99; NaN where the log is too short to tell: the
         bound takes a hundred rows of five episodes, which must not be more than half of all rows.
     """
     return case.once(("coverage", model), lambda: _coverage(case, model))

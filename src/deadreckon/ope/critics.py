@@ -1,7 +1,7 @@
 """Networks of all policies at once: stacked (members, policies, ...), fed the same rows, and what they say about actions.
 
-With continuous actions a network sees (observation, action) and has one output; with discrete ones it sees the observation
-and has an output an action.
+With continuous actions per network sees (observation, action) and has one output; with discrete ones it sees the observation
+and has an output per action.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def create(spec: Spec, hidden: tuple[int, ...], members: int, policies: int, key
 
 
 def taken(critics: MLP, observation: Float[Array, "b o"], action: Array) -> Float[Array, "m p b"]:
-    """Every critic's value of one action a row, the same for all critics."""
+    """Every critic's value of one action per row, the same for all critics."""
     if action.ndim == 1:
         out = _each(critics, observation)
         return jnp.take_along_axis(out, action[None, None, :, None], -1)[..., 0]

@@ -35,7 +35,7 @@ class Decision(NamedTuple):
     """What `decide` finds.
 
     Attributes:
-        estimates: one an estimator.
+        estimates: one per estimator.
         support: of the policies in the log.
         choice: by the first of the estimates.
         more: of the chosen policy, as JSON values: `confounding`, and where asked for `guarantee`, `groups` and `tail`.

@@ -79,7 +79,7 @@ class Result:
         return {}
 
     def risks(self, k: int = TRIED) -> tuple[float, float, float]:
-        """SharpeRatio@k against the log's own policy; type I and II error rates of deploying what seems no worse than it."""
+        """SharpeRatio@k against the behaviour policy; type I and II error rates of deploying what seems no worse than it."""
         sharpe = sharpe_ratio(self.estimates, self.truth, self.behavior, k)
         return sharpe, *error_rates(self.estimates, self.truth, self.behavior)
 
@@ -100,7 +100,7 @@ def evaluate_log(
         data: the log.
         task: whose policies.
         estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
-        seed: of everything random.
+        seed: random seed.
         out: folder for results and checkpoints; results that are there are not computed again.
         watch: called while something is fitted.
         told: called with every result.
@@ -220,7 +220,7 @@ def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
 
 
 def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
-    """A table of one metric: a row a log, a column an estimator; medians last.
+    """A table of one metric: a row per log, a column per estimator; medians last.
 
     Cells are the metric itself ± its deviation over redrawn policies. Where thesis E.2 prints the log, two rows follow that can
     be compared with each other: the mean over redrawn policies ± the same deviation, and what E.2 prints, which is that.

@@ -179,7 +179,7 @@ class DoublyRobust(Estimator):
     def _trusting(self, case: OPEInput) -> Estimates:
         """With weights that are trusted up to a limit (`switch`) or shrunk (`dros`), which other folds choose.
 
-        The log's own policy keeps its weights, which are one. Diagnostics are those of the weights as they are: where their
+        The behaviour policy keeps its weights, which are one. Diagnostics are those of the weights as they are: where their
         tail is too heavy, or they rest on few episodes, nobody knows how much the limit hides.
         """
         if self.folds < 2:
@@ -266,7 +266,7 @@ class DoublyRobust(Estimator):
         return self.fqe.convergence_warnings(case, what) if isinstance(self.fqe, FQE) else []
 
     def _marginal(self, case: OPEInput) -> Estimates:
-        """By ratios of occupancies. Where all episodes are whole the log's own policy has its mean return, exactly."""
+        """By ratios of occupancies. Where all episodes are whole the behaviour policy has its mean return, exactly."""
         if not isinstance(self.fqe, LinearFQE):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:

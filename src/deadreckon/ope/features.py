@@ -97,7 +97,7 @@ class Features:
         return np.clip(np.asarray(self.view.observe(np.asarray(observations)), np.float32), -FAR, FAR)
 
     def taken(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """(rows, size) features of one action a row: the environment's."""
+        """(rows, size) features of one action per row: the environment's."""
         if self.discrete:
             chances = np.eye(self.actions, dtype=np.float32)[np.asarray(actions)]
             return self.expected(observations, chances[:, None])[:, 0]

@@ -24,7 +24,7 @@ class Fits:
 
     Args:
         estimand: what they are for.
-        seed: of everything random.
+        seed: random seed.
         out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
         watch: called with what is fitted, the updates done and those in all.
     """
@@ -50,7 +50,7 @@ class Fits:
         """The state of a learner after `steps` updates, gone on with from its checkpoints where there are some.
 
         Raises:
-            UserError: its numbers went bad.
+            UserError: it diverged (NaN or infinite numbers).
         """
         folder = None if self.out is None else self._folder(learner, rows, steps, what)
         with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):

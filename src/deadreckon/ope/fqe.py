@@ -165,7 +165,7 @@ class FQE(Estimator):
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]}
         shown = case.shown | np.asarray(data.terminals)  # nothing follows where the horizon ends an episode
-        if case.logged and not shown.all():  # what the log's own policy did next is missing, not what others would do
+        if case.logged and not shown.all():  # what the behaviour policy did next is missing, not what others would do
             extra["known"] = np.where(np.arange(case.count) == case.count - 1, shown[:, None], True).astype(np.float32)
         if check is not None:
             extra["check"] = check[data.episode_of]

@@ -102,7 +102,7 @@ class Distributions(eqx.Module):
         return State(critics, copy(critics), init_opt(critics))
 
     def logits(self, critics: NormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
-        """Of the returns after one action a row, the same for all critics."""
+        """Of the returns after one action per row, the same for all critics."""
         if action.ndim == 1:
             every = self._every(critics, observation)
             return jnp.take_along_axis(every, action[None, None, :, None, None], -2)[..., 0, :]

@@ -149,7 +149,7 @@ def log_ratios(
 ) -> np.ndarray:
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
     own = case.log_probs  # first: policies that tell no probabilities are refused before anything is fitted
-    ratios = np.zeros((case.count, own.shape[1]))  # the log's own policy acts like itself
+    ratios = np.zeros((case.count, own.shape[1]))  # the behaviour policy acts like itself
     np.subtract(own, logged_probs(case, behavior, model, folds), out=ratios[: len(own)])
     return ratios if within is None else np.clip(ratios, *within)
 

@@ -348,7 +348,7 @@ class Fit:
             out: where it is noted.
             fold: (episodes,) of each.
             k: the fold that the critics have not seen.
-            critics: one a policy.
+            critics: one per policy.
         """
         case, data, marginal = self.case, self.case.data, out.weighted is not None
         after, first = self.next_actions(case), case.initial_actions(self.samples)

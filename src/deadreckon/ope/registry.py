@@ -125,7 +125,7 @@ def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
 
 
 class Function(Estimator):
-    """Anyone's function as an estimator: `fn(data, policies, discount) -> values`, one a policy."""
+    """Anyone's function as an estimator: `fn(data, policies, discount) -> values`, one per policy."""
 
     fn: Callable[[Dataset, Sequence[Any], float], Any] = eqx.field(static=True)
     name: str = static("yours")

@@ -79,7 +79,7 @@ class Actor:
 
         Args:
             observations: (rows, *shape) raw, an array or what gives slices of one.
-            samples: draws a row, of continuous actions.
+            samples: draws per row, of continuous actions.
             purpose: told apart in the draws.
             more: room beside the policies, for whoever asks to fill.
 
@@ -152,8 +152,8 @@ class Actor:
                 elif policy.has_log_prob:
                     own = isinstance(policy, EnvPolicy)
                     found = _padded(_log_prob, policy, seen, taken) if own else policy.log_prob(seen, taken)
-                    if np.shape(found) != (len(taken),):
-                        raise UserError(f"{name}: log_prob must give one number a row, ({len(taken)},), got {np.shape(found)}")
+                    if (shape := np.shape(found)) != (len(taken),):
+                        raise UserError(f"{name}: log_prob must give one number per row, ({len(taken)},), got {shape}")
                 else:
                     raise UserError(
                         f"{name} draws its actions and does not tell how likely they are; use BlackBoxPolicy(fn, log_prob=...) "

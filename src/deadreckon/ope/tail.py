@@ -56,7 +56,7 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
         log_weights: (episodes,) logarithms of whole episodes' weights; minus infinity is a weight of zero.
         returns: (episodes,) discounted returns.
         share: alpha, of the episodes, above 0 and up to 1, where the value is the self-normalised mean.
-        least: effective episodes in the tail below which there is no answer.
+        least: effective sample size of the tail, in episodes, below which there is no answer.
 
     Raises:
         UserError: a share that is none, no weight at all, or a tail of too few episodes.

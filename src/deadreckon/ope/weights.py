@@ -19,7 +19,7 @@ from deadreckon.ope.sequences import cumulate
 from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
-FEW = 10.0  # effective episodes below which one is warned
+FEW = 10.0  # effective sample size, in episodes, below which there is a warning
 QUARTER = 0.25  # of the discounted time, which may rest on fewer
 
 
@@ -170,7 +170,7 @@ class Episodes:
         return Sums(numerators, denominators, self.least(_ratios(np.square(plain), squares)))
 
     def least(self, ess: np.ndarray) -> float:
-        """Of (steps,) numbers of effective episodes, the one that a quarter of the discounted time does not exceed."""
+        """Of (steps,) effective sample sizes, the one that a quarter of the discounted time does not exceed."""
         fade = self.discount ** np.arange(self.steps)
         order = np.argsort(ess)
         share = np.cumsum(fade[order]) / fade.sum()
@@ -200,14 +200,14 @@ class Episodes:
 
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool = False) -> np.ndarray:
         """(episodes,) what each adds without normalisation; per decision their mean is the estimate of `sums`, and with one
-        weight an episode where cut-offs are `even`."""
+        weight per episode where cut-offs are `even`."""
         log_rho = log_rho if whole else log_rho - self.log_kept
         with np.errstate(over="ignore"):
             rho = np.exp(np.repeat(log_rho[self.first + self.lengths - 1], self.lengths) if whole else log_rho)
         return np.bincount(self.of, rho * x * self.discount**self.time, self.count)
 
     def whole(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool) -> Sums:
-        """The same with one weight an episode, its last, for its whole discounted sum of `x`."""
+        """The same with one weight per episode, its last, for its whole discounted sum of `x`."""
         total = np.bincount(self.of, x * self.discount**self.time, self.count)
         last = log_rho[self.first + self.lengths - 1]
         top = last.max()
@@ -240,7 +240,7 @@ class Episodes:
         found = few(names, ess, self.count)
         cut = ~self.ended
         if whole and not self.even:
-            found.append("episodes are cut off at different steps, which one weight an episode cannot take into account")
+            found.append("episodes are cut off at different steps, which one weight per episode cannot take into account")
         if cut.any() and not beyond:
             left = float((self.discount ** self.lengths[cut]).mean())
             if left > 0.02:

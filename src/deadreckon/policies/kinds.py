@@ -206,7 +206,7 @@ class ThresholdedPolicy(NormalizedPolicy):
 
     Attributes:
         behavior: the model.
-        critic: to a value an action.
+        critic: to a value per action.
         threshold: smallest probability of an action, relative to the most probable one's.
     """
 

@@ -26,7 +26,7 @@ class Policy(Protocol):
         ...
 
     def act(self, step: Step, carry: Any, key: Any, *, greedy: bool) -> tuple[Any, Any]:
-        """Actions (n, size) and the next carry. `greedy` asks for the policy's best guess instead of a draw."""
+        """Actions (n, size) and the next carry. `greedy` asks for the deterministic (greedy) action instead of a sample."""
         ...
 
 

@@ -41,7 +41,7 @@ def read(path):
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
     if not archive:
-        raise ValueError(f"{path} is no policy file (.npz)")
+        raise ValueError(f"{path} is not a policy file (.npz)")
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: _single(file[name]) for name in file.files}

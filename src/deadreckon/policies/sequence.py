@@ -19,7 +19,7 @@ class Sequence(eqx.Module):
     Attributes:
         of_return, of_observation, of_action: each to a token.
         of_time: (steps, width) what is added to the tokens of each step of an episode; later ones are the last.
-        transformer: of three tokens a step.
+        transformer: of three tokens per step.
         head: from an observation's token to its action before the tanh.
     """
 

@@ -76,7 +76,7 @@ def load(path: Path | str) -> EnvPolicy:
     """Reads a policy file.
 
     Raises:
-        UserError: the file is missing, broken or no policy file.
+        UserError: the file is missing, broken or not a policy file.
     """
     if not Path(path).exists():
         raise UserError(f"no file {path}")
@@ -116,7 +116,7 @@ def taught(path: Path | str) -> np.ndarray | None:
     """(episodes,) uint64 `episode_ids` of the episodes that a saved policy has learned from; None where the file does not say.
 
     Raises:
-        UserError: the file is missing, broken or no policy file.
+        UserError: the file is missing, broken or not a policy file.
     """
     try:
         return portable.read(path)[1].get(_TAUGHT)

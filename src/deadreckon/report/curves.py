@@ -57,7 +57,7 @@ def _worth(page: Page, returns: Interval) -> Interval | None:
 
 
 def values(page: Page) -> Markup | None:
-    """Estimated against realised return, a panel an agent (thesis, Figures 4.1 and A.2)."""
+    """Estimated against realised return, a panel per agent (thesis, Figures 4.1 and A.2)."""
     shown = [e for e in page.entries if "estimated_value" in e.evaluations and "discounted_return" in e.evaluations]
     if not shown:
         return None

@@ -38,7 +38,7 @@ class Entry:
         config: its run.json, with all seeds.
         status: its status.json, of several what holds for all of them.
         metrics: step, seed and one column a metric.
-        evaluations: one row an episode (one a seed, if nothing was simulated).
+        evaluations: one row per episode (one per seed, if nothing was simulated).
     """
 
     label: str
@@ -80,12 +80,12 @@ class Entry:
 
     @property
     def behavior(self) -> dict[str, Any] | None:
-        """What the log's own policy returned over one horizon, where that is known."""
+        """What the behaviour policy returned over one horizon, where that is known."""
         return self.config["data"].get("behavior")
 
     @property
     def failed(self) -> list[tuple[int, str, int]]:
-        """Seed, metric and step of each lane whose numbers went bad."""
+        """Seed, metric and step of each lane that diverged."""
         found = zip(self.seeds, self.status.get("failures") or [])
         return [(seed, failure[0], failure[1]) for seed, failure in found if failure]
 
@@ -179,7 +179,7 @@ def read(runs: Sequence[Path | str | Run]) -> Page:
     """Reads run folders, each once however often it is named. Those that differ in their seeds alone are one run.
 
     Raises:
-        UserError: nothing to show, a path that is no run, or runs of different tasks.
+        UserError: nothing to show, a path that is not a run, or runs of different tasks.
     """
     runs = [runs] if isinstance(runs, (str, Path, Run)) else list(runs)
     paths = list(dict.fromkeys(run.path if isinstance(run, Run) else Path(run) for run in runs))

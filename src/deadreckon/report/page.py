@@ -34,7 +34,7 @@ def write(
         estimates: what the policies were estimated at from the log: the folder that `runs.offline.judge` wrote to.
 
     Raises:
-        UserError: nothing to show, a path that is no run, runs of different tasks, or an output that cannot be written.
+        UserError: nothing to show, a path that is not a run, runs of different tasks, or an output that cannot be written.
     """
     told = None if estimates is None else read_estimates(estimates)
     page = read(runs)

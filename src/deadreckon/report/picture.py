@@ -44,7 +44,7 @@ def picture(
         The path.
 
     Raises:
-        UserError: no panel, a path that is no run, or no run that has the quantity.
+        UserError: no panel, a path that is not a run, or no run that has the quantity.
     """
     runs = {title: [read([folder]).entries[0] for folder in folders] for title, folders in panels.items()}
     labels = list(dict.fromkeys(e.folder.path.name for entries in runs.values() for e in entries))

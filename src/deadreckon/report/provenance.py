@@ -23,7 +23,7 @@ def settings(entry: Entry) -> dict[str, Any]:
 
 
 def command(entry: Entry) -> str:
-    """The command line that makes this run again, or one a folder."""
+    """The command line that makes this run again, or one per folder."""
     options = [word for name, value in settings(entry).items() for word in _option(name.replace("_", "-"), value)]
     lines = []
     for folder, seeds in entry.folders:

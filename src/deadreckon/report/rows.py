@@ -1,4 +1,4 @@
-"""The numbers of a report: one row a policy, and intervals of their differences. Page and terminal both show these."""
+"""The numbers of a report: one row per policy, and intervals of their differences. Page and terminal both show these."""
 
 from dataclasses import dataclass
 

@@ -40,7 +40,7 @@ def _each(r: Row) -> tuple[Any, float | None]:
 
 
 COLUMNS: tuple[tuple[str, str, Cell], ...] = (
-    ("seeds", "trained apart", _seeds),
+    ("seeds", "independent runs", _seeds),
     ("score", "0 random, 100 expert", lambda r: _two(r.score)),
     ("return", "undiscounted", lambda r: _two(r.returns)),
     ("by seed", "mean of each", _each),

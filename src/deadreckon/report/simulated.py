@@ -217,5 +217,5 @@ def _caveats(judged: list[Row], best: Row, beside: list[Row]) -> list[str]:
     if seeds == 1:
         out.append("One seed: nothing here shows how much of the result is the luck of one training.")
     elif seeds < 5:
-        out.append(f"With {seeds} seeds the interval knows little of the spread between trainings.")
+        out.append(f"With {seeds} seeds the interval is unreliable: so few runs say little about their spread.")
     return out

@@ -33,13 +33,13 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
 
 
 def table(runs: Sequence[Path | str | Run]) -> str:
-    """One line a policy: the behaviour policy, then the runs, best first.
+    """One line per policy: the behaviour policy, then the runs, best first.
 
     Estimated is the critic's value at the start of the judged episodes, realised the discounted return that followed. Columns
     that nothing is known for are left out.
 
     Raises:
-        UserError: nothing to show, a path that is no run, or runs of different tasks.
+        UserError: nothing to show, a path that is not a run, or runs of different tasks.
     """
     page = read(runs)
     found = rows(page)

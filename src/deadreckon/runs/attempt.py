@@ -63,7 +63,7 @@ class Candidate:
 
 
 # In the order in which they are worth their time; more time tries more of them. All are cheap: an hour is better spent on
-# more updates of these than on agents that draw ten actions a row. The settings are those that their papers vary. Those that
+# more updates of these than on agents that draw ten actions per row. The settings are those that their papers vary. Those that
 # draw their actions come first: importance weights can check them by logged rewards.
 CONTINUOUS = (
     Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
@@ -81,7 +81,7 @@ DISCRETE = (
     Candidate("cql", "cql", {"cql_weight": 1.0}, "values of actions that the log lacks are pushed down"),
     Candidate("bcq", "bcq", {}, "takes the best among actions that the log takes often enough"),
     Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
-    Candidate("cql-strict", "cql", {"cql_weight": 5.0}, "for logs that show few actions a state"),
+    Candidate("cql-strict", "cql", {"cql_weight": 5.0}, "for logs that show few actions per state"),
 )
 LARGE, SMALL = (256, 256), (64, 64)  # networks
 DEARER = 10.0  # so many times as long as an update of the first candidate, an imitator, takes one of the others, roughly
@@ -137,7 +137,7 @@ class Pilot:
 
     Attributes:
         start: seconds until its first updates were done, which are mostly the compiler's.
-        rate: updates a second after that.
+        rate: updates per second after that.
     """
 
     start: float
@@ -163,11 +163,11 @@ class Attempt:
         self._stage("pilots")
         candidates, hidden, pilots = self._pilots(learning)
         if not candidates:
-            raise Unfinished("the numbers of all candidates went bad in their pilots")
+            raise Unfinished("all candidates diverged (NaN or Inf) in their pilots")
         judging = self._judging(log, learning, len(candidates), hidden, pilots)
         runs = self._learn(candidates, hidden, pilots, judging, log, holdout)
         if not runs:
-            raise Unfinished("no candidate learned anything: the numbers of all of them went bad")
+            raise Unfinished("no candidate learned anything: all of them diverged (NaN or Inf)")
         judged = self._judge(runs, log, hidden, pilots, judging)
         self._check(runs, judge_in, judged)
 
@@ -211,7 +211,7 @@ class Attempt:
                     hidden, found = SMALL, self._pilot(candidate, SMALL, log)
             last = (begun - self.left()) / max(whole, 1e-9)
             if found is None:
-                self.send("line", f"pilot: {candidate.name} is left out, its numbers go bad on this log")
+                self.send("line", f"pilot: {candidate.name} is left out, it diverges (NaN or Inf) on this log")
                 continue
             rates = [each.rate for each in (*pilots, found)]
             if len(candidates) >= ENOUGH and self._steps(0.5 * self.left(), rates) < WORTH:
@@ -228,7 +228,7 @@ class Attempt:
         return candidates, hidden, pilots
 
     def _pilot(self, candidate: Candidate, hidden: tuple[int, ...], log: Dataset) -> Pilot | None:
-        """The first updates of a candidate; None: its numbers go bad. The same program then learns, without the compiler."""
+        """The first updates of a candidate; None: it diverges. The same program then learns, without the compiler."""
         self.send("watch", [f"pilot of {candidate.name}", 0, 1])
         begun = time.perf_counter()
         agent = _agent(candidate, hidden, self.job.discount).resolve(log.spec, MOST)
@@ -252,7 +252,7 @@ class Attempt:
     def _judging(self, log: Dataset, learning: Dataset, count: int, hidden: tuple[int, ...], pilots: list[Pilot]) -> float:
         """Seconds that judging may take: what is compiled, networks of propensities, and sums of features, as measured here."""
         start, rate = max(each.start for each in pilots), pilots[0].rate
-        wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one a fold
+        wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one per fold
         networks = PROPENSITIES.steps * 5 / (rate * wide)
         features = Features(log if log.spec.discrete else learning, LinearFQE().fourier_features, self.job.seed)
         rows = np.arange(min(BLOCK, len(learning)))

@@ -37,7 +37,7 @@ class CrossFit:
     Attributes:
         path: its folder.
         config: what was asked for, as in `crossfit.json`; `members` are the mixture's, (fold, seed) each.
-        runs: one a fold, which has not learned from it.
+        runs: one per fold, which has not learned from it.
     """
 
     path: Path

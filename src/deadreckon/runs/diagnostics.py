@@ -63,7 +63,7 @@ class LogProbe:
         actions = np.asarray(first_actions(policy, jnp.asarray(self.observations), jax.random.key(seed), False))
         outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
         drawn = np.concatenate([self.states, self._scaled(actions)], -1)[self.half :]
-        # Two rows a side are the fewest that the estimate is defined for.
+        # Two rows per side are the fewest that the estimate is defined for.
         distance = two_sample_mmd(self.logged, drawn, max(self.variance, 1e-6)) if self.half >= 2 else np.nan
         return {"mmd_to_data": float(distance), "outside_range": float(outside)}
 
@@ -120,10 +120,10 @@ def estimated_values(
     simulator stops at the horizon: at discount 0.99 and 300 steps up to 0.99^300 = 5 % of the value lies between them.
 
     Args:
-        agents: lifted, one a lane.
+        agents: lifted, one per lane.
         states: (lanes, ...).
         view: that the agents have.
-        policies: one a lane.
+        policies: one per lane.
         starts: (episodes, *shape) raw initial observations.
     """
     raw = jnp.asarray(starts)

@@ -42,7 +42,7 @@ def dope(
         logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, in the place of tasks and kinds.
         log_steps: rows of the logs; None: all.
         seeds: how many fits of each.
-        seed: of everything random; of several fits the first.
+        seed: random seed; of several fits the first.
         out: folder for results and checkpoints; results that are there are not computed again.
         collecting: called while a log is collected, with its name, steps done and steps in all.
         watch: called while something is fitted.

@@ -29,8 +29,8 @@ class Evaluation:
         returns: (policies, episodes) undiscounted.
         discounted: (policies, episodes) with `discount`.
         lengths: (policies, episodes) steps.
-        discount: of `discounted`, one a policy.
-        names: one a policy.
+        discount: of `discounted`, one per policy.
+        names: one per policy.
         trajectories: (policies, recorded, steps, *any) what was seen in the first episodes before each action: observations, or
             what the task shows instead; NaN after an end.
     """
@@ -53,7 +53,7 @@ class Evaluation:
         return mean_interval(self.scores if policy is None else self.scores[policy])
 
     def __str__(self) -> str:
-        lines = [f"{self.task.name}: {self.returns.shape[1]} episodes a policy, {PERCENT} intervals"]
+        lines = [f"{self.task.name}: {self.returns.shape[1]} episodes per policy, {PERCENT} intervals"]
         width = max(map(len, self.names))
         for i, name in enumerate(self.names):
             lines.append(f"  {name:<{width}}  return {mean_interval(self.returns[i]):.1f}   score {self.score(i):.1f}")

@@ -7,7 +7,7 @@
     policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
     episodes.npz        `episode_ids` of the episodes that were learned from (taught) and that were not (held)
     log.npz             stretches of the log, for pictures
-    evaluations/N.parquet  one row an episode; evaluations/trajectories.npz of the last policies
+    evaluations/N.parquet  one row per episode; evaluations/trajectories.npz of the last policies
     replay/seedS.bin    online: every environment step, see `online.exploration`; the newest checkpoint says how many count
 
 Runs that share a program because they differ in float settings alone are folders like this one side by side, and have their
@@ -25,7 +25,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from deadreckon.agents import agent_class
+from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.training.field_names import with_field_names
@@ -113,7 +113,8 @@ class Folder:
         if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
             return config
         name, fields = str(config["agent"].get("name")), config["agent"].get("fields", {})
-        if ":" in name and name.partition(":")[0] not in sys.modules:  # a folder from elsewhere must not name code that runs
+        module, colon, _ = ("", "", "") if name in AGENTS else plugins().get(name, name).partition(":")
+        if name not in AGENTS and not (colon and module in sys.modules):  # a folder must not name code that is then run
             return config
         return config | {"agent": {**config["agent"], "fields": with_field_names(agent_class(name), fields)}}
 

@@ -42,7 +42,7 @@ class Judged(NamedTuple):
     """What `judge` finds.
 
     Attributes:
-        estimates: one an estimator.
+        estimates: one per estimator.
         choice: by the first of them.
         told: all of it as JSON values, as in `estimates.json`.
     """
@@ -215,7 +215,7 @@ def judge(
         guarantee: deploy only by a lower bound of the gain that holds for any number of episodes; see `ope.guarantee`.
         return_range: least and greatest return that an episode can have, for the guarantee.
         confounding: deploy only if the gain stays above zero when odds of logged actions are off by up to this factor.
-        by_group: column of the log, with one value an episode, for whose values the gain is told.
+        by_group: column of the log, with one value per episode, for whose values the gain is told.
         tail: share of episodes, the worst of which are told apart.
         watch: called while something is fitted.
 

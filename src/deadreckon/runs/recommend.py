@@ -111,7 +111,7 @@ def recommend(
         budget: seconds, or a time such as `30m`; all together, from reading the log to the card.
         task: simulator to check the choice in; None: that of a known log, and none for others.
         discount: of the returns.
-        seed: of everything random.
+        seed: random seed.
         out: folder of the runs, of `estimates.json` and of the page; must not be there yet.
         holdout: episodes that nothing learns from and the card judges by; None: a fifth at random, of a memory-mapped log the
             latest.
@@ -127,7 +127,7 @@ def recommend(
     """
     clock = Clock.of(budget, began)
     if not 0.0 <= discount < 1.0:
-        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+        raise UserError(f"discount must be in [0, 1), got {discount}")
     if holdout is not None and not isinstance(holdout, Holdout):
         holdout = Holdout(float(holdout))
     if holdout is not None and not 0 < holdout.share < 1:
@@ -348,7 +348,7 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
     candidates = state.get("candidates", [])
     evidence = []
     for each in candidates:
-        how = {"learning": "was learning", "diverged": "its numbers went bad", "not begun": "did not begin"}
+        how = {"learning": "was learning", "diverged": "it diverged (NaN or Inf)", "not begun": "did not begin"}
         updates = f", {each['updates']:,} of {each['planned']:,} updates" if each["planned"] else ""
         evidence.append(f"{each['name']}: {how.get(each['state'], each['state'])}{updates}")
     if found.refused or found.unfinished or found.fault:

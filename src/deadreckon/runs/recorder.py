@@ -20,7 +20,7 @@ from deadreckon.runs.settings import ChunkWatcher
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 
-RECORDED = 8  # episodes a policy whose observations are kept for pictures
+RECORDED = 8  # episodes per policy whose observations are kept for pictures
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
 
 
@@ -93,11 +93,11 @@ class Recorder:
         return sorted({step for folder in self.folders for step in folder.policy_steps()})
 
     def _paths(self, step: int | None = None) -> list[Path]:
-        """Where the policies are kept, one a lane."""
+        """Where the policies are kept, one per lane."""
         return [self.folders[lane // self.seeds].policy(seed, step) for lane, seed in enumerate(self.job.seeds)]
 
     def _share(self, run: int, each: int = 1) -> slice:
-        """A run's part of columns that have `each` rows a lane."""
+        """A run's part of columns that have `each` rows per lane."""
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
     def follow(self, watch: ChunkWatcher) -> None:

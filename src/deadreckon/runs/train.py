@@ -39,9 +39,9 @@ class Run:
     Attributes:
         path: the run folder.
         config: what was asked for.
-        seeds: one a lane.
-        policies: one a seed; of a failed lane, the last good one.
-        failures: per seed None, or the metric and step at which its numbers went bad.
+        seeds: one per lane.
+        policies: one per seed; of a failed lane, the last good one.
+        failures: per seed None, or the metric and step at which it diverged.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class Run:
 
     @property
     def metrics(self) -> pa.Table:
-        """step, seed and one column a metric, a row a chunk and seed."""
+        """step, seed and one column a metric, a row per chunk and seed."""
         return Folder(self.path).table("metrics")
 
     @property
@@ -288,7 +288,7 @@ def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
 
 
 def agents_of(config: dict[str, Any]) -> list[Agent]:
-    """The agents of a run's `config`, one a seed: what `fields_of` wrote down.
+    """The agents of a run's `config`, one per seed: what `fields_of` wrote down.
 
     Raises:
         UserError: the agent's module has not been imported: a folder from elsewhere must not name code that runs.
@@ -302,7 +302,7 @@ def agents_of(config: dict[str, Any]) -> list[Agent]:
     tuples = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
 
     def of_lane(name: str, lane: int) -> Any:
-        # JSON knows lists alone: of a field that lanes may differ in it is one value a lane.
+        # JSON knows lists alone: of a field that lanes may differ in it is one value per lane.
         return tuples(written[name]) if name in fixed or not isinstance(written[name], list) else written[name][lane]
 
     return [kind(**{name: of_lane(name, lane) for name in written}) for lane in range(len(config["seeds"]))]

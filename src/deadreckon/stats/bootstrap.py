@@ -26,7 +26,7 @@ def percentile_interval(draws: np.ndarray, ess: float, alpha: float = ALPHA) -> 
 
 
 def ensemble_interval(values: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals from (members, ...) estimates, each fitted to redrawn episodes: mean +- t_{m-1} s sqrt(1 + 1/m).
+    """Intervals from (members, ...) estimates, each fitted to a bootstrap resample: mean +- t_{m-1} s sqrt(1 + 1/m).
 
     A member differs from the estimate as the estimate does from the truth (the bootstrap), so what is missing is one more
     draw: the interval is that of a prediction. It knows of the log's randomness and the fit's, not of a bias that all share.

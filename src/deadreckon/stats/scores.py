@@ -164,8 +164,8 @@ def interval(
     """A statistic with its percentile bootstrap interval, stratified: runs are redrawn within each task.
 
     Few seeds make it too narrow, because redrawn means of n runs spread by only sqrt((n - 1) / n) of what they should. With
-    3 seeds a task, the 95 % interval of a mean holds the truth in no more than 89 % of cases however many tasks there are (5
-    seeds: 92 %, 10: 94 %), and of one task alone it runs from the worst run to the best, which hold a symmetric
+    3 seeds per task, the 95 % interval of a mean covers the true value in no more than 89 % of cases however many tasks there
+    are (5 seeds: 92 %, 10: 94 %), and of one task alone it runs from the worst run to the best, which hold a symmetric
     distribution's middle in 75 %. So 3 seeds cannot show that two methods whose intervals just part are different; use
     `paired`, whose t limits are wider for that reason. A task of a single run would add no width although it varies, so one
     such task makes the limits NaN.
@@ -173,7 +173,7 @@ def interval(
     Args:
         scores: of one method.
         statistic: of one (..., seeds) array a task, reducing the last axis, such as `partial(optimality_gap, target=100)`.
-        level: share of cases in which the interval is meant to hold the truth.
+        level: share of cases in which the interval is meant to cover the true value.
         resamples: redrawn tables.
         seed: of the bootstrap.
 

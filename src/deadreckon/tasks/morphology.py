@@ -144,7 +144,7 @@ class MorphologySimulator:
             before = data.xpos[1].copy()
             data.ctrl[:] = self.task.control(model, action)
             self._mujoco.mj_step(model, data, self.task.frame_skip)
-            # MuJoCo starts a state that went bad anew and counts it as a warning.
+            # MuJoCo restarts a state that diverged and counts it as a warning.
             bad = any(warning.number for warning in data.warning) or not np.isfinite(data.qpos).all()
             self._mujoco.mj_forward(model, data)
             self._mujoco.mj_rnePostConstraint(model, data)  # contact forces

@@ -277,6 +277,6 @@ def tight(model: float, policy: float, *, under: str = "old") -> tuple[MDP, np.n
 
 def _check(discount: Any, *errors: Any) -> None:
     if not np.all((np.asarray(discount) >= 0.0) & (np.asarray(discount) < 1.0)):
-        raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+        raise UserError(f"discount must be in [0, 1), got {discount}")
     if not all(np.all((np.asarray(error) >= 0.0) & (np.asarray(error) <= 1.0 + 1e-9)) for error in errors):
         raise UserError(f"errors are total variations, 0 .. 1, got {' and '.join(str(error) for error in errors)}")

@@ -102,7 +102,7 @@ class MDP:
             UserError: a discount that is not below one: values need not be finite.
         """
         if not 0.0 <= discount < 1.0:
-            raise UserError(f"discount must be 0 .. 1 without 1, got {discount}")
+            raise UserError(f"discount must be in [0, 1), got {discount}")
         return _optimal(self.transitions, self.rewards, discount)
 
     # ---- logs -------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The one training loop: chunks of updates, checkpoints, resume, and lanes whose numbers go bad."""
+"""The one training loop: chunks of updates, checkpoints, resume, and lanes that diverge (NaN or infinite numbers)."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -69,9 +69,9 @@ class Fit:
     """A fit that can be walked chunk by chunk, stopped anywhere and taken up again.
 
     Attributes:
-        learners: one a lane, alike in everything but float fields.
+        learners: one per lane, alike in everything but float fields.
         rows: the log or the designs as the learners need them, or experience that grows while they learn.
-        seeds: one a lane.
+        seeds: one per lane.
         steps: updates in all.
         chunk: most updates between two looks from outside; also what a kill can lose.
         folder: of the checkpoints; None keeps nothing on disk.
@@ -208,7 +208,7 @@ class Fit:
                         state = learner.prepare(state, self.rows, key, inner)
                         if kept is not None:
                             save_tree(kept, state, {})
-                except DivergedError as error:  # what went bad stands before the colon
+                except DivergedError as error:  # what diverged stands before the colon
                     failures[i] = Failure(f"{str(error).partition(':')[0]} (while preparing)", self.step)
             lanes.append(state)
         self.failures = tuple(failures)
@@ -236,7 +236,7 @@ def complete(job: Fit, what: str, told: Callable[[Chunk], None]) -> None:
         told: called after every chunk.
 
     Raises:
-        DivergedError: a lane's numbers went bad.
+        DivergedError: a lane diverged.
     """
     job.resume()
     for progress in job.chunks():

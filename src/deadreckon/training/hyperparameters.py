@@ -44,7 +44,7 @@ Count = Annotated[int, Range(ge=1)]
 CountOrZero = Annotated[int, Range(ge=0)]
 Fraction = Annotated[float, Range(gt=0, le=1)]
 Sizes = Annotated[tuple[int, ...], Range(ge=1)]  # widths of hidden layers
-Weights = Annotated[tuple[float, ...], Range(ge=0)]  # one a layer
+Weights = Annotated[tuple[float, ...], Range(ge=0)]  # one per layer
 
 
 def static(default: Any) -> Any:

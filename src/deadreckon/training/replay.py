@@ -71,14 +71,14 @@ def _write(buffer: Float[Array, "lanes n w"], rows: Float[Array, "lanes k w"], a
 
 
 class Replay:
-    """Float32 rows of equal width for several lanes: on the device for learning, and in an append-only file a lane.
+    """Float32 rows of equal width for several lanes: on the device for learning, and in an append-only file per lane.
 
     Args:
-        width: numbers a row.
-        capacity: most rows a lane.
+        width: numbers per row.
+        capacity: most rows per lane.
         lanes: how many.
         learnable: makes of rows as they are kept what learners see.
-        paths: of the files, one a lane; none keeps nothing on disk.
+        paths: of the files, one per lane; none keeps nothing on disk.
     """
 
     def __init__(

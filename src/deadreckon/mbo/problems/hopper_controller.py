@@ -39,7 +39,7 @@ def returns(x: np.ndarray, *, threads: int | None = None) -> np.ndarray:
 
     Args:
         x: controllers, in 32 bits.
-        threads: None: one a core.
+        threads: None: one per core.
     """
     layers = list(_layers(np.asarray(x, np.float32)))
     simulator = registry.task("hopper").simulate([START] * len(x), threads)

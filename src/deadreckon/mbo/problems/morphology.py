@@ -68,7 +68,7 @@ def returns(task: Morphology, x: np.ndarray, gait: Gait, *, threads: int | None 
         task: the robot.
         x: (n, size) designs, in 32 bits.
         gait: one for all, or one each.
-        threads: None: one a core.
+        threads: None: one per core.
     """
     total = np.zeros(len(x))
     for at in range(0, len(x), _BLOCK):

@@ -156,7 +156,7 @@ def gridworld(out: Path, seed: int = 0) -> Made:
         f"loss of return along ε: {trade.loss[0]:.2f} at 0, {trade.loss[best]:.2f} at {trade.epsilon[best]:.2f}, "
         f"{trade.loss[-1]:.2f} at {trade.epsilon[-1]:.2f}"
     )
-    said.append(f"Q-iteration under a projection: grows {growth[50]:.2f} times an iteration, data half in either state")
+    said.append(f"Q-iteration under a projection: grows {growth[50]:.2f} times per iteration, data half in either state")
     said.append("stitching, value at A: " + ", ".join(f"{name} {value:.2f}" for name, value in stitched.values.items()))
     return files, said
 

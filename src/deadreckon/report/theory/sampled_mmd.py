@@ -46,7 +46,7 @@ def mmd(out: Path, seed: int = 0) -> Made:
         panels[f"actions outside the support, {n} draws"] = lines(epsilon, outside, [*kernels], "probability", across)
         for name, a in swept.items():
             rows |= {f"{name}, n {n}: {what}": getattr(a, what) for what in ("value", "spread", "outside")}
-            said.append(f"{n} draws, {name}: the behaviour policy's own MMD is {a.own:.3f}")
+            said.append(f"{n} draws, {name}: the behaviour policy's MMD is {a.own:.3f}")
     files += [sheet(out / "threshold.svg", panels, [*kernels]), columns(out / "threshold.csv", rows)]
     said.append(f"chance that 9 draws from 81 points are different: {discrepancy.unseen_chance(9):.4f} (A.3 says above 0.6321)")
     return files, said
