@@ -26,7 +26,7 @@ COPIES = 64  # as many as a collection has side by side
 def stepped(road: str, seed: int) -> tuple[float, float]:
     """Seconds in SUMO's steps, and in all, of an episode on each of `COPIES` roads."""
     from deadreckon import tasks
-    from deadreckon.tasks.flow_roads import World
+    from deadreckon.tasks.flow_world import World
 
     task = tasks.task(f"flow-{road}")
     generator, bound = np.random.default_rng(seed), task.action_space.high[0]

@@ -16,8 +16,10 @@ import numpy as np
 import protocol
 
 from deadreckon.mbo.designer import DesignInput
-from deadreckon.mbo.designs import Designs, Variable
-from deadreckon.mbo.nemo import NEMO, STACKS, quantise
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.nemo import NEMO, STACKS
+from deadreckon.mbo.nml import quantise
+from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import split
 from deadreckon.nets.optim import apply_gradients, polyak_update
 

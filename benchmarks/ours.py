@@ -17,8 +17,9 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designer import DesignInput
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nemo import NEMO
+from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.fqe import FQE

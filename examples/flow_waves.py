@@ -11,7 +11,7 @@ import tyro
 
 from deadreckon import tasks
 from deadreckon.collect.flow import Idm, PISaturation
-from deadreckon.report import charts
+from deadreckon.report import spacetime
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.tasks.flow import Flow
 
@@ -41,7 +41,7 @@ def main(options: Options) -> None:
         cars, earned = play(task, controller, options.seed)
         later = cars[len(cars) // 2 :, :, 1]
         print(f"{title}: return {earned:.1f}; in the second half {np.nanmean(later):.2f} m/s, spread {np.nanstd(later):.2f}")
-        panels[title] = charts.spacetime(cars, task.seconds, task.learners, title, PANEL)
+        panels[title] = spacetime.spacetime(cars, task.seconds, task.learners, title, PANEL)
     sheet(options.picture, panels, [])
 
 

@@ -17,7 +17,7 @@ import tyro
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.data.batch import redrawn
 from deadreckon.files import replacing
-from deadreckon.mbo.nemo import Net, nll, quantise
+from deadreckon.mbo.nml import Net, nll, quantise
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.report.markup import Markup, tag

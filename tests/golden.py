@@ -27,7 +27,8 @@ from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete, Spec
 from deadreckon.mbo import DESIGNERS, designer, problem
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.variables import Variable
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
 from deadreckon.ope import ESTIMATORS, OPEInput, estimator

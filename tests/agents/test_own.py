@@ -12,7 +12,7 @@ import deadreckon as dr
 from deadreckon.agents import BC, agent_class, agent_name, plugins, short_name
 from deadreckon.cli.main import main
 from deadreckon.errors import UserError
-from deadreckon.runs.train import agents_of
+from deadreckon.runs.lanes import agents_of
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "agents" / "your-own.md"
 

@@ -9,7 +9,7 @@ from deadreckon.agents import agent_class, preset, preset_for, presets
 from deadreckon.cli.main import main
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.errors import UserError
-from deadreckon.runs.train import agents_of
+from deadreckon.runs.lanes import agents_of
 from tests.agents.worlds import corridor
 
 

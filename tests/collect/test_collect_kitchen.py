@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deadreckon.collect import generate, kitchen, recipe
-from deadreckon.collect.kitchen import KNOWN, Demonstrator
+from deadreckon.collect import generate, kitchen, kitchen_demonstrator, recipe
+from deadreckon.collect.kitchen_demonstrator import KNOWN, Demonstrator
 from deadreckon.tasks import task
 from deadreckon.tasks.kitchen import _FIRST
 
@@ -64,8 +64,8 @@ def test_errands_are_those_of_the_logs():
 def short(monkeypatch):
     """Recipes with two episodes side by side, each with two sub-tasks that are quickly done, and one that nobody wants."""
     monkeypatch.setattr(kitchen, "BATCH", 2)
-    quick = {"microwave": kitchen.PLANS["microwave"][:2], "kettle": kitchen.PLANS["kettle"][:1]}
-    monkeypatch.setattr(kitchen, "PLANS", {name: quick.get(name, quick["kettle"]) for name in KNOWN})
+    quick = {"microwave": kitchen_demonstrator.PLANS["microwave"][:2], "kettle": kitchen_demonstrator.PLANS["kettle"][:1]}
+    monkeypatch.setattr(kitchen_demonstrator, "PLANS", {name: quick.get(name, quick["kettle"]) for name in KNOWN})
 
 
 @pytest.mark.parametrize("kind", ["partial", "mixed"])

@@ -7,8 +7,9 @@ from deadreckon.data.batch import redrawn
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, COMs, designer
 from deadreckon.mbo.designer import DesignInput
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.registry import CPU_BUDGET
+from deadreckon.mbo.variables import Variable
 
 SMALL = {
     "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},

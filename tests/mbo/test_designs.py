@@ -9,7 +9,8 @@ import pytest
 from pyarrow import csv
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.variables import Variable
 
 
 def table(rows=12, **changes):

@@ -7,8 +7,9 @@ import pytest
 from scipy.special import log_ndtr
 
 from deadreckon.mbo.designer import DesignInput
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp_bo import GPBO, log_improvement
+from deadreckon.mbo.variables import Variable
 
 
 def test_log_improvement_is_the_logarithm_of_the_integral():

@@ -13,8 +13,10 @@ from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.mbo import NEMO
 from deadreckon.mbo.designer import DesignInput
-from deadreckon.mbo.designs import Designs, Variable
-from deadreckon.mbo.nemo import Fixed, Net, Training, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.nemo import Fixed, Training
+from deadreckon.mbo.nml import Net, bin_log_probs, cross_entropy, middles, nll, p_nml, quantise, reached
+from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import ensemble, joined
 
 K = 8

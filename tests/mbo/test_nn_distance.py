@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nn_distance import nn_distance
+from deadreckon.mbo.variables import Variable
 
 
 def test_on_a_line_by_hand():

@@ -9,9 +9,10 @@ from scipy import special, stats
 from deadreckon.mbo.cbas import Layout
 from deadreckon.mbo.coms import COMs, Conservative
 from deadreckon.mbo.ddom import kept, sample
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.ram import Ranking
 from deadreckon.mbo.surrogate import counts
+from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP
 
 

@@ -15,7 +15,7 @@ from tests.ope.worlds import as_policy, keep_nuisances, tables
 
 DISCOUNT = 0.9
 FQE_L2 = FQE(members=1, hidden=(), steps=3000, lr=2e-2, weight_decay=0.0, tau=0.05, batch_size=256)
-DICES = {"members": 1, "hidden": (), "steps": 25_000, "lr": 1e-3, "batch_size": 128, "average": 2e-4}
+DICES = {"members": 1, "hidden": (), "steps": 25_000, "lr": 1e-3, "batch_size": 128, "ema_rate": 2e-4}
 FITTED = {
     "fqe": FQE_L2,
     "fqe-d": FQED(members=1, hidden=(), steps=3000, lr=2e-2, batch_size=256, atoms=31, target_update_period=30),

@@ -10,7 +10,7 @@ from run_folders import OBJECTION, told, write_run
 
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
-from deadreckon.report import charts, headline, write
+from deadreckon.report import charts, forest, headline, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
 from deadreckon.stats.interval import Interval
@@ -91,21 +91,21 @@ def whiskers(svg):
 
 
 def test_one_wide_interval_does_not_flatten_the_others():
-    sure = [charts.Mark(f"m{i}", i, Interval(i, i - 2.0, i + 2.0), (i - 1.0, i + 1.0)) for i in range(5)]
-    wide = charts.Mark("two seeds", 5, Interval(3.0, -314.0, 341.0))
-    ends, arrows = whiskers(charts.forest([*sure, wide], "score"))
+    sure = [forest.Mark(f"m{i}", i, Interval(i, i - 2.0, i + 2.0), (i - 1.0, i + 1.0)) for i in range(5)]
+    wide = forest.Mark("two seeds", 5, Interval(3.0, -314.0, 341.0))
+    ends, arrows = whiskers(forest.forest([*sure, wide], "score"))
     lengths = [right - left for left, right in ends]
     assert min(lengths[:5]) > 60  # of the 322 there are; 2 if nothing were cut
     assert len(arrows) == 2
     assert [turn for _, turn in arrows] == [180, 0]
     assert arrows[0][0] == ends[5][0]
     assert arrows[1][0] == ends[5][1]
-    assert charts.forest(sure, "score").count('class="seed"') == 10
+    assert forest.forest(sure, "score").count('class="seed"') == 10
     # Where all are as wide, none is cut; what is endless always is.
-    alike = [charts.Mark(f"m{i}", i, Interval(i, i - 300.0, i + 300.0)) for i in range(5)]
-    assert whiskers(charts.forest(alike, "score"))[1] == []
-    endless = charts.Mark("nothing known", 5, Interval(3.0, -np.inf, np.inf))
-    assert len(whiskers(charts.forest([*sure, endless], "score"))[1]) == 2
+    alike = [forest.Mark(f"m{i}", i, Interval(i, i - 300.0, i + 300.0)) for i in range(5)]
+    assert whiskers(forest.forest(alike, "score"))[1] == []
+    endless = forest.Mark("nothing known", 5, Interval(3.0, -np.inf, np.inf))
+    assert len(whiskers(forest.forest([*sure, endless], "score"))[1]) == 2
 
 
 def test_whiskers_of_the_scatter_are_cut_with_an_arrow():

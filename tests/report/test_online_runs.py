@@ -100,7 +100,7 @@ def test_the_command_makes_the_run_again(tmp_path, every):
     assert ("--evaluate-every" in text) == (every is not None)
     words = [word for word in shlex.split(text)[4:] if word != "--online"]
     given = parse(TrainOnline, words[: words.index("--agent.hidden")], "train --online")
-    assert (given.task, given.seeds, given.episodes) == ("halfcheetah", 2, 6)
+    assert (given.task, given.seeds, given.settings.episodes) == ("halfcheetah", 2, 6)
     turns = Online(given.copies, given.explore, given.updates_per_step, given.block)
     assert (turns, turns.updates(given.steps)) == (Online(**TURNS), 200)
-    assert given.evaluate_every == (None if every is None else 200)
+    assert given.settings.evaluate_every == (None if every is None else 200)

@@ -9,7 +9,7 @@ import pytest
 from run_folders import TASK, write_run
 
 from deadreckon.errors import UserError
-from deadreckon.report import charts, maze, table, write
+from deadreckon.report import axes, maze, spacetime, table, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
 from deadreckon.report.provenance import command
@@ -165,9 +165,9 @@ def test_paths_break_at_resets_and_ends():
 
 
 def test_axes_have_round_ticks():
-    assert charts._nice(0.0, 100.0, 6) == [0, 20, 40, 60, 80, 100]
-    assert charts._nice(-0.013, 0.021, 6) == [-0.01, 0.0, 0.01, 0.02]
-    assert charts._decades(-5.0, 3e7)[-1] == 1e6
+    assert axes._nice(0.0, 100.0, 6) == [0, 20, 40, 60, 80, 100]
+    assert axes._nice(-0.013, 0.021, 6) == [-0.01, 0.0, 0.01, 0.02]
+    assert axes._decades(-5.0, 3e7)[-1] == 1e6
     assert number(1234567.0) == "1.2e6"
     assert number(-0.25) == "\N{MINUS SIGN}0.250"
     assert number(None) == "\N{EM DASH}"
@@ -178,7 +178,7 @@ def test_space_time_diagram():
     place = np.full((60, 2, 2), np.nan)
     place[:, 0, 0], place[:, 0, 1] = (50.0 + np.arange(60)) % 100.0, 1.0
     place[:30, 1] = [99.0, 0.0]
-    drawn = charts.spacetime(place, 1.0, [0], "two cars")
+    drawn = spacetime.spacetime(place, 1.0, [0], "two cars")
     paths = {name: d for d, name in re.findall(r'<path d="([^"h]+)" class="car (\w+)"', drawn)}  # an h is in the legend's
     assert set(paths) == {"own", "speed0", "speed1"}
     assert paths["own"] == paths["speed1"]
@@ -186,7 +186,7 @@ def test_space_time_diagram():
     assert paths["own"].count("L") == 58
     assert len({y for _, y in re.findall(r"[ML]([\d.]+) ([\d.]+)", paths["speed0"])}) == 1
     assert paths["speed0"].count("L") == 29
-    assert "nothing" in charts.spacetime(np.full((3, 1, 2), np.nan), 1.0, [], "none")
+    assert "nothing" in spacetime.spacetime(np.full((3, 1, 2), np.nan), 1.0, [], "none")
 
 
 @pytest.mark.parametrize("name", ["maze2d-medium", "antmaze-medium-play"])

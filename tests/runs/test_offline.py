@@ -16,7 +16,8 @@ from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
 from deadreckon.policies import store
 from deadreckon.report import write
 from deadreckon.runs.crossfit import cross_fit
-from deadreckon.runs.offline import checked, gather, judge, read_estimates
+from deadreckon.runs.gather import gather
+from deadreckon.runs.offline import checked, judge, read_estimates
 from deadreckon.runs.train import train
 
 SMALL = FQE(members=2, hidden=(8,), steps=100)

@@ -19,7 +19,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
-from deadreckon.runs import recommend as module
+from deadreckon.runs import follow as module
 from deadreckon.runs.attempt import Attempt, Candidate, Job
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend

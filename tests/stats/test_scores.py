@@ -11,6 +11,7 @@ from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.stats import scores as s
+from deadreckon.stats.comparison import bold, paired
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]
@@ -127,7 +128,7 @@ def test_one_run_has_no_interval():
     for found in (
         s.interval(UNEVEN, resamples=FEW),
         s.probability_of_improvement(UNEVEN, [x + 1 for x in UNEVEN], resamples=FEW),
-        s.paired(UNEVEN, [x + 1 for x in UNEVEN]),
+        paired(UNEVEN, [x + 1 for x in UNEVEN]),
     ):
         assert np.isfinite(found.value)
         assert np.isnan([found.low, found.high]).all()
@@ -175,13 +176,13 @@ def test_probability_of_improvement_interval_is_the_enumeration():
 
 def test_paired_is_the_paired_t_test_on_one_task():
     x, y = random_table(3, 2, 7)
-    found, test = s.paired([x + 0.8], [y]), stats.ttest_rel(x + 0.8, y)
+    found, test = paired([x + 0.8], [y]), stats.ttest_rel(x + 0.8, y)
     band = test.confidence_interval(0.95)
     assert found.value == pytest.approx(np.mean(x + 0.8 - y))
     assert (found.low, found.high) == (pytest.approx(band.low), pytest.approx(band.high))
     assert (found.p, found.dof) == (pytest.approx(test.pvalue), 6.0)
     assert found.p_better == pytest.approx(stats.ttest_rel(x + 0.8, y, alternative="greater").pvalue)
-    back = s.paired([y], [x + 0.8])
+    back = paired([y], [x + 0.8])
     assert (back.value, back.p, back.p_better) == (-found.value, pytest.approx(found.p), pytest.approx(1 - found.p_better))
 
 
@@ -190,7 +191,7 @@ def test_paired_over_two_tasks_is_welchs_test():
     d, e = np.random.default_rng(4).standard_normal(4), 3.0 * np.random.default_rng(5).standard_normal(6) + 2.0
     base = [np.arange(4.0), np.arange(6.0) * 10]
     found, test = (
-        s.paired({"d": base[0] + d, "e": base[1] + e}, {"e": base[1], "d": base[0]}),
+        paired({"d": base[0] + d, "e": base[1] + e}, {"e": base[1], "d": base[0]}),
         stats.ttest_ind(d, -e, equal_var=False),
     )
     band = test.confidence_interval(0.95)
@@ -202,7 +203,7 @@ def test_paired_does_not_count_differences_between_tasks_as_noise():
     """A gain of 1 on one task and of 101 on the other is sure of 51, where a pooled t-test would know nothing."""
     noise = [np.array([-0.1, 0.0, 0.1]), np.array([0.1, -0.1, 0.0])]
     theirs = random_table(0, 2, 3)
-    found = s.paired([theirs[0] + 1 + noise[0], theirs[1] + 101 + noise[1]], theirs)
+    found = paired([theirs[0] + 1 + noise[0], theirs[1] + 101 + noise[1]], theirs)
     assert 50.8 < found.low < found.value < found.high < 51.2
     pooled = stats.ttest_1samp(np.concatenate([1 + noise[0], 101 + noise[1]]), 0.0)
     assert found.p_better < 1e-6 < 0.05 < pooled.pvalue
@@ -210,7 +211,7 @@ def test_paired_does_not_count_differences_between_tasks_as_noise():
 
 def test_paired_holds_its_level_with_three_seeds():
     rng, scale = np.random.default_rng(0), np.arange(1.0, 7.0)
-    found = [s.paired(rng.standard_normal((3, 6)) * scale, rng.standard_normal((3, 6))) for _ in range(800)]
+    found = [paired(rng.standard_normal((3, 6)) * scale, rng.standard_normal((3, 6))) for _ in range(800)]
     held = [x.low <= 0 <= x.high for x in found]
     assert np.mean(held) > 0.93
     assert held == [x.p > 0.05 for x in found]
@@ -218,9 +219,9 @@ def test_paired_holds_its_level_with_three_seeds():
 
 
 def test_paired_without_spread():
-    same = s.paired([[1, 2], [3, 4]], [[1, 2], [3, 4]])
+    same = paired([[1, 2], [3, 4]], [[1, 2], [3, 4]])
     assert (same.value, same.low, same.high, same.p, same.p_better) == (0.0, 0.0, 0.0, 1.0, 0.5)
-    more = s.paired([[2, 3], [4, 5]], [[1, 2], [3, 4]])
+    more = paired([[2, 3], [4, 5]], [[1, 2], [3, 4]])
     assert (more.value, more.low, more.high, more.p, more.p_better) == (1.0, 1.0, 1.0, 0.0, 0.0)
 
 
@@ -252,7 +253,7 @@ def test_bold_by_hand():
         "best": {"near": [10, 11, 12], "far": [10, 11, 12], "still": [5, 5], "tied": [5, 5]},
         "other": {"far": [1, 2, 3], "near": [9, 11, 10], "still": [4, 4, 4], "tied": [5, 5, 5]},
     }
-    found = s.bold(columns)
+    found = bold(columns)
     assert found["best"].tolist() == [True, True, True, True]
     assert found["other"].tolist() == [True, False, False, True]
     assert list(found) == ["best", "other"]
@@ -260,30 +261,30 @@ def test_bold_by_hand():
 
 @pytest.mark.filterwarnings("error")  # no test is tried
 def test_bold_of_single_runs():
-    assert s.bold({"a": [[2.0]], "b": [[1.9, 2.0, 1.7]], "c": [[1.99]]}) == {"a": [True], "b": [False], "c": [False]}
-    assert s.bold({"a": [[1.0]], "b": [[1.9, 2.0, 1.7]]}) == {
+    assert bold({"a": [[2.0]], "b": [[1.9, 2.0, 1.7]], "c": [[1.99]]}) == {"a": [True], "b": [False], "c": [False]}
+    assert bold({"a": [[1.0]], "b": [[1.9, 2.0, 1.7]]}) == {
         "a": [False],
         "b": [True],
     }  # the best can be tested, the other not
-    assert s.bold({"a": [[2.0]], "b": [[2.0, 2.0]]}) == {"a": [True], "b": [True]}
-    assert s.bold({"a": [[1.0]]}) == {"a": [True]}
+    assert bold({"a": [[2.0]], "b": [[2.0, 2.0]]}) == {"a": [True], "b": [True]}
+    assert bold({"a": [[1.0]]}) == {"a": [True]}
 
 
 def test_bold_of_rows_that_do_not_vary():
     """0.1 is no binary number: three of them, summed and divided, are more than one of them."""
-    assert s.bold({"a": [[0.1] * 3], "b": [[0.1] * 7], "c": [[0.1 - 1e-9] * 3]}) == {"a": [True], "b": [True], "c": [False]}
-    assert s.bold({"a": [[0.1] * 3], "b": [[0.1]]}) == {"a": [True], "b": [True]}
+    assert bold({"a": [[0.1] * 3], "b": [[0.1] * 7], "c": [[0.1 - 1e-9] * 3]}) == {"a": [True], "b": [True], "c": [False]}
+    assert bold({"a": [[0.1] * 3], "b": [[0.1]]}) == {"a": [True], "b": [True]}
     # One varies: Welch's test, here t = 1 with two degrees of freedom, and t = 10.
-    assert s.bold({"a": [[4.0, 5.0, 6.0]], "b": [[5 - 3**-0.5] * 3]}) == {"a": [True], "b": [True]}
-    assert s.bold({"a": [[4.0, 5.0, 6.0]], "b": [[5 - 10 * 3**-0.5] * 3]}) == {"a": [True], "b": [False]}
+    assert bold({"a": [[4.0, 5.0, 6.0]], "b": [[5 - 3**-0.5] * 3]}) == {"a": [True], "b": [True]}
+    assert bold({"a": [[4.0, 5.0, 6.0]], "b": [[5 - 10 * 3**-0.5] * 3]}) == {"a": [True], "b": [False]}
 
 
 def test_bold_with_two_leaders_does_not_depend_on_their_order():
     """The loser is told from the leader that hardly varies, but not from the one that does."""
     cells = {"calm": [[9.9, 10.0, 10.1]], "wild": [[0.0, 10.0, 20.0]], "loser": [[7.9, 8.0, 8.1]]}
-    assert s.bold({"calm": cells["calm"], "loser": cells["loser"]})["loser"] == [False]
+    assert bold({"calm": cells["calm"], "loser": cells["loser"]})["loser"] == [False]
     for order in itertools.permutations(cells):
-        assert s.bold({name: cells[name] for name in order})["loser"] == [True]
+        assert bold({name: cells[name] for name in order})["loser"] == [True]
 
 
 @given(st.integers(0, 10_000), st.sampled_from([0.01, 0.05, 0.3]))
@@ -293,19 +294,19 @@ def test_bold_is_scipys_welch_test(seed, level):
     cells = {i: rng.normal(rng.uniform(0, 3), rng.uniform(0.2, 2), rng.integers(2, 7)) for i in range(4)}
     best = max(cells, key=lambda i: cells[i].mean())
     wanted = {i: i == best or stats.ttest_ind(x, cells[best], equal_var=False).pvalue > level for i, x in cells.items()}
-    assert {int(i): bool(x[0]) for i, x in s.bold({str(i): [x] for i, x in cells.items()}, level).items()} == wanted
+    assert {int(i): bool(x[0]) for i, x in bold({str(i): [x] for i, x in cells.items()}, level).items()} == wanted
 
 
 @given(st.lists(st.lists(whole, min_size=1, max_size=4), min_size=2, max_size=4), st.randoms(use_true_random=False))
 @settings(max_examples=50, deadline=None)
 def test_bold_does_not_depend_on_order(cells, random):
     columns = {str(i): [0.1 * np.array(x)] for i, x in enumerate(cells)}
-    found = s.bold(columns)
+    found = bold(columns)
     shuffled = {
         name: [random.sample(list(columns[name][0]), len(columns[name][0]))]
         for name in random.sample(list(columns), len(columns))
     }
-    assert s.bold(shuffled) == found
+    assert bold(shuffled) == found
     assert any(found.values())
 
 
@@ -332,17 +333,17 @@ GOOD = {"a": [1.0, 2.0], "b": [3.0, 4.0]}
         (lambda: s.interval(GOOD, seed=-1), "seed must be >= 0, got -1"),
         (lambda: s.probability_of_improvement(GOOD, {"a": [1.0]}), "ours has 'b' and theirs has not"),
         (lambda: s.probability_of_improvement([[1.0]], np.ones((2, 3))), "theirs has 1 and ours has not"),
-        (lambda: s.paired(GOOD, {"a": [1.0, 2.0], "b": [1.0]}), "task 'b' has 2 runs of ours and 1 of theirs"),
-        (lambda: s.paired(GOOD, GOOD, level=0.0), "level must lie"),
+        (lambda: paired(GOOD, {"a": [1.0, 2.0], "b": [1.0]}), "task 'b' has 2 runs of ours and 1 of theirs"),
+        (lambda: paired(GOOD, GOOD, level=0.0), "level must lie"),
         (lambda: s.performance_profile(GOOD, []), "thresholds are empty"),
         (lambda: s.performance_profile(GOOD, [np.nan]), "thresholds must be finite, got nan"),
-        (lambda: s.bold({}), "no method"),
+        (lambda: bold({}), "no method"),
         (
-            lambda: s.bold({"BEAR": GOOD, "CQL": {"a": [1.0, np.nan], "b": [1.0]}}),
+            lambda: bold({"BEAR": GOOD, "CQL": {"a": [1.0, np.nan], "b": [1.0]}}),
             "'CQL' of task 'a' must be finite, got nan at place 1",
         ),
-        (lambda: s.bold({"BEAR": GOOD, "CQL": {"a": [1.0]}}), "'BEAR' has 'b' and 'CQL' has not"),
-        (lambda: s.bold({"BEAR": GOOD}, level=1.0), "level must lie"),
+        (lambda: bold({"BEAR": GOOD, "CQL": {"a": [1.0]}}), "'BEAR' has 'b' and 'CQL' has not"),
+        (lambda: bold({"BEAR": GOOD}, level=1.0), "level must lie"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(call, words):

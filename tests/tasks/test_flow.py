@@ -19,9 +19,10 @@ import deadreckon as dr
 import deadreckon.tasks.envs
 from deadreckon import tasks
 from deadreckon.errors import UserError
-from deadreckon.tasks import flow
+from deadreckon.tasks import sumo as sumo_process
 from deadreckon.tasks.flow_env import FlowEnv
-from deadreckon.tasks.flow_roads import CAR, Merge, Ring
+from deadreckon.tasks.flow_merge import Merge
+from deadreckon.tasks.flow_roads import CAR, Ring
 from deadreckon.tasks.task import PROPERTIES
 
 sumo = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO is not installed (the extra `flow`)")
@@ -329,7 +330,7 @@ def test_bad_actions():
 
 
 def test_without_sumo_one_line_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(flow.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(sumo_process.importlib.util, "find_spec", lambda name: None)
     told = r"^flow-merge needs SUMO, which is not installed: pip install 'deadreckon\[flow\]'$"
     with pytest.raises(UserError, match=told):
         MERGE.simulate([0])

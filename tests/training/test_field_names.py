@@ -20,7 +20,7 @@ from deadreckon.mbo import DESIGNERS, designer
 from deadreckon.ope.registry import ESTIMATORS, estimator
 from deadreckon.policies import library
 from deadreckon.report import write
-from deadreckon.runs.train import agents_of
+from deadreckon.runs.lanes import agents_of
 from deadreckon.training.field_names import meant, with_field_names
 from tests.agents.worlds import corridor
 

@@ -21,9 +21,10 @@ from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
 from deadreckon.ope.registry import estimator
+from deadreckon.stats.comparison import bold
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.stats.means import mean_interval
-from deadreckon.stats.scores import bold, interval, iqm
+from deadreckon.stats.scores import interval, iqm
 from deadreckon.training.field_names import with_field_names
 
 # Where the thesis's numbers stand, and what they are of.

@@ -1,5 +1,6 @@
 """Making logs again by oneself: recipes that need no server."""
 
+from deadreckon.collect import domains as _domains  # noqa: F401 - recipes register themselves
 from deadreckon.collect.recipes import Recipe, collect, generate, recipe, recipe_names, register
 
 __all__ = ["Recipe", "collect", "generate", "recipe", "recipe_names", "register"]

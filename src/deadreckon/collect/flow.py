@@ -12,8 +12,9 @@ from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
 from deadreckon.progress import Progress
-from deadreckon.tasks.flow import Flow, sumo_version
+from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.flow_roads import SPEED_LIMIT
+from deadreckon.tasks.sumo import sumo_version
 
 KINDS = ("random", "controller")
 

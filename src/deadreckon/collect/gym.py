@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.agents.sac import SAC
-from deadreckon.collect.rollouts import Segment, acted_in, asked_for, collect_rollouts, same_collection
+from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
+from deadreckon.collect.stage import asked_for, same_collection
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec

@@ -14,7 +14,7 @@ from deadreckon.collect.maze2d import to_the_goal
 from deadreckon.data.spec import Box
 from deadreckon.tasks import flow, gym_mujoco
 from deadreckon.tasks.flow import Flow
-from deadreckon.tasks.flow_roads import Merge
+from deadreckon.tasks.flow_merge import Merge
 from deadreckon.tasks.maze2d import TASKS, Maze2D
 from deadreckon.tasks.task import Reference, Task
 

@@ -5,13 +5,12 @@ on neither cores nor interruptions: what was on disk when a collection was kille
 """
 
 import itertools
-import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, TypeGuard
 
 import equinox as eqx
 import jax
@@ -20,19 +19,16 @@ import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from deadreckon._version import __version__
+from deadreckon.collect.stage import FLUSH, Episode, Stage, asked_for
 from deadreckon.data.dataset import Dataset, Provenance
 from deadreckon.data.spec import Box
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_at, write_json
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.progress import Progress
 from deadreckon.tasks.task import Simulator, Task
-from deadreckon.versions import differences
 
-SCHEME = 1  # of how draws follow from the seed; a collection begun under another one is not gone on with
 COPIES = 64  # side by side
-FLUSH = 4096  # rows that are kept in memory before they go to the disk
 COLUMNS: tuple[str, ...] = ("observations", "actions", "rewards", "terminals", "timeouts", "behavior_log_probs")
 
 
@@ -100,7 +96,7 @@ def collect_rollouts(
         UserError: `scratch` holds the beginning of another log, or cannot be written.
     """
     kinds = column_kinds(task, segments[0].policy)
-    stage = _Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
+    stage = Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
     _collect(task, segments, stage, seed, threads, progress)
     return stage.log(name, provenance, densities=all(_drawn(segment.policy) for segment in segments))
 
@@ -123,7 +119,7 @@ def played(task: Task, policy: EnvPolicy | None, rows: int, seed: int) -> Datase
 def _collect(
     task: Task,
     segments: Sequence[Segment],
-    stage: "_Stage",
+    stage: "Stage",
     seed: int,
     threads: int | None,
     progress: Progress | None,
@@ -257,18 +253,6 @@ class _Scene:
             self.episode[copy] = -1
 
 
-class Episode(NamedTuple):
-    """Rows of one episode by column, and what was seen after the last of them."""
-
-    columns: dict[str, np.ndarray]
-    final: np.ndarray
-
-    @property
-    def length(self) -> int:
-        """Rows."""
-        return len(self.columns["rewards"])
-
-
 def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], Any]]:
     """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a guide."""
     kinds = (task.observation_shape, np.float32), ((task.action_space.size,), np.float32), ((), np.float32), ((), bool)
@@ -277,82 +261,7 @@ def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], An
     return known | {key: (shape, np.float32) for key, shape in told.items()}
 
 
-def asked_for(name: str, seed: int, rows: list[int], provenance: Provenance) -> dict[str, Any]:
-    """What tells one collection from another, as JSON values."""
-    what = {"scheme": SCHEME, "name": name, "seed": seed, "rows": rows}
-    return json.loads(json.dumps(what | {"versions": provenance.versions, "extra": provenance.extra}))
-
-
 def acted_in(body: str, name: str, seed: int, extra: dict[str, Any]) -> Provenance:
     """Where a log comes from in which policies act, on this device, in a body of the package `body` and MuJoCo."""
     versions = {each: metadata.version(each) for each in ("mujoco", body, "numpy", "jax")} | {"deadreckon": __version__}
     return Provenance("collected", name, seed, versions, extra=extra | {"device": jax.devices()[0].platform})
-
-
-def same_collection(scratch: Path, asked: dict[str, Any]) -> None:
-    """Notes in `scratch` what is collected there, or makes sure that it is this.
-
-    Raises:
-        UserError: it is something else.
-    """
-    note = scratch / "asked.json"
-    if not note.exists():
-        write_json(note, asked)
-    elif different := differences(read_json(note), asked):
-        raise UserError(f"{scratch} holds the beginning of another collection ({different[0]}); delete it to begin anew")
-
-
-class _Stage:
-    """Columns that grow on disk: a raw file each, and a JSON file that says how many rows of them count."""
-
-    def __init__(self, folder: Path, task: Task, kinds: dict[str, tuple[tuple[int, ...], Any]], asked: dict[str, Any]):
-        self.folder, self.task = folder, task
-        self.rows, self.finals = 0, 0
-        self.episodes: list[int] = []
-        self.kinds = {**kinds, "final_observations": (task.observation_shape, np.float32)}
-        same_collection(folder, asked)
-        if self._state.exists():
-            found = read_json(self._state)
-            self.rows, self.finals, self.episodes = found["rows"], found["finals"], found["episodes"]
-
-    @property
-    def _state(self) -> Path:
-        return self.folder / "state.json"
-
-    def append(self, episodes: list[Episode], room: int, act: int) -> None:
-        """Adds episodes, at most `room` rows of them, and says so once they are on the disk."""
-        parts, finals = [], []
-        for columns, final in episodes:
-            length = min(len(columns["rewards"]), room)
-            if length == 0:
-                break
-            part = {key: column[:length] for key, column in columns.items()}
-            if length < len(columns["rewards"]):  # where the rows ran out: what followed is its own next observation
-                part["timeouts"][-1] = True
-                final = columns["observations"][length]
-            parts.append(part)
-            finals.append(final)
-            room -= length
-        for key in parts[0]:
-            self._write(key, np.concatenate([part[key] for part in parts]), self.rows)
-        self._write("final_observations", np.stack(finals), self.finals)
-        self.rows += sum(len(part["rewards"]) for part in parts)
-        self.finals += len(finals)
-        self.episodes += [0] * (act + 1 - len(self.episodes))
-        self.episodes[act] += len(finals)
-        write_json(self._state, {"rows": self.rows, "finals": self.finals, "episodes": self.episodes})
-
-    def _write(self, key: str, rows: np.ndarray, at: int) -> None:
-        shape, dtype = self.kinds[key]
-        each = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        write_at(self.folder / f"{key}.bin", at * each, np.ascontiguousarray(rows, dtype).data)
-
-    def log(self, name: str, provenance: Provenance, densities: bool) -> Dataset:
-        """The log of all rows so far, memory-mapped, with the densities of actions or without."""
-        columns: dict[str, Any] = {}
-        for key, (shape, dtype) in self.kinds.items():
-            if key == "behavior_log_probs" and not densities:
-                continue
-            count = self.finals if key == "final_observations" else self.rows
-            columns[key] = np.memmap(self.folder / f"{key}.bin", dtype, "r", shape=(count, *shape))
-        return Dataset.from_arrays(**columns, action_space=self.task.action_space, name=name, provenance=provenance)

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec, redrawn
+from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
-from deadreckon.mbo.designs import Coordinates
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt

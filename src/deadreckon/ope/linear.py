@@ -9,9 +9,9 @@ features solve it for every fold and every resample of the log, so that critics 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -21,13 +21,12 @@ from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.features import Features
+from deadreckon.ope.linear_sums import BLOCK, SUMMED, Critic, Sums, blocks
 from deadreckon.stats.bootstrap import percentile_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
-BLOCK = 1024  # rows at a time
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
 PILOT = 10.0
-SUMMED = ("gram", "next", "reward", "start", "rows", "episodes", "lost_gram", "lost_reward", "lost_rows")
 DOUBLINGS = 22  # 2^22 steps are as good as endless
 GROWN = 1e6  # of the powers of the backup: it diverges
 PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-validation
@@ -37,65 +36,6 @@ ROOM = 1e9  # bytes of sums above which there are fewer groups
 # Rows of episodes that are not judged, from which critics out of fold learn beside the judged ones: a few hundred weights are
 # settled by far fewer, and every row costs as many features as there are policies and samples. Judged rows are all used.
 TAUGHT = 40_000
-
-
-class Critic(NamedTuple):
-    """Solved weights.
-
-    Attributes:
-        weights: (steps, size) of the value with 1, 2, ... steps to go, or (1, size) without a horizon.
-        ratios: (steps, size) of the ratio of the policy's occupancy of step 0, 1, ... over the log's rows, or (1, size) of its
-            discounted occupancy.
-        ridge: that it was solved with.
-        settled: whether the backup does not diverge.
-    """
-
-    weights: np.ndarray
-    ratios: np.ndarray
-    ridge: float
-    settled: bool
-
-
-@dataclass
-class Sums:
-    """Sums over the rows of each of several groups of episodes, in float64.
-
-    Attributes:
-        gram: (groups, d, d) of phi phi'.
-        next: (groups, policies, d, d) of phi phi_next', zero after terminals.
-        reward: (groups, d) of phi r.
-        start: (groups, policies, d) of features at initial observations.
-        rows, episodes: (groups,) counts.
-        lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because
-            the log does not show what it did next.
-        logged: index of the behaviour policy, or -1.
-    """
-
-    gram: np.ndarray
-    next: np.ndarray
-    reward: np.ndarray
-    start: np.ndarray
-    rows: np.ndarray
-    episodes: np.ndarray
-    lost_gram: np.ndarray
-    lost_reward: np.ndarray
-    lost_rows: np.ndarray
-    logged: int
-
-    def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(groups, ...) gram, reward and rows of one policy."""
-        if policy != self.logged:
-            return self.gram, self.reward, self.rows
-        return self.gram - self.lost_gram, self.reward - self.lost_reward, self.rows - self.lost_rows
-
-    def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight`
-        times.
-        """
-        add = lambda x: np.tensordot(weight, x, 1)  # noqa: E731
-        start = add(self.start[:, policy]) / max(float(weight @ self.episodes), 1.0)
-        gram, reward, rows = self.whole(policy)
-        return add(gram), add(self.next[:, policy]), add(reward), start, float(weight @ rows)
 
 
 class LinearFQE(Estimator):
@@ -141,11 +81,6 @@ class LinearFQE(Estimator):
             self.label, case.names, values, low, high, case.estimand, bootstrap=bootstrap,
             warnings=(*warnings, "its interval knows the variance of the log and not the bias of the features"),
         )  # fmt: skip
-
-
-def blocks(rows: np.ndarray) -> list[np.ndarray]:
-    """Rows, a block at a time."""
-    return [rows[i : i + BLOCK] for i in range(0, len(rows), BLOCK)]
 
 
 class Fit:

@@ -31,7 +31,8 @@ from deadreckon.errors import UserError
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.linear import PILOT, RIDGES, Critic, Fit, blocks
+from deadreckon.ope.linear import PILOT, RIDGES, Fit
+from deadreckon.ope.linear_sums import Critic, blocks
 from deadreckon.ope.sequences import cumulate, starts_of, times
 
 

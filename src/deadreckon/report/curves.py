@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deadreckon.report import charts, maze
+from deadreckon.report import charts, maze, spacetime
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import figure, legend, note, unit_of
@@ -191,7 +191,7 @@ def _roads(page: Page, task: Flow) -> Markup | None:
     for e in page.entries:
         if e.trajectories is not None and len(e.trajectories):
             title = f"{e.label}: where the cars are against time"
-            drawn = charts.spacetime(e.trajectories[0, 0], task.seconds, task.learners, title)
+            drawn = spacetime.spacetime(e.trajectories[0, 0], task.seconds, task.learners, title)
             figures.append(figure(drawn, e.label, data_agent=page.slot(e)))
     if not figures:
         return None

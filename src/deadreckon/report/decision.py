@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from deadreckon.ope.estimates import LOGGED
-from deadreckon.report import charts
+from deadreckon.report import forest
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import colours, figure, note, tile
@@ -121,11 +121,11 @@ def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
     for each, gain, own in zip(told["policies"], first["gain"], told["choice"]["objections"]):
         spread = Interval(*map(_number, gain))
         if math.isfinite(spread.value):
-            marks.append(charts.Mark(each["name"], slots[each["run"]], spread, hollow=bool(own)))
+            marks.append(forest.Mark(each["name"], slots[each["run"]], spread, hollow=bool(own)))
     if not marks:
         return None
     marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.value))
     level = f"{100 * told['choice']['level']:.3g} %"
     hollow = "; hollow: something speaks against it" if any(mark.hollow for mark in marks) else ""
-    drawn = charts.forest(marks, f"estimated gain over the behaviour policy, {level} for all at once", [(LOGGED, 0.0)])
+    drawn = forest.forest(marks, f"estimated gain over the behaviour policy, {level} for all at once", [(LOGGED, 0.0)])
     return figure(drawn, f"Estimated gain over the behaviour policy ({first['method']}, {level} for all at once{hollow})")

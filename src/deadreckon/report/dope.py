@@ -8,7 +8,7 @@ import numpy as np
 
 from deadreckon.files import replacing
 from deadreckon.ope.dope import METRICS, TRIED, Cell, Result, cells
-from deadreckon.report import charts
+from deadreckon.report import charts, forest
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
@@ -85,7 +85,7 @@ def _metrics(tables: dict[str, dict[str, dict[str, Cell]]], slots: dict[str, int
             other = float(np.mean(printed)) if own and len(printed) == len(own) else None
             ticks = ticks or other is not None
             rows.append((method, slot, _means(found, method), other))
-        drawn.append(figure(charts.bars(rows, METRICS[metric]), METRICS[metric]))
+        drawn.append(figure(forest.bars(rows, METRICS[metric]), METRICS[metric]))
     text = "Means over logs; whiskers reach from the least to the greatest. No bar: no finite estimates on some log."
     if ticks:
         text += " Upright ticks: the thesis's mean (E.2) of the original logs and policies of the same names, "

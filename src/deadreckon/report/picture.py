@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.report import charts
+from deadreckon.report import charts, forest
 from deadreckon.report.entries import Entry, read
 from deadreckon.report.markup import Markup, join, tag
 
@@ -97,7 +97,7 @@ def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
         if x + needed > width and x > 12:
             x, y = 12, y + 22
         line = tag("path", d=f"M{x} {y - 4}h26", class_="line dashed" if slot >= COLOURS else "line")
-        parts.append(tag("g", line, charts.marker(slot % COLOURS, x + 13, y - 4), class_=f"s{slot % COLOURS}"))
+        parts.append(tag("g", line, forest.marker(slot % COLOURS, x + 13, y - 4), class_=f"s{slot % COLOURS}"))
         parts.append(tag("text", name, x=x + 33, y=y, class_="key"))
         x += needed
     return tag("g", parts), y + 12

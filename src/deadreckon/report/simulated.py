@@ -6,7 +6,7 @@ Whether to deploy a policy is decided from the log alone, by `ope.select`. Where
 import math
 from dataclasses import dataclass, field
 
-from deadreckon.report import charts
+from deadreckon.report import forest
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import coded, figure, note, tile, unit_of
@@ -125,11 +125,11 @@ def _forest(page: Page) -> Markup | None:
     for r in rows(page):
         spread = r.score if unit == "score" else r.returns
         if spread and math.isfinite(spread.value):
-            marks.append(charts.Mark(r.label, page.slot(r.entry) if r.entry else None, spread, r.per_seed))
+            marks.append(forest.Mark(r.label, page.slot(r.entry) if r.entry else None, spread, r.per_seed))
     if not marks:
         return None
     dots = any(len(mark.dots) > 1 for mark in marks)
-    drawn = charts.forest(marks, f"{unit}: mean and {PERCENT} interval", [("expert", 100.0)] if unit == "score" else [])
+    drawn = forest.forest(marks, f"{unit}: mean and {PERCENT} interval", [("expert", 100.0)] if unit == "score" else [])
     return figure(drawn, f"{unit}: mean and {PERCENT} interval{'; small dots: seeds' if dots else ''}")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from deadreckon.bench.tables import Cell, Table
 from deadreckon.files import replacing
-from deadreckon.report import charts
+from deadreckon.report import forest
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
@@ -89,7 +89,7 @@ def _bars(table: Table) -> Markup | None:
             rows.append((method, i % SLOTS, spread, other))
         if any(np.isfinite(spread.value) for _, _, spread, _ in rows):
             heading = members[0] if len(members) == 1 else f"{name}: mean of {len(members)}"
-            drawn.append(figure(charts.bars(rows, table.metric.words), heading))
+            drawn.append(figure(forest.bars(rows, table.metric.words), heading))
     if not drawn:
         return None
     text = (

@@ -22,8 +22,9 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.files import file_part, read_json, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
+from deadreckon.runs.lanes import lanes_of
 from deadreckon.runs.seen import seen
-from deadreckon.runs.train import Run, lanes_of, load, train
+from deadreckon.runs.train import Run, load, train
 from deadreckon.versions import differences
 
 Deliver = Literal["mixture", "refit"]

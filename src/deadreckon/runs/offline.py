@@ -14,28 +14,21 @@ from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, write_json
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.case import CrossFitted, OPEInput
+from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
 from deadreckon.ope.select import Choice, gains
-from deadreckon.policies import library, store
-from deadreckon.policies.resolve import PICKLES, policy_of_file
 from deadreckon.progress import Watcher, unwatched
-from deadreckon.runs.crossfit import NAME as CROSS_FIT
-from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.evaluate import evaluate
-from deadreckon.runs.folder import Folder
+from deadreckon.runs.gather import for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
-from deadreckon.runs.seen import Seen
-from deadreckon.runs.train import Run, load
 from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 
 NAME = "estimates.json"
-NOBODY = "nobody knows whether it has learned from these episodes (--unseen says that it has not)"
 
 
 class Judged(NamedTuple):
@@ -50,120 +43,6 @@ class Judged(NamedTuple):
     estimates: list[Estimates]
     choice: Choice
     told: dict[str, Any]
-
-
-class Gathered(NamedTuple):
-    """A policy to judge, and what is known of it.
-
-    Attributes:
-        policy: what acts, or a cross-fit.
-        run: name of the run or file that it comes from.
-        seed: of the run's seeds; None where there is none.
-        taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
-        by: column whose values its run kept together when it held episodes out; None: none.
-        file: where it is saved; None: nowhere that is known.
-    """
-
-    policy: Any
-    run: str
-    seed: int | None
-    taught: np.ndarray | None
-    by: str | None = None
-    file: Path | None = None
-
-
-def gather(given: Sequence[Any]) -> list[Gathered]:
-    """Policies to judge.
-
-    Args:
-        given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), or names of tasks whose eleven snapshots
-            are meant.
-
-    Raises:
-        UserError: none of these.
-    """
-    found: list[Gathered] = []
-    for each in given:
-        path = None if isinstance(each, Run | CrossFit) else Path(each)
-        if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
-            cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            known = cross.path.name, cross.config["by"], cross.delivered
-            found += [Gathered((cross, seed), known[0], seed, None, *known[1:]) for seed in cross.runs[0].seeds]
-        elif path is None or path.is_dir():
-            run = each if isinstance(each, Run) else load(each)
-            held = run.config["data"].get("holdout")
-            by, folder = None if held is None else held["by"], Folder(run.path)
-            found += [
-                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed))
-                for policy, seed in zip(run.policies, run.seeds)
-            ]
-        elif path.exists() or path.suffix:
-            taught = None if path.suffix in PICKLES else store.taught(path)
-            found.append(Gathered(policy_of_file(path), path.stem, None, taught, None, path))
-        else:
-            if len(path.parts) > 1:
-                raise UserError(f"no folder or file {path}")
-            snapshots = [s for s in library.library(str(each)) if s.name.startswith("snapshot-")]
-            found += [Gathered(s.policy(), f"{each} {s.name}", None, None) for s in snapshots]
-    if not found:
-        raise UserError("no policy to judge")
-    return found
-
-
-class Fresh(NamedTuple):
-    """On which episodes policies are judged, and what that is worth.
-
-    Attributes:
-        held: (n,) indices of the episodes.
-        against: for each policy why its estimate is not one of fresh episodes, or None where it is.
-        told: in one line.
-    """
-
-    held: np.ndarray
-    against: list[str | None]
-    told: str
-
-
-def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
-    """The episodes of a log that no policy has learned from, by what the policies' files keep.
-
-    Args:
-        found: policies.
-        data: the log.
-        unseen: the user says that policies of which nobody knows it have not learned from this log, and that episodes equal to
-            those that taught a policy are there by chance.
-    """
-    left = np.ones(data.episodes, bool)
-    for each in {id(g.policy[0]): g.policy[0] for g in found if isinstance(g.policy, tuple)}.values():
-        if (fold := each.fold_of(data)).max() >= 0:  # of another log it has seen nothing
-            left &= fold >= 0
-    known = Seen.of([g.taught for g in found if not isinstance(g.policy, tuple)], data)
-    unknown = [not isinstance(g.policy, tuple) and g.taught is None for g in found]
-    taught = int((~known.unseen).sum())
-    against: list[str | None] = [None] * len(found)
-    if unseen:
-        held = np.flatnonzero(left)
-        if not len(held):
-            raise UserError("no episode is left that all of these cross-fits have held out; judge each by itself")
-        more = f", although {taught:,} of them equal episodes that taught a policy" if taught else ""
-        told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
-        return Fresh(held, against, told)
-    crossed = not left.all()
-    left &= known.unseen
-    if not left.any() and crossed:
-        raise UserError("no episode is left that all of these policies can be judged on; judge the cross-fit by itself")
-    if not left.any():
-        everything = np.arange(data.episodes)
-        seen_all = "it has learned from these episodes"
-        against = [NOBODY if nobody else seen_all for nobody in unknown]
-        told = f"all {data.episodes:,} episodes, which policies have learned from: estimates are optimistic"
-        return Fresh(everything, against, told)
-    against = [NOBODY if nobody else None for nobody in unknown]
-    held = np.flatnonzero(left)
-    those = f"{len(held):,} episodes, none of which taught a policy"
-    if taught:
-        those = f"{len(held):,} held-out episodes of {data.episodes:,}"
-    return Fresh(held, against, those + (", as far as is known" if any(unknown) else ""))
 
 
 def judge(
@@ -240,7 +119,7 @@ def judge(
             raise UserError(f"the choice cannot be checked there: {told}")
     rows = fresh(found, data, unseen)
     cluster = cluster or next((g.by for g in found if g.by not in (None, RANDOM, TIME)), None)
-    policies = [_acting(g, data) for g in found]
+    policies = [for_case(g, data) for g in found]
     case = OPEInput(
         data, policies, discount=discount, horizon=horizon, seed=seed, greedy=greedy, names=names, logged=True,
         out=None if out is None else Path(out) / "fits", watch=watch, held=rows.held, noise=None,
@@ -320,16 +199,6 @@ def simulated(policies: Sequence[Any], task: Task, *, episodes: int, **options: 
     return {"task": task.name, "episodes": episodes, "mean": seen.mean(1).tolist(), "error": errors.tolist()}
 
 
-def _acting(g: Gathered, data: Dataset) -> Any:
-    """A policy as a case takes it."""
-    if not isinstance(g.policy, tuple):
-        return g.policy
-    cross, seed = g.policy
-    if (fold := cross.fold_of(data)).max() < 0:  # another log: what was delivered is judged, not its parts
-        return cross.policy
-    return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)
-
-
 def checked(told: dict[str, Any]) -> str:
     """What the simulator says to the choice, in one line: its regret is what the best policy would have had beyond it."""
     truth = told["truth"]
@@ -392,5 +261,3 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
     if not told["results"]:
         raise UserError(f"{path} holds no estimates: {told['choice']['reason']}")
     return told
-
-

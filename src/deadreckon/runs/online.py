@@ -19,9 +19,10 @@ from deadreckon.files import file_part
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
-from deadreckon.runs.train import Run, agents_of, fields_of, lanes_of, load
+from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit

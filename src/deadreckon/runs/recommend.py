@@ -5,26 +5,17 @@ clock: it says how the time is divided, passes on what the other tells, ends it 
 a card in any case, if need be one that says how far the work came and how much time would do.
 """
 
-import contextlib
-import json
 import math
-import os
-import queue
 import shlex
 import shutil
-import site
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
-import deadreckon
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.split import Holdout
@@ -32,15 +23,13 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
-from deadreckon.runs.durations import in_words, seconds_of
+from deadreckon.runs.clock import Clock
+from deadreckon.runs.durations import in_words
+from deadreckon.runs.follow import Found, followed
 from deadreckon.runs.offline import NAME, checked, supports
 from deadreckon.runs.train import Run, load
 from deadreckon.stats.interval import PERCENT
 
-COMMAND = (sys.executable, "-P", "-m", "deadreckon.runs.attempt")  # -P: files beside the user are no modules
-RESERVE, SHORT, LONG = 0.05, 2.0, 15.0  # share of the time that is kept for the card, and its bounds in seconds
-SCANT = 0.3  # the reserve is never more than this share
-LEARNING = 0.6  # share of the rest for learning, as planned before anything is known
 EVER = 4.0  # times the budget is proposed where nothing is known of what would do
 LOG = ".log"  # folder of a log that was given in memory
 MANY_DIGITS = 10  # columns of a number
@@ -154,7 +143,7 @@ def recommend(
             "holdout": None if holdout is None else holdout.told(), "accept": accept_model_based, "budget": clock.budget,
             "began": time.time() - clock.spent(), "end": time.time() + clock.left(),
         }  # fmt: skip
-        found = _followed(job, clock, tell, watch)
+        found = followed(job, clock, tell, watch)
     finally:
         shutil.rmtree(out / LOG, ignore_errors=True)
     if found.refused and not found.state.get("candidates"):
@@ -171,153 +160,6 @@ def recommend(
             except Exception as error:  # noqa: BLE001 - the card is there, and counts more than its pictures
                 tell(f"report.html has the card alone; its pictures failed with {type(error).__name__}: {error}")
     return Recommendation(out, told, clock.spent())
-
-
-@dataclass(frozen=True)
-class Clock:
-    """How much time there is, in seconds.
-
-    Attributes:
-        budget: in all.
-        began: by `time.perf_counter()`.
-        reserve: of it, for the card.
-    """
-
-    budget: float
-    began: float
-    reserve: float
-
-    @classmethod
-    def of(cls, budget: float | str, began: float | None) -> "Clock":
-        """Reads the budget.
-
-        Raises:
-            UserError: it is no time, or none at all.
-        """
-        seconds = seconds_of(budget) if isinstance(budget, str) else float(budget)
-        if not 0 < seconds < math.inf:
-            raise UserError(f"the budget must be more than nothing, got {budget} seconds")
-        reserve = min(min(max(RESERVE * seconds, SHORT), LONG), SCANT * seconds)
-        return cls(seconds, time.perf_counter() if began is None else began, reserve)
-
-    def spent(self) -> float:
-        """Since it began."""
-        return time.perf_counter() - self.began
-
-    def left(self) -> float:
-        """Until the work must end."""
-        return self.budget - self.reserve - self.spent()
-
-    def divided(self) -> str:
-        """How the time is planned, before anything is known."""
-        work = self.budget - self.reserve
-        parts = [LEARNING * work, (1 - LEARNING) * work, self.reserve]
-        learning, judging, reserve = map(in_words, parts)
-        return (
-            f"a card in {in_words(self.budget)} at the latest: about {learning} for pilots and learning, {judging} for judging "
-            f"on held-out episodes, {reserve} in reserve; pilots measure what this log needs on this machine"
-        )
-
-
-@dataclass
-class Found:
-    """What the working process told.
-
-    Attributes:
-        state: the latest of each thing.
-        late: it was ended because the time was over.
-        refused: input that does not fit.
-        unfinished: why there is nothing to judge.
-        fault: an error, or how the process ended.
-    """
-
-    state: dict[str, Any]
-    late: bool = False
-    refused: str | None = None
-    unfinished: str | None = None
-    fault: str | None = None
-
-
-def _followed(
-    job: dict[str, Any], clock: Clock, tell: Callable[[str], None], watch: Watcher
-) -> Found:
-    """Lets the job be done until it is done or the time is over."""
-    found, done = Found({}), False
-    lines: queue.Queue[str | None] = queue.Queue()
-    process = subprocess.Popen(
-        COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8",
-        env=_environment(),
-        start_new_session=True,  # an interruption from the keyboard reaches this process alone, which ends the other
-    )  # fmt: skip
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
-        threading.Thread(target=_read, args=(process.stdout, lines), daemon=True).start()
-        with contextlib.suppress(BrokenPipeError):
-            process.stdin.write(json.dumps(job) + "\n")
-            process.stdin.flush()
-        while True:
-            try:
-                left = clock.left()  # looked at for every line: there may always be one more
-                line = lines.get(timeout=left) if left > 0 else None
-            except queue.Empty:
-                continue
-            if left <= 0:
-                found.late = True
-                break
-            if line is None:
-                break
-            for what, value in _message(line).items():
-                if what == "line":
-                    tell(value)
-                elif what == "watch":
-                    name, step, steps = value
-                    for each in found.state.get("candidates", []):
-                        if each["name"] == name and each["state"] == "learning":
-                            each["updates"] = step
-                    watch(name, step, steps)
-                elif what == "state":
-                    found.state |= value
-                elif what == "done":
-                    done = True
-                else:
-                    setattr(found, what, value)
-        if not (done or found.late or found.refused or found.unfinished or found.fault):
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(max(clock.left(), 0.1))
-            found.fault = f"the process that did the work ended unexpectedly (exit code {process.poll()})"
-    finally:
-        process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(1.0)
-        with contextlib.suppress(OSError):
-            process.stdin.close()
-    return found
-
-
-def _environment() -> dict[str, str]:
-    """Of the working process, in which the package is the one that is running here, also where it is not installed."""
-    root = str(Path(deadreckon.__file__).parent.parent)
-    if root in (*site.getsitepackages(), site.getusersitepackages()):
-        return dict(os.environ)
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
-
-
-def _read(stream: IO[str], lines: "queue.Queue[str | None]") -> None:
-    with contextlib.suppress(ValueError, OSError):
-        for line in stream:
-            lines.put(line)
-    lines.put(None)
-
-
-def _message(line: str) -> dict[str, Any]:
-    """A line of the working process; nothing of one that a kill cut short."""
-    try:
-        told = json.loads(line)
-    except json.JSONDecodeError:
-        return {}
-    known = ("line", "watch", "state", "done", "refused", "unfinished", "fault")
-    return {key: value for key, value in told.items() if key in known} if isinstance(told, dict) else {}
 
 
 # ---- the card ---------------------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, Literal, Unpack
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.agents import agent_class, agent_name, short_name
+from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import TransitionSource
@@ -23,6 +22,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
+from deadreckon.runs.lanes import fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.tasks.registry import of_log
@@ -263,47 +263,3 @@ def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | N
             f"{log.name} has {log.spec.observation_shape}"
         )
     return judge
-
-
-def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
-    """One agent a seed, from an agent, its name or the list itself.
-
-    Raises:
-        UserError: an unknown name, or another number of agents.
-    """
-    found = agent_class(agent)() if isinstance(agent, str) else agent
-    lanes = [found] * seeds if isinstance(found, Agent) else list(found)
-    if len(lanes) != seeds:
-        raise UserError(f"one agent a seed is needed, got {len(lanes)} agents and {seeds} seeds")
-    return lanes
-
-
-def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
-    """Hyperparameters by name; those that differ between lanes as a list."""
-    out = {}
-    for f in dataclasses.fields(lanes[0]):
-        values = [getattr(lane, f.name) for lane in lanes]
-        out[f.name] = values[0] if all(v == values[0] for v in values) else values
-    return out
-
-
-def agents_of(config: dict[str, Any]) -> list[Agent]:
-    """The agents of a run's `config`, one per seed: what `fields_of` wrote down.
-
-    Raises:
-        UserError: the agent's module has not been imported: a folder from elsewhere must not name code that runs.
-    """
-    name, written = str(config["agent"]["name"]), config["agent"]["fields"]
-    module = name.partition(":")[0]
-    if ":" in name and module not in sys.modules:
-        raise UserError(f"the run's agent is {name}, which is not part of deadreckon: import {module} first")
-    kind = agent_class(name)
-    fixed = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}
-    tuples = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
-
-    def of_lane(name: str, lane: int) -> Any:
-        # JSON knows lists alone: of a field that lanes may differ in it is one value per lane.
-        return tuples(written[name]) if name in fixed or not isinstance(written[name], list) else written[name][lane]
-
-    return [kind(**{name: of_lane(name, lane) for name in written}) for lane in range(len(config["seeds"]))]
-

@@ -8,7 +8,8 @@ import numpy as np
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.tasks import registry
-from deadreckon.tasks.flow import Flow, Traffic
+from deadreckon.tasks.flow import Flow
+from deadreckon.tasks.sumo import Traffic
 
 ONE = np.zeros(1, np.int64)
 

@@ -17,9 +17,10 @@ from jaxtyping import Array, Float, Int
 from pyarrow import csv
 
 from deadreckon.errors import UserError, reading
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.oracle import Kept, kept, split
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.metrics import rank_correlation

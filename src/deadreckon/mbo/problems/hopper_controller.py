@@ -19,8 +19,9 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem
+from deadreckon.mbo.variables import Variable
 from deadreckon.tasks import registry
 
 LAYERS = ((11, 64), (64, 64), (64, 3))

@@ -7,9 +7,10 @@ import pyarrow as pa
 from pyarrow import csv
 
 from deadreckon.errors import UserError, reading
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.forest import forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.variables import Variable
 
 FILE = "molecule.csv"
 SOURCE = "a CSV with a column smiles and one of activities, such as MoleculeACE's CHEMBL234_Ki.csv"

@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem, hidden
+from deadreckon.mbo.variables import Variable
 from deadreckon.tasks.morphology import ANT, KITTY, LEGS, Morphology
 
 STEPS = 255  # of a number's range: designs of the data are whole multiples of a step

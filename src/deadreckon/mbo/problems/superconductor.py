@@ -18,9 +18,10 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from deadreckon.errors import UserError, reading, unknown
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.forest import forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.variables import Variable
 
 FILE = "superconductor.csv"
 SOURCE = "formulas and critical temperatures: a CSV with columns name and Tc, or train.csv or unique_m.csv of UCI data set 464"

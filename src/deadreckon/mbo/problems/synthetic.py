@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem, hidden
+from deadreckon.mbo.variables import Variable
 
 _A = np.array([[10, 3, 17, 3.5, 1.7, 8], [0.05, 10, 17, 0.1, 8, 14], [3, 3.5, 1.7, 10, 17, 8], [17, 8, 0.05, 10, 0.1, 14]])
 _P = 1e-4 * np.array(

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.designs import Designs, Variable
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.variables import Variable
 
 FILE, SOURCE = "tfbind8_six6.npz", "arrays x and y of Design-Bench's TFBind8, SIX6 reference 1"
 BASES, LENGTH = ("A", "C", "G", "T"), 8

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.report import charts
+from deadreckon.report import forest
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.picture import sheet
 from deadreckon.report.theory.drawing import SHADES, Made, columns, drawing, lines, shades
@@ -87,7 +87,7 @@ def draw_stitching(path: Path, found: fitted.Stitching) -> Path:
         ]
         for way, slot in zip(ways, slots):
             d = "M" + "L".join("{:.0f} {:.0f}".format(*middle(s)) for s in way)
-            out.append(tag("g", tag("path", d=d, class_="way"), charts.marker(slot, *middle(way[-1])), class_=f"s{slot}"))
+            out.append(tag("g", tag("path", d=d, class_="way"), forest.marker(slot, *middle(way[-1])), class_=f"s{slot}"))
         for word, s in (("A", found.start), ("B", found.meeting), ("C", found.end)):
             px, py = middle(s)
             out.append(tag("text", word, x=px + 9, y=py - 6, class_="title"))

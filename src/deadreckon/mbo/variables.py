@@ -1,0 +1,148 @@
+"""What a design is made of: numbers, integers and categories, and how columns of a table become such."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.encode import category_codes, is_category, is_number, numbers
+from deadreckon.errors import UserError, unknown
+
+KINDS = ("continuous", "integer", "categorical")
+FEWEST = 10  # rows below which no model is worth fitting
+FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What one input may be.
+
+    Attributes:
+        name: column's.
+        kind: among `KINDS`.
+        low, high: bounds, included; of a categorical variable they say nothing.
+        levels: of a categorical variable; a design holds their indices.
+    """
+
+    name: str
+    kind: Literal["continuous", "integer", "categorical"] = "continuous"
+    low: float = -math.inf
+    high: float = math.inf
+    levels: tuple[Any, ...] = ()
+
+    def __post_init__(self):
+        if self.kind not in KINDS:
+            raise UserError(f"{self.name}: {unknown('kind', self.kind, KINDS)}")
+        if self.kind == "categorical" and not self.levels:
+            raise UserError(f"{self.name}: a categorical variable needs its levels")
+        if not self.low <= self.high:
+            raise UserError(f"{self.name}: bounds must satisfy low <= high, got {self.low:g} and {self.high:g}")
+
+
+def _variable(
+    name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any
+) -> tuple[np.ndarray, Variable]:
+    """A column's numbers, and what it may be."""
+    stored, given = table.column(column).type, kind
+    if pa.types.is_temporal(stored):
+        raise UserError(f"{name}: column {column} holds times; make numbers of them, or ignore the column")
+    if kind is None:
+        kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
+    if kind not in KINDS:
+        raise UserError(f"{name}: column {column}: {unknown('kind', kind, KINDS)}")
+    if kind == "categorical":
+        if bounds is not None:
+            raise UserError(f"{name}: column {column} is categorical and has levels, not bounds")
+        if given is None and not levels:
+            _not_numbers(name, table, column)
+        known = _typed(levels, stored) if levels else _levels(name, table, column)
+        if given is None and not levels and len(known) == table.num_rows >= FEWEST:
+            raise UserError(
+                f"{name}: column {column} holds another text in every row, from which nothing is learned; ignore it, or say "
+                "kind categorical"
+            )
+        return _codes(name, table, column, known), Variable(column, "categorical", levels=known)
+    values = numbers(name, table, column)
+    low, high = bounds if bounds is not None else (values.min(), values.max())
+    if not low <= high:
+        raise UserError(f"{name}: column {column}: bounds must be low and high, got {low:g} and {high:g}")
+    if kind == "integer" and bounds is not None and (low != np.ceil(low) or high != np.floor(high)):
+        raise UserError(f"{name}: column {column} holds whole numbers, its bounds must be whole too, got {low:g} and {high:g}")
+    if kind == "integer" and max(abs(low), abs(high)) > 2**24:
+        raise UserError(
+            f"{name}: column {column} reaches beyond 16,777,216, where 32 bits do not hold every whole number; "
+            f"take a constant off it, or ignore it"
+        )
+    if kind == "integer" and (values != np.round(values)).any():
+        row = int(np.argmax(values != np.round(values)))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, whole numbers are needed")
+    spread, fineness = values.std(), float(np.spacing(np.float32(np.abs(values).max())))
+    if kind == "continuous" and fineness > FINE * spread > 0:
+        raise UserError(
+            f"{name}: column {column} reaches {np.abs(values).max():g} with a deviation of {spread:.3g}, which 32 bits hold in "
+            f"steps of {fineness:g} only; take a constant off it, or ignore it"
+        )
+    outside = (values < low) | (values > high)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, outside the bounds [{low:g}, {high:g}]")
+    return values, Variable(column, kind, float(low), float(high))  # type: ignore[arg-type]
+
+
+def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:
+    """Levels that came as texts, as a column of other values holds them."""
+    truths = {"true": True, "false": False}
+
+    def typed(level: Any) -> Any:
+        if not isinstance(level, str):
+            return level
+        if pa.types.is_boolean(stored):
+            return truths.get(level.lower(), level)
+        if not (pa.types.is_integer(stored) or pa.types.is_floating(stored)) or not is_number(level):
+            return level
+        return int(level) if level.strip().lstrip("-").isdigit() else float(level)
+
+    return tuple(map(typed, levels))
+
+
+def _not_numbers(name: str, table: pa.Table, column: str) -> None:
+    """Refuses texts that are numbers in most rows: one bad cell would make a category of each."""
+    if not pa.types.is_string(table.column(column).type):
+        return
+    values = _texts(name, table, column)
+    bad = [row for row, value in enumerate(values) if not is_number(value)]
+    if bad and len(bad) < len(values) / 2:
+        row = bad[0]
+        raise UserError(
+            f"{name}: column {column} holds {values[row]!r} in row {row}, where most rows hold numbers; "
+            "mend it, or say kind categorical"
+        )
+
+
+def _texts(name: str, table: pa.Table, column: str) -> list[Any]:
+    values = table.column(column).to_pylist()
+    for row, value in enumerate(values):
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            raise UserError(f"{name}: column {column} is empty in row {row}")
+    return values
+
+
+def _levels(name: str, table: pa.Table, column: str) -> tuple[Any, ...]:
+    if is_category(table.column(column).type) and not pa.types.is_boolean(table.column(column).type):
+        _texts(name, table, column)
+        return tuple(category_codes(name, column, table.column(column).combine_chunks())[1])
+    return tuple(sorted(set(_texts(name, table, column))))
+
+
+def _codes(name: str, table: pa.Table, column: str, levels: Sequence[Any]) -> np.ndarray:
+    index = {level: i for i, level in enumerate(levels)}
+    out = []
+    for row, value in enumerate(_texts(name, table, column)):
+        if value not in index:
+            shown = ", ".join(map(str, levels[:8])) + (", ..." if len(levels) > 8 else "")
+            raise UserError(f"{name}: column {column} has the unknown level {value!r} in row {row}; known are {shown}")
+        out.append(index[value])
+    return np.array(out, np.float64)

@@ -1,0 +1,73 @@
+"""Sums over rows from which critics that are linear in features are fitted, with and without each fold or group."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+BLOCK = 1024  # rows at a time
+SUMMED = ("gram", "next", "reward", "start", "rows", "episodes", "lost_gram", "lost_reward", "lost_rows")
+
+
+class Critic(NamedTuple):
+    """Solved weights.
+
+    Attributes:
+        weights: (steps, size) of the value with 1, 2, ... steps to go, or (1, size) without a horizon.
+        ratios: (steps, size) of the ratio of the policy's occupancy of step 0, 1, ... over the log's rows, or (1, size) of its
+            discounted occupancy.
+        ridge: that it was solved with.
+        settled: whether the backup does not diverge.
+    """
+
+    weights: np.ndarray
+    ratios: np.ndarray
+    ridge: float
+    settled: bool
+
+
+@dataclass
+class Sums:
+    """Sums over the rows of each of several groups of episodes, in float64.
+
+    Attributes:
+        gram: (groups, d, d) of phi phi'.
+        next: (groups, policies, d, d) of phi phi_next', zero after terminals.
+        reward: (groups, d) of phi r.
+        start: (groups, policies, d) of features at initial observations.
+        rows, episodes: (groups,) counts.
+        lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because
+            the log does not show what it did next.
+        logged: index of the behaviour policy, or -1.
+    """
+
+    gram: np.ndarray
+    next: np.ndarray
+    reward: np.ndarray
+    start: np.ndarray
+    rows: np.ndarray
+    episodes: np.ndarray
+    lost_gram: np.ndarray
+    lost_reward: np.ndarray
+    lost_rows: np.ndarray
+    logged: int
+
+    def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(groups, ...) gram, reward and rows of one policy."""
+        if policy != self.logged:
+            return self.gram, self.reward, self.rows
+        return self.gram - self.lost_gram, self.reward - self.lost_reward, self.rows - self.lost_rows
+
+    def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight`
+        times.
+        """
+        add = lambda x: np.tensordot(weight, x, 1)  # noqa: E731
+        start = add(self.start[:, policy]) / max(float(weight @ self.episodes), 1.0)
+        gram, reward, rows = self.whole(policy)
+        return add(gram), add(self.next[:, policy]), add(reward), start, float(weight @ rows)
+
+
+def blocks(rows: np.ndarray) -> list[np.ndarray]:
+    """Rows, a block at a time."""
+    return [rows[i : i + BLOCK] for i in range(0, len(rows), BLOCK)]

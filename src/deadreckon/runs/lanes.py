@@ -1,0 +1,53 @@
+"""Agents as the lanes of a run, and as its folder has them."""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from deadreckon.agents import agent_class
+from deadreckon.agents.agent import Agent
+from deadreckon.errors import UserError
+
+
+def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
+    """One agent a seed, from an agent, its name or the list itself.
+
+    Raises:
+        UserError: an unknown name, or another number of agents.
+    """
+    found = agent_class(agent)() if isinstance(agent, str) else agent
+    lanes = [found] * seeds if isinstance(found, Agent) else list(found)
+    if len(lanes) != seeds:
+        raise UserError(f"one agent a seed is needed, got {len(lanes)} agents and {seeds} seeds")
+    return lanes
+
+
+def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
+    """Hyperparameters by name; those that differ between lanes as a list."""
+    out = {}
+    for f in dataclasses.fields(lanes[0]):
+        values = [getattr(lane, f.name) for lane in lanes]
+        out[f.name] = values[0] if all(v == values[0] for v in values) else values
+    return out
+
+
+def agents_of(config: dict[str, Any]) -> list[Agent]:
+    """The agents of a run's `config`, one per seed: what `fields_of` wrote down.
+
+    Raises:
+        UserError: the agent's module has not been imported: a folder from elsewhere must not name code that runs.
+    """
+    name, written = str(config["agent"]["name"]), config["agent"]["fields"]
+    module = name.partition(":")[0]
+    if ":" in name and module not in sys.modules:
+        raise UserError(f"the run's agent is {name}, which is not part of deadreckon: import {module} first")
+    kind = agent_class(name)
+    fixed = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}
+    tuples = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
+
+    def of_lane(name: str, lane: int) -> Any:
+        # JSON knows lists alone: of a field that lanes may differ in it is one value per lane.
+        return tuples(written[name]) if name in fixed or not isinstance(written[name], list) else written[name][lane]
+
+    return [kind(**{name: of_lane(name, lane) for name in written}) for lane in range(len(config["seeds"]))]

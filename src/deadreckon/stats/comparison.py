@@ -1,0 +1,137 @@
+"""Two methods, or all of a table: paired differences with Student's t, and which cells are bold."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtr, stdtrit
+
+from deadreckon.errors import UserError
+from deadreckon.stats.by_task import Scores, by_task, check_level, pairs_of, same_tasks
+from deadreckon.stats.interval import ALPHA, LEVEL, Interval
+
+
+@dataclass(frozen=True)
+class Difference(Interval):
+    """Ours less theirs, with its interval.
+
+    Attributes:
+        p: two-sided; of a difference this far from zero if there were none.
+        p_better: one-sided; of a difference this great if ours were no better.
+        dof: degrees of freedom of Student's t.
+    """
+
+    p: float
+    p_better: float
+    dof: float
+
+
+def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
+    """Mean over tasks of the mean difference between runs of the same seed, with Student's t interval and p.
+
+    Run i of ours and run i of theirs share a seed. Each task's mean difference has the variance s^2 / n of its own
+    differences, and the mean over T tasks that of their sum / T^2, with degrees of freedom after Welch and Satterthwaite;
+    for one task it is the paired t-test. Tasks are fixed and only runs are due to chance, as in `interval`: a t-test over
+    all differences together would count it as noise that a method gains more on one task than on another, and one over the
+    tasks' means asks about tasks that nobody ran. Unlike the bootstrap it allows for few seeds, if differences are roughly
+    normal. Seeds are taken as independent between tasks, whose data and networks differ. A task of one run makes limits and
+    p NaN. Differences that are all the same within every task leave no doubt (p = 0), or, of no size, no finding (p = 1).
+
+    Raises:
+        UserError: tasks that are not the same, other numbers of runs, or what `interval` raises.
+    """
+    check_level(level)
+    pairs = pairs_of(ours, theirs)
+    for task, x, y in pairs:
+        if len(x) != len(y):
+            raise UserError(
+                f"paired runs share seeds, but task {task!r} has {len(x)} runs of ours and {len(y)} of theirs: "
+                "give as many, or use probability_of_improvement"
+            )
+    gaps = [_moments(x - y) for _, x, y in pairs]
+    value = float(np.mean([gap[0] for gap in gaps]))
+    if min(len(x) for _, x, _ in pairs) < 2:
+        return Difference(value, *[math.nan] * 5)
+    error, dof = _pool([(gap[1] / len(pairs) ** 2, len(x) - 1) for gap, (_, x, _) in zip(gaps, pairs)])
+    if error == 0.0:
+        return Difference(value, value, value, float(value == 0.0), float(1.0 - np.sign(value)) / 2, dof)
+    half, t = error * float(stdtrit(dof, (1 + level) / 2)), value / error
+    return Difference(value, value - half, value + half, _two_sided(t, dof), float(stdtr(dof, -t)), dof)
+
+
+def _moments(runs: np.ndarray) -> tuple[float, float]:
+    """The mean, whatever the order of runs, and its variance, which is exactly 0 where all runs are the same."""
+    if np.ptp(runs) == 0.0:
+        return float(runs[0]), 0.0
+    return math.fsum(runs) / len(runs), float(np.sort(runs).var(ddof=1)) / len(runs)
+
+
+def _pool(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
+    """Standard error and degrees of freedom (Welch 1947, Satterthwaite 1946) of a sum, of (variance, dof) of its parts."""
+    variances, freedoms = np.array(parts, np.float64).T
+    total = float(variances.sum())
+    if total == 0.0:
+        return 0.0, float(freedoms.sum())
+    return math.sqrt(total), float(1.0 / (np.square(variances / total) / freedoms).sum())
+
+
+def _two_sided(t: float, dof: float) -> float:
+    return float(2.0 * stdtr(dof, -abs(t)))
+
+
+def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.ndarray]:
+    """Which cells of a table are bold: in each row the best mean, and all that Welch's t-test cannot tell from it (p > level).
+
+    The test is two-sided, and nothing is corrected for how many methods there are. Bold does not say that methods are
+    equal: the fewer the seeds, the more is bold. Where a cell or the best has one run there is no test, so only the best is
+    bold. Where neither varies, means decide. Cells of the same mean as the best are bold in any case.
+
+    Args:
+        columns: method -> its scores, higher being better; all methods must have the same tasks.
+        level: of significance.
+
+    Returns:
+        Method -> (tasks,) bool, tasks in the order of the first method.
+
+    Raises:
+        UserError: no method, tasks that are not the same, or numbers that are not finite.
+    """
+    check_level(level)
+    if not columns:
+        raise UserError("columns have no method: give at least one")
+    table = {method: by_task(scores, f"the scores of {method!r}") for method, scores in columns.items()}
+    first = next(iter(table))
+    for method in table:
+        same_tasks(table[first], table[method], repr(first), repr(method))
+    rows = [[_Cell.of(column[task]) for column in table.values()] for task in table[first]]
+    chosen = np.array([_bold_row(row, level) for row in rows])
+    return dict(zip(table, chosen.T))
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """Mean of some runs, its variance, and how many they are."""
+
+    mean: float
+    variance: float
+    runs: int
+
+    @classmethod
+    def of(cls, runs: np.ndarray) -> "_Cell":
+        return cls(*_moments(runs), len(runs))
+
+
+def _bold_row(row: list[_Cell], level: float) -> list[bool]:
+    top = max(cell.mean for cell in row)
+    leaders = [cell for cell in row if cell.mean == top]  # more than one: whichever is nearest decides, not the first
+    return [any(_alike(cell, best, level) for best in leaders) for cell in row]
+
+
+def _alike(cell: _Cell, best: _Cell, level: float) -> bool:
+    if cell.mean == best.mean:
+        return True
+    if min(cell.runs, best.runs) < 2:
+        return False
+    error, dof = _pool([(cell.variance, cell.runs - 1), (best.variance, best.runs - 1)])
+    return error > 0.0 and _two_sided((best.mean - cell.mean) / error, dof) > level
