@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from deadreckon.errors import UserError
-from deadreckon.ope.sensitivity import bounds, interval, stepwise_bounds, tipping, weight_box
+from deadreckon.ope.sensitivity import bounds, interval, tipping, weight_box
 
 
 def program(y, low, high, sign):
@@ -77,39 +77,6 @@ def test_zero_weights_and_none():
     assert least[1] == most[1] == pytest.approx(4 / 3)
     with pytest.raises(UserError, match="no episode"):
         bounds(y, np.full(3, -np.inf), np.full(3, -np.inf))
-
-
-def test_steps_by_hand():
-    """Two episodes, of two steps and of one: at each step the box of the product, and what has ended earns nothing."""
-    lengths, ended, x = np.array([2, 1]), np.array([True, True]), np.array([1.0, 4.0, 2.0])
-    ratios = np.log([2.0, 0.5, 1.0])
-    low, high = weight_box(ratios, 2.0)
-    least, most = stepwise_bounds(x, low, high, lengths, ended, 0.5, baseline=np.array([1.0, 3.0]))
-    # First step: weights 1 .. 4 of 1 and 0.5 .. 2 of 2. Second: 0.25 .. 4 of 4 and 0.5 .. 2 of 0.
-    assert least[0] == pytest.approx(2 + (4 * 1 + 0.5 * 2) / 4.5 + 0.5 * (0.25 * 4) / 2.25)
-    assert most[0] == pytest.approx(2 + (1 * 1 + 2 * 2) / 3 + 0.5 * (4 * 4) / 4.5)
-    # Cut off instead, it is not counted at the second step.
-    least, _ = stepwise_bounds(x, low, high, lengths, np.array([True, False]), 0.5)
-    assert least[0] == pytest.approx((4 * 1 + 0.5 * 2) / 4.5 + 0.5 * 4)
-    # One step each is no sequence.
-    y, ratios, behavior = small(1, 50)
-    box = weight_box(ratios, 2.0, behavior)
-    ones = np.ones(50, int)
-    np.testing.assert_allclose(stepwise_bounds(y, *box, ones, ones > 0, 0.9), bounds(y, *box))
-    # Whatever the true ratios in the box are, the estimate with them lies between.
-    rng = np.random.default_rng(0)
-    lengths, x, ratios = np.full(40, 3), rng.standard_normal(120), 0.3 * rng.standard_normal(120)
-    least, most = stepwise_bounds(x, *weight_box(ratios, 1.3), lengths, np.ones(40, bool), 0.9)
-    count = rng.multinomial(40, np.full(40, 1 / 40))
-    again = (3 * np.repeat(np.arange(40), count)[:, None] + np.arange(3)).ravel()
-    box = weight_box(ratios, 1.3)
-    np.testing.assert_allclose(
-        stepwise_bounds(x, *box, lengths, np.ones(40, bool), 0.9, counts=count[None]),
-        stepwise_bounds(x[again], box[0][again], box[1][again], lengths, np.ones(40, bool), 0.9),
-    )
-    for _ in range(200):
-        w = np.exp(np.cumsum((ratios + np.log(1.3) * rng.choice([-1, 1], 120)).reshape(40, 3), 1))
-        assert least[0] <= (0.9 ** np.arange(3) * (w * x.reshape(40, 3)).sum(0) / w.sum(0)).sum() <= most[0]
 
 
 def confounded(rng, n, strength):

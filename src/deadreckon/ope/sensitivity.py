@@ -21,7 +21,6 @@ from collections.abc import Callable
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.sequences import cumulate, starts_of
 from deadreckon.stats.interval import ALPHA
 
 CELLS = 4_000_000  # bootstrap samples by episodes that are held at a time
@@ -111,47 +110,6 @@ def _steps(beyond: np.ndarray, until: np.ndarray) -> np.ndarray:
     zero = np.zeros((len(beyond), 1))
     after = np.concatenate([np.cumsum(beyond[:, ::-1], 1)[:, ::-1], zero], 1)  # no differences, which would lose digits
     return after + np.concatenate([zero, np.cumsum(until, 1)], 1)
-
-
-def stepwise_bounds(
-    x: np.ndarray,
-    log_low: np.ndarray,
-    log_high: np.ndarray,
-    lengths: np.ndarray,
-    ended: np.ndarray,
-    discount: float,
-    baseline: np.ndarray | float = 0.0,
-    counts: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) least and largest self-normalised sum per decision, sum_t discount^t sum_i w_t x_t / sum_i w_t.
-
-    Each step has the extreme weights of its own box. As true weights of later steps contain those of earlier ones, these are
-    bounds, but not the sharpest; those of whole episodes (`bounds` of returns) are.
-
-    Args:
-        x: (rows,) rewards, or errors of a critic.
-        log_low: (rows,) logarithms of the least weights of each row's own action; here they are summed over the episode so far.
-        log_high: (rows,) those of the largest.
-        lengths: (episodes,) rows of each episode.
-        ended: (episodes,) whether it ended, and so keeps its last weight and earns nothing, or was cut off and is left out.
-        discount: per step.
-        baseline: (episodes,), or one number for all.
-        counts: (n, episodes) how often each episode counts in each redrawn log; None takes each once.
-    """
-    low, high = cumulate(log_low, lengths), cumulate(log_high, lengths)
-    first, alive_until = starts_of(lengths), np.asarray(lengths)
-    base = np.broadcast_to(np.asarray(baseline, float), alive_until.shape)
-    counts = np.ones((1, len(base))) if counts is None else counts
-    least = most = (counts @ base) / counts.sum(1)
-    for t in range(int(alive_until.max())):
-        inside = np.flatnonzero((alive_until > t) | ended)
-        row = first[inside] + np.minimum(t, alive_until[inside] - 1)
-        y = np.where(alive_until[inside] > t, x[row], 0.0)
-        if not np.isfinite(high[row].max()):
-            break  # no episode with a weight has come this far
-        down, up = bounds(y, low[row], high[row], counts=counts[:, inside])
-        least, most = least + discount**t * np.nan_to_num(down), most + discount**t * np.nan_to_num(up)
-    return least, most
 
 
 def interval(least: np.ndarray, most: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:

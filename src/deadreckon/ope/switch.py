@@ -48,24 +48,6 @@ def beyond(log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresho
     return np.stack([above(limit) for limit in _logs(thresholds)])
 
 
-def switch_bias(
-    log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray, span: float
-) -> np.ndarray:
-    """(thresholds,) upper bounds of the bias: `span` times the discounted share of the policy's time beyond the threshold.
-
-    Wang et al. 2017, where they tune tau, bound the critic's error by the range of the rewards; the share they take as an
-    expectation over all actions, here it is the mean of rho_{0:t} 1[rho_{0:t} > tau], which needs no more than the logged ones.
-
-    Args:
-        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
-        lengths: (episodes,) rows of each episode.
-        discount: per step.
-        thresholds: (thresholds,) as for the scores.
-        span: bound of the critic's expected error of one step, |E[r + discount V(s') - Q(s, a)]|, in units of the reward.
-    """
-    return span * beyond(log_ratios, lengths, discount, thresholds).mean(1)
-
-
 def _logs(thresholds: np.ndarray) -> np.ndarray:
     thresholds = np.asarray(thresholds, float)
     if not (thresholds >= 0).all():

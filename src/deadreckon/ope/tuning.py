@@ -1,4 +1,4 @@
-"""Which value of a parameter that trades bias for variance: by SLOPE, or by an upper bound of the squared error.
+"""Which value of a parameter that trades bias for variance: the one with the least upper bound of the squared error.
 
 Estimates are given as scores (grid, episodes), one row a value of the parameter, whose means over the episodes are the
 estimates. A choice looks at the scores that it gets; `cross_fitted` hands it only those of other folds, so that what an episode
@@ -8,47 +8,9 @@ adds is never scaled by a parameter that was chosen with it.
 from collections.abc import Callable
 
 import numpy as np
-from scipy import special
 
 from deadreckon.errors import UserError
 from deadreckon.stats.interval import ALPHA
-
-
-def slope(values: np.ndarray, widths: np.ndarray, factor: float = 2.0) -> int:
-    """Index of the estimate that SLOPE chooses: the narrowest whose interval still meets those of all wider ones.
-
-    Su, Srinath and Krishnamurthy 2020, algorithm 1: with the estimates sorted from the widest to the narrowest, so from the
-    least bias to the most, it is the last i for which the intervals value_j +- factor width_j of all j <= i share a point.
-    If the widths hold for all at once and bias does not fall as they do, its error is at most 6 (1 + 1 / kappa) times the least
-    sum of bias and width on the grid, where kappa is the least ratio of a width to the one before (their theorem). A bias is
-    seen only where it exceeds the widths of both intervals, so with few episodes the narrowest estimate is chosen.
-
-    Args:
-        values: (grid,) estimates.
-        widths: (grid,) half-widths of intervals around each estimate's own mean, without its bias; may be infinite.
-        factor: of the widths; 2 in the paper.
-
-    Raises:
-        UserError: no estimates, or widths that are no widths.
-    """
-    values, widths = np.asarray(values, float), np.asarray(widths, float)
-    if values.ndim != 1 or values.shape != widths.shape or not len(values):
-        raise UserError(f"SLOPE needs as many widths as estimates, at least one; got {values.shape} and {widths.shape}")
-    if not (np.isfinite(values).all() and (widths >= 0).all()):
-        raise UserError("SLOPE needs finite estimates and widths that are not negative")
-    order = np.argsort(-widths, kind="stable")
-    low = np.maximum.accumulate(values[order] - factor * widths[order])
-    high = np.minimum.accumulate(values[order] + factor * widths[order])
-    # Once empty, an intersection stays empty; the first interval meets itself.
-    return int(order[np.count_nonzero(low <= high) - 1])
-
-
-def half_widths(scores: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
-    """(grid,) half-widths t s / sqrt(n) of the mean scores, that hold for the whole grid at once (Bonferroni)."""
-    grid, n = scores.shape
-    if n < 2:
-        return np.full(grid, np.inf)
-    return special.stdtrit(n - 1, 1 - alpha / (2 * grid)) * scores.std(1, ddof=1) / np.sqrt(n)
 
 
 def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
