@@ -16,11 +16,13 @@ import numpy as np
 
 from deadreckon.bench.cluster import Cluster
 from deadreckon.bench.executor import run
+from deadreckon.bench.forms import rendered
+from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.local import Local
-from deadreckon.bench.plan import Job, Program, plan, programs
+from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
-from deadreckon.bench.tables import rendered, tables
+from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
 
 

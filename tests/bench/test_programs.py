@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 from deadreckon.bench.executor import Event, attempt, run
+from deadreckon.bench.forms import rendered
+from deadreckon.bench.identity import revisions_of
+from deadreckon.bench.jobs import programs
 from deadreckon.bench.local import Local
-from deadreckon.bench.plan import code, plan, programs
+from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
-from deadreckon.bench.tables import rendered, tables
+from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.tune import _estimated, tune
 from deadreckon.bench.tune import suite as tuning
@@ -66,7 +69,7 @@ class Here:
 
     def wait(self):
         program, self.program = self.program, None
-        what, told = attempt(program, code(), self.path, perform, lambda done, total: self.watch(program, done))
+        what, told = attempt(program, self.path, perform, lambda done, total: self.watch(program, done))
         return Event(what, program, told)
 
     def close(self):
@@ -239,6 +242,7 @@ def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
 def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):
     store, jobs = Store(tmp_path / "out"), planned()
     lost = [dataclasses.replace(job, on="no-such-log", data="no-such-log") for job in jobs]
+    lost = [dataclasses.replace(job, revisions=revisions_of(job)) for job in lost]
     events = []
     run("some", lost, store, events.append, Here(store.path))
     first, *others = events
@@ -252,7 +256,7 @@ def test_a_log_that_another_command_collects_leaves_the_program_to_it(planned, t
         raise BusyError("another command collects it")
 
     [program] = programs(planned())
-    assert attempt(program, code(), tmp_path, work, lambda done, total: None) == ("elsewhere", None)
+    assert attempt(program, tmp_path, work, lambda done, total: None) == ("elsewhere", None)
 
 
 def test_what_another_command_is_at_is_left_to_it(planned, tmp_path, capsys):

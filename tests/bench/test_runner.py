@@ -9,14 +9,20 @@ import signal
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from deadreckon.agents.bc import BC
 from deadreckon.bench.executor import run
+from deadreckon.bench.forms import rendered
+from deadreckon.bench.identity import revisions_of
+from deadreckon.bench.jobs import Program, programs
 from deadreckon.bench.local import Local, shares
-from deadreckon.bench.plan import Program, plan, programs
+from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import read
-from deadreckon.bench.tables import rendered, tables
+from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
@@ -56,6 +62,7 @@ def made(job, scores, failure=""):
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
     jobs = plan(suite)[:1]
     lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log", program=None)
+    lost = dataclasses.replace(lost, revisions=revisions_of(lost))
     store, events = Store(tmp_path / "out"), []
 
     def told(event):
@@ -131,23 +138,45 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     assert td3.startswith("score,maze2d-umaze-v1,TD3,2,50.05,")
 
 
-def test_results_of_other_code_are_shown_when_asked_for(suite, tmp_path, monkeypatch):
-    jobs, store = plan(suite), Store(tmp_path)
-    def by(name):
-        for place in ("plan", "store", "tables"):
-            monkeypatch.setattr(f"deadreckon.bench.{place}.code", lambda: name)
+def test_results_of_other_revisions_are_shown_when_asked_for_and_told(suite, tmp_path, monkeypatch):
+    store = Store(tmp_path)
 
-    for version, scores in (("a", (1.0, 2.0)), ("d", (3.0, 4.0)), ("c", (5.0, 6.0))):
-        by(version)
-        store.keep("small", jobs[0], made(jobs[0], scores))
-    by("b")
+    def at(revision):
+        monkeypatch.setattr(BC, "revision", revision)
+        return plan(suite)
+
+    for revision, scores in ((1, (1.0, 2.0)), (4, (3.0, 4.0)), (3, (5.0, 6.0))):
+        job = at(revision)[0]
+        store.keep("small", job, made(job, scores))
+    jobs = at(2)
     assert len(store.of(jobs)) == 0
-    assert len(store.of(jobs, any_code=True)) == 6
-    assert "5.5" in rendered(tables(suite, jobs, store, any_code=True))  # the newest
+    assert len(store.of(jobs, any_revision=True)) == 6
     assert "not run yet: 4 of 4 cells" in rendered(tables(suite, jobs, store))
-    assert "not run yet: 2 of 4 cells" in rendered(tables(suite, jobs, store, any_code=True))
-    by("d")
-    assert "3.5" in rendered(tables(suite, jobs, store, any_code=True))  # the present code's, though another is newer
+    shown = rendered(tables(suite, jobs, store, any_revision=True))
+    assert "5.5" in shown  # the newest
+    assert "not run yet: 2 of 4 cells" in shown
+    assert "2 of 2 results are of other revisions of their method or of the protocol" in shown
+    shown = rendered(tables(suite, at(4), store, any_revision=True))
+    assert "3.5" in shown  # the present revision's, though another is newer
+    assert "other revisions" not in shown
+
+
+def test_results_from_when_the_source_was_hashed_are_other_revisions(suite, tmp_path):
+    """They hold a digest of the source in place of revisions, which was part of their cells' names, and fields' older names."""
+    store, job = Store(tmp_path), plan(suite)[1]
+    store.keep("small", job, made(job, (1.0, 2.0)))
+    [part] = (tmp_path / "results").iterdir()
+    rows = pq.read_table(part).to_pylist()
+    for row in rows:
+        del row["revisions"]
+        row |= {"cell": f"old{row['seed']}", "content": "as it was then", "code": "0f"}
+        row["settings"] = row["settings"].replace('"policy_noise"', '"noise"')
+    pq.write_table(pa.Table.from_pylist(rows), part)
+    assert len(store.of([job])) == 0
+    assert store.undone([job]) == [job]
+    shown = rendered(tables(suite, [job], store, any_revision=True))
+    assert "1.5" in shown
+    assert "2 of 2 results are of other revisions" in shown
 
 
 def test_jobs_that_are_the_same_by_content_are_done_once(suite, tmp_path):

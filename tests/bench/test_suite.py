@@ -7,7 +7,8 @@ import sys
 import pytest
 
 from deadreckon import UserError
-from deadreckon.bench.plan import agent_of, plan
+from deadreckon.bench.jobs import agent_of
+from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import names, read
 
 SMALL = """
@@ -70,7 +71,8 @@ def test_cells_are_named_by_all_that_their_numbers_depend_on(written):
     assert whole.cell(0) == plan(read(written(SMALL.replace("hidden = [8]", "hidden = [8], lr = 1.0"))))[0].cell(0)
     # What a table calls it changes nothing, nor does which seeds share its program.
     assert dataclasses.replace(job, method="cloning", seeds=(0, 1)).cell(0) == job.cell(0)
-    assert job.cell(0, with_code=False) != job.cell(0)
+    assert dataclasses.replace(job, revisions={}).cell(0) != job.cell(0)
+    assert dataclasses.replace(job, revisions={}).content(0) == job.content(0)
 
 
 def test_names_are_the_same_in_every_process(written):

@@ -8,8 +8,9 @@ import pytest
 
 from deadreckon.agents import agent_class
 from deadreckon.bench import tune as module
+from deadreckon.bench.jobs import Program
 from deadreckon.bench.local import Local
-from deadreckon.bench.plan import Program, plan
+from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Found, Store
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune

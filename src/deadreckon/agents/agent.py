@@ -25,12 +25,15 @@ class Agent(eqx.Module):
     The comment behind a field becomes its help on the command line.
 
     Attributes:
+        revision: raised in the class whose code has changed what is learned or how it acts; here for what all agents share
+            (class attribute). Results of suites are told apart by it (see bench/identity.py).
         supports_discrete: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
         supports_images: whether it takes observations of any shape instead of flat ones (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
     """
 
+    revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     offline: ClassVar[bool] = True

@@ -30,6 +30,7 @@ FRESH = 0.05  # share of the present critics in what follows
 class AlgaeDICE(SAC):
     """Policy gradients from arbitrary experience by DICE."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor

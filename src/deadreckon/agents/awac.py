@@ -29,6 +29,7 @@ class State(NamedTuple):
 class AWAC(Agent):
     """Twin critics, and imitation weighted by exp(advantage / temperature)."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"draws": "samples", "lambda": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

@@ -33,6 +33,7 @@ class State(NamedTuple):
 class AWR(Agent):
     """Advantage-weighted regression."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"trace": "td_lambda", "lambda": "td_lambda", "beta": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

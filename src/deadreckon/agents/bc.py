@@ -28,6 +28,7 @@ class BC(Agent):
     """Behaviour cloning with a tanh-Gaussian network, the VAE that the thesis used as its baseline (A.4), or a Gaussian whose
     draws are clipped, for logs with many actions at the bounds."""
 
+    revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = True
 
     lr: NonNegative = 3e-4  # learning rate of the policy

@@ -38,6 +38,7 @@ class State(NamedTuple):
 class BCQ(Agent):
     """Batch-constrained Q-learning."""
 
+    revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {
         "reach": "max_perturbation", "phi": "max_perturbation", "share": "threshold", "lambda": "min_weight",

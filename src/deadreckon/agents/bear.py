@@ -44,6 +44,7 @@ class State(NamedTuple):
 class BEAR(Agent):
     """Bootstrapping error accumulation reduction, with every option that the thesis describes."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"epsilon": "threshold", "lambda": "min_weight"}
 
     base: Literal["td3", "sac"] = static("td3")  # base algorithm: "td3" has no entropy (Algorithm 1), "sac" a bonus for it

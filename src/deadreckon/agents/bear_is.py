@@ -1,6 +1,6 @@
 """Importance-sampled BEAR (thesis A.3, Algorithm 5): a set policy bounds the actions, the actor is weighted within it."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +37,8 @@ class ISBEAR(bear.BEAR):
     samples (line 5). Line 9 takes the advantage instead of Q, see `weighted_loss`. Base "td3" only; the constraint is always
     on the set policy, and `actor_samples` has no part.
     """
+
+    revision: ClassVar[int] = 1
 
     delta: Fraction = 0.5  # confidence of the bound on the disagreement of the critics; undeclared in the thesis
     ratio_min: NonNegative = 0.5  # lower clip of the importance ratio (beta_1); undeclared in the thesis

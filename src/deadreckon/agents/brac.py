@@ -39,6 +39,7 @@ class State(NamedTuple):
 class BRAC(Agent):
     """Behaviour-regularised actor-critic; the value form is BRAC-v, the other BRAC-p."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"value_form": "value_penalty", "draws": "samples"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

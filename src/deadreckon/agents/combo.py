@@ -23,6 +23,7 @@ from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative,
 class COMBO(OfflineMBRL):
     """SAC on rollouts, with conservative critics."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"conservatism": "cql_weight", "beta": "cql_weight", "draws": "samples"}
 
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer

@@ -37,6 +37,7 @@ class CQLState(NamedTuple):
 class CQL(SAC):
     """SAC with conservative critics."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {

@@ -3,7 +3,7 @@
 Twin critics with squared errors stand for the paper's distributional ones.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 
@@ -13,6 +13,8 @@ from deadreckon.training.hyperparameters import Count, Positive, static
 
 class CRR(AWAC):
     """AWAC with several draws, and weights of 0 and 1, or exponential ones."""
+
+    revision: ClassVar[int] = 1
 
     samples: Count = static(4)  # actions sampled from the policy to estimate its value
     max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor, with filter="exp"

@@ -49,6 +49,7 @@ class State(NamedTuple):
 class DAPG(Agent):
     """Natural policy gradients from cloned demonstrations, whose likelihood counts for a while."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "return_to_go")

@@ -36,6 +36,7 @@ class State(NamedTuple):
 class DecisionTransformer(Agent):
     """Imitation given returns-to-go."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {
         "decay": "weight_decay", "gradient_norm": "max_grad_norm", "ask": "target_return", "warm_up": "warmup_steps",
         "window": "context_length",

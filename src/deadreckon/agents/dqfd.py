@@ -22,6 +22,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, static
 class DQfD(TD3):
     """TD3 with a large-margin loss."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"draws": "samples"}
 
     margin: NonNegative = 0.8  # margin by which logged actions have to be better than others

@@ -38,6 +38,7 @@ class State(NamedTuple):
 class FQL(Agent):
     """Flow Q-learning."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"imitation": "alpha"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

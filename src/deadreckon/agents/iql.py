@@ -34,6 +34,7 @@ class State(NamedTuple):
 class IQL(Agent):
     """Expectile values and weighted imitation."""
 
+    revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 

@@ -21,6 +21,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, static
 class KLControl(SAC):
     """SAC that pays for its divergence from the log's policy."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
 
     target_kl: NonNegative = 1.0  # target KL divergence of the policy from the behaviour model, in nats

@@ -14,6 +14,7 @@ from deadreckon.training.hyperparameters import Count, Sizes, UnitInterval, stat
 class MBPO(ModelledSAC):
     """SAC on branched rollouts of an ensemble."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollouts_per_step", "keep": "retain_steps", "most": "model_buffer_size",
         "real": "real_ratio",

@@ -26,6 +26,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Number, stat
 class MOBILE(OfflineMBRL):
     """SAC on rollouts whose values are penalised by the model's Bellman inconsistency."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"floor": "min_target", "penalty_coef": "penalty", "draws": "samples"}
 
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus

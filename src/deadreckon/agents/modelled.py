@@ -33,6 +33,7 @@ _OTHERS = {"rollout_length": (1, 1, 1, 2), "retain_steps": 1000, "model_hidden":
 class Modelled(Agent):
     """An agent with an ensemble. Fields that are None come from the task: see `PRESETS`."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"model_decay": "model_weight_decay", "ends": "termination"}
 
     members: Count = static(7)  # number of networks in the ensemble
@@ -88,6 +89,7 @@ class Modelled(Agent):
 class ModelledOnline(Modelled):
     """A modelled agent that learns by acting. `online.model_learning` fits the ensemble in its state, `model`, anew."""
 
+    revision: ClassVar[int] = 1
     offline: ClassVar[bool] = False
     other_names: ClassVar[dict[str, str]] = {"model_every": "model_train_freq"}
 
@@ -106,3 +108,5 @@ class ModelledOnline(Modelled):
 
 class ModelledSAC(ModelledOnline, SAC):
     """SAC, online, with an ensemble in its state."""
+
+    revision: ClassVar[int] = 1

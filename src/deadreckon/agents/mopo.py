@@ -19,6 +19,7 @@ from deadreckon.training.hyperparameters import NonNegative
 class MOPO(OfflineMBRL):
     """SAC on rollouts whose rewards are penalised by the model's deviation."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"lambda": "penalty", "penalty_coef": "penalty"}
 
     penalty: NonNegative = 1.0  # penalty per unit of predicted standard deviation (lambda; published: 0.5 to 5, by log)

@@ -24,6 +24,7 @@ _ROWS = 10_000  # of the log, from which the threshold is taken
 class MOReL(OfflineMBRL):
     """SAC in a world that ends where the model does not know it."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"familiar": "trusted_quantile"}
 
     trusted_quantile: UnitInterval = 0.99  # quantile of the disagreement on logged transitions that is the threshold

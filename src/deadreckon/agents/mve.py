@@ -8,7 +8,7 @@ comes after it:
 The thesis prints discount^H and 1/H. With H = 0 it is SAC. As in SAC, values hold the entropy bonus of the actions to come.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ class Expansion(NamedTuple):
 
 class MVE(ModelledSAC):
     """SAC whose critics learn from H-step targets in an ensemble."""
+
+    revision: ClassVar[int] = 1
 
     horizon: CountOrZero = static(1)  # rollout horizon H in steps of the model; 0 is SAC
 

@@ -31,6 +31,7 @@ class ModelBuffer(NamedTuple):
 class OfflineMBRL(Modelled, SAC):
     """SAC on logged and made-up rows."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollout_batch_size", "keep": "retain_rounds",
         "logged_rows": "real_batch_size",

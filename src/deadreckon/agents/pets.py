@@ -25,6 +25,7 @@ class State(NamedTuple):
 class PETS(ModelledOnline):
     """Planning with trajectory sampling; its settings are those published for HalfCheetah."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"chosen": "cem_elites", "iterations": "cem_iterations"}
 

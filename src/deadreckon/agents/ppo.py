@@ -39,6 +39,7 @@ class State(NamedTuple):
 class PPO(Agent):
     """Clipped policy gradients on what the policy has just done."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "action", "behavior_log_prob", "return_to_go", "advantage")

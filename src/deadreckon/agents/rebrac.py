@@ -15,6 +15,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, stati
 class ReBRAC(TD3):
     """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"actor_bc_coef": "actor_penalty", "critic_bc_coef": "critic_penalty"}
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor

@@ -21,6 +21,7 @@ from deadreckon.training.hyperparameters import Count, static
 class REM(SAC):
     """SAC on mixtures of critics."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
     supports_discrete: ClassVar[bool] = True
 

@@ -33,6 +33,7 @@ class State(NamedTuple):
 class SAC(Agent):
     """Several critics, tanh-Gaussian actor, entropy held at a target."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"backup_entropy": "entropy_backup", "init_temperature": "temperature"}
 

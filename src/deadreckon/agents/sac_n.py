@@ -9,6 +9,7 @@ from deadreckon.training.hyperparameters import Count, Sizes, static
 class SACN(SAC):
     """SAC with an ensemble of critics."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
 
     critics: Count = static(10)

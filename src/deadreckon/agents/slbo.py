@@ -17,6 +17,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weigh
 class SLBO(ModelledOnline, PPO):
     """PPO on episodes in a deterministic model."""
 
+    revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     other_names: ClassVar[dict[str, str]] = {"length": "rollout_length"}

@@ -8,7 +8,7 @@ its steps. With mean and variance over both,
 so that the model is used as far as networks and critics agree on it. The horizons of a row share their draws of the policy.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ class Target(NamedTuple):
 
 class STEVE(ModelledSAC):
     """SAC whose targets weigh all horizons of an ensemble's rollouts."""
+
+    revision: ClassVar[int] = 1
 
     horizon: CountOrZero = static(3)  # largest rollout horizon H in steps of the model
     critics: Count = static(4)  # number of Q-networks, whose variance is part of the weights

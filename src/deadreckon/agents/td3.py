@@ -28,6 +28,7 @@ class State(NamedTuple):
 class TD3(Agent):
     """Twin critics, smoothed targets, delayed deterministic actor; nothing holds it to the log."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"noise": "policy_noise", "actor_every": "policy_freq", "normalise": "layer_norm"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

@@ -1,5 +1,7 @@
 """TD3+BC (Fujimoto and Gu 2021): TD3 whose actor also imitates the log."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -10,6 +12,8 @@ from deadreckon.training.hyperparameters import NonNegative, static
 
 class TD3BC(TD3):
     """TD3 with one more term in the actor's loss, and standardised observations."""
+
+    revision: ClassVar[int] = 1
 
     alpha: NonNegative = 2.5  # weight of the value relative to imitation (eq. 5)
     standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1 (eq. 6)

@@ -12,6 +12,7 @@ from deadreckon.training.hyperparameters import NonNegative, Positive
 class XQL(IQL):
     """IQL with the Gumbel loss instead of expectiles (the field `expectile` has no part in it)."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"temperature": "loss_temperature", "most_gap": "max_clip"}
 
     loss_temperature: Positive = 2.0

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from deadreckon.bench.executor import Event, Work, attempt
-from deadreckon.bench.plan import Program, code
+from deadreckon.bench.jobs import Program
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
@@ -78,7 +78,7 @@ class Cluster:
 
     def begin(self, program: Program) -> None:
         """Hands the program to the cluster."""
-        given = program, code(), self._path, self._work, self._inbox, Path.cwd(), *self._holds
+        given = program, self._path, self._work, self._inbox, Path.cwd(), *self._holds
         self._running[self._task.remote(*given)] = program
         self._names[program.name] = program
 
@@ -134,7 +134,7 @@ class _Inbox:
 
 
 def _task(
-    program: Program, planned: str, path: Path, work: Work, inbox: Any, where: Path, cpus: int, gpus: float
+    program: Program, path: Path, work: Work, inbox: Any, where: Path, cpus: int, gpus: float
 ) -> tuple[str, Any]:
     """In a process of Ray's, which does one task after the other; `where` is what relative names of logs are relative to."""
     _pin(cpus)
@@ -145,7 +145,7 @@ def _task(
     if where.is_dir():
         os.chdir(where)
     inbox.tell.remote(program.name, "begun", None)
-    return attempt(program, planned, path, work, lambda done, total: inbox.tell.remote(program.name, "progress", (done, total)))
+    return attempt(program, path, work, lambda done, total: inbox.tell.remote(program.name, "progress", (done, total)))
 
 
 _held: list[BinaryIO] | None = None  # locks of this process's cores

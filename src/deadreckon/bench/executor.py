@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from deadreckon.bench.plan import Job, Program, code, programs
+from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.store import Found, Store
 from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
@@ -110,18 +110,15 @@ def _judged(event: Event, lost: Counter[str]) -> Event:
     return event
 
 
-def attempt(program: Program, planned: str, path: Path, work: Work, watch: Progress) -> tuple[str, Any]:
+def attempt(program: Program, path: Path, work: Work, watch: Progress) -> tuple[str, Any]:
     """In a worker: does a program, and says how it ended: `done`, `failed` or `elsewhere`, and what goes with it.
 
     Args:
         program: the program.
-        planned: the code that it was planned with; under its name may lie results of that code alone.
         path: the store's folder.
         work: does it.
         watch: called as it goes; its `BrokenPipeError` passes, because then nobody listens.
     """
-    if planned != code():
-        return "failed", ("the package's source is another where it would run; install the same there, or run it again", "")
     folder = Store(path).folder(program)
     try:
         with alone(folder):  # of all that write to it

@@ -9,7 +9,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from deadreckon.bench.executor import Event, Work, attempt
-from deadreckon.bench.plan import Program, code
+from deadreckon.bench.jobs import Program
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
@@ -78,7 +78,7 @@ class _Worker:
     """A process that does one program after the other."""
 
     def __init__(self, cores: list[int], path: Path, work: Work):
-        self.given = code(), cores, path, work
+        self.given = cores, path, work
         self.program: Program | None = None
         self.process: SpawnProcess | None = None
 
@@ -116,7 +116,7 @@ class _Worker:
             self.process.join()
 
 
-def _serve(pipe: Connection, planned: str, cores: list[int], path: Path, work: Work) -> None:
+def _serve(pipe: Connection, cores: list[int], path: Path, work: Work) -> None:
     """The process: on its cores, one program after the other until the pipe is closed."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)  # before anything starts threads
@@ -125,4 +125,4 @@ def _serve(pipe: Connection, planned: str, cores: list[int], path: Path, work: W
         while True:
             program: Program = pipe.recv()
             pipe.send(("begun", None))
-            pipe.send(attempt(program, planned, path, work, lambda done, total: pipe.send(("progress", (done, total)))))
+            pipe.send(attempt(program, path, work, lambda done, total: pipe.send(("progress", (done, total)))))

@@ -20,13 +20,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from deadreckon.bench.plan import Job, Program, code, file_name
+from deadreckon.bench.jobs import Job, Program, file_name
 from deadreckon.files import read_json, replacing, write_json
 
 RESULT = pa.schema(
     [
-        ("cell", pa.string()),  # content-derived name, the code included
-        ("content", pa.string()),  # the same without the code
+        ("cell", pa.string()),  # content-derived name, the revisions included
+        ("content", pa.string()),  # the same without the revisions
         ("suite", pa.string()),
         ("kind", pa.string()),
         ("method", pa.string()),
@@ -43,7 +43,7 @@ RESULT = pa.schema(
         ("failure", pa.string()),  # of this seed: which metric was not finite, and when
         ("seconds", pa.float64()),  # of the whole program, since it was last begun
         ("steps", pa.int64()),
-        ("code", pa.string()),
+        ("revisions", pa.string()),  # JSON; missing where the source was hashed instead, which is no revision of today's
         ("versions", pa.string()),  # JSON
         ("job", pa.string()),  # its run folder in `runs`
     ]
@@ -98,11 +98,11 @@ class Store:
         """
         common = {
             "suite": suite, "kind": job.kind, "method": job.method, "agent": job.agent, "settings": json.dumps(job.settings),
-            "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.asked), "code": code(),
-            "job": run or job.name,
+            "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.asked), "job": run or job.name,
+            "revisions": json.dumps(job.revisions),
         }  # fmt: skip
         rows = [
-            common | {"cell": job.cell(row["seed"]), "content": job.cell(row["seed"], with_code=False)} | row
+            common | {"cell": job.cell(row["seed"]), "content": job.content(row["seed"])} | row
             for row in found.rows
         ]
         for kind, schema, table in (("curves", CURVE, found.curves), ("results", RESULT, rows)):
@@ -139,14 +139,30 @@ class Store:
         tables = [_read(part, when) for when, _, part in parts]
         return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")  # older parts may lack a column
 
-    def of(self, jobs: Sequence[Job], any_code: bool = False) -> pa.Table:
-        """The rows of these jobs' cells; with `any_code` also those made by other versions of the methods' code."""
-        wanted = [job.cell(seed, with_code=not any_code) for job in jobs for seed in job.seeds]
-        found = self.results()
-        found = found.filter(np.isin(found["content" if any_code else "cell"].to_numpy(), wanted))
+    def of(self, jobs: Sequence[Job], any_revision: bool = False) -> pa.Table:
+        """The rows of these jobs' cells; with `any_revision` also those that other revisions of the code made."""
+        wanted = [name(seed) for job in jobs for name in [job.content if any_revision else job.cell] for seed in job.seeds]
+        found = _with_present_names(self.results()) if any_revision else self.results()
+        found = found.filter(np.isin(found["content" if any_revision else "cell"].to_numpy(), wanted))
         # Two commands that pack seeds otherwise may have done a cell both; the newer counts.
         last = {cell: i for i, cell in enumerate(found["cell"].to_pylist())}
         return found.take(pa.array(sorted(last.values()), pa.int64()))
+
+
+def _with_present_names(rows: pa.Table) -> pa.Table:
+    """Rows whose `content` is what it would be today: fields of agents may have had other names when they were written."""
+    from deadreckon.agents import agent_class
+    from deadreckon.training.field_names import with_field_names
+
+    contents = []
+    for row in rows.to_pylist():
+        settings = json.loads(row["settings"])
+        if row["kind"] in ("learn", "online"):
+            settings = with_field_names(agent_class(row["agent"]), settings)
+        job = Job(**{name: row[name] for name in ("kind", "method", "agent", "preset", "on", "data")}, settings=settings,
+                  asked=json.loads(row["asked"]), seeds=(row["seed"],))  # fmt: skip
+        contents.append(job.content(row["seed"]))
+    return rows.set_column(rows.schema.get_field_index("content"), "content", pa.array(contents, pa.string()))
 
 
 @cache

@@ -1,9 +1,6 @@
 """A suite's results as a table: means with intervals, the bold rule, published numbers beside them, and what is missing."""
 
-import csv
 import dataclasses
-import io
-import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +10,9 @@ import numpy as np
 
 from deadreckon.agents import agent_class
 from deadreckon.bench import published
-from deadreckon.bench.plan import Job, code
+from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
-from deadreckon.errors import unknown
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
@@ -34,7 +30,6 @@ SOURCES = {
     "ope": "appendix E.2, on D4RL's logs and DOPE's policies, means over redrawn ones: neither the same data nor policies",
 }
 SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
-FORMATS = ("text", "markdown", "csv", "latex")
 # Agents in the thesis's Table 7.1; BRAC has a name for each form.
 THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
 
@@ -111,29 +106,30 @@ class Table:
     notes: tuple[str, ...]
 
 
-def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_code: bool = False) -> list[Table]:
+def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool = False) -> list[Table]:
     """What is known of a suite: a table a metric of its kind.
 
     Args:
         suite: the suite.
         jobs: its plan.
         store: where results lie.
-        any_code: take results of other versions of the methods' code, too.
+        any_revision: take results that other revisions of a method or the protocol made, too, where the present ones have none.
     """
-    return [_table(suite, metric, jobs, store, any_code) for metric in METRICS[suite.kind]]
+    return [_table(suite, metric, jobs, store, any_revision) for metric in METRICS[suite.kind]]
 
 
-def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_code: bool) -> Table:
-    column = "content" if any_code else "cell"
+def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_revision: bool) -> Table:
+    column, name = ("content", Job.content) if any_revision else ("cell", Job.cell)
+    present = {cell for job in jobs for cell in job.cells}
     by_cell: dict[str, dict[str, Any]] = {}
-    for row in store.of(jobs, any_code).to_pylist():  # the newest last; of the present code, where there are any
+    for row in store.of(jobs, any_revision).to_pylist():  # the newest last; of the present revisions, where there are any
         known = by_cell.get(row[column])
-        if known is None or row["code"] == code() or known["code"] != code():
+        if known is None or row["cell"] in present or known["cell"] not in present:
             by_cell[row[column]] = row
     cells: dict[str, dict[str, Cell]] = {}
     shown: list[dict[str, Any]] = []
     for job in jobs:
-        names = [job.cell(seed, with_code=not any_code) for seed in job.seeds]
+        names = [name(job, seed) for seed in job.seeds]
         own = [by_cell[name] | {"method": job.method, "on": job.on} for name in names if name in by_cell]
         shown += own
         before = cells.setdefault(job.method, {}).get(job.on, Cell(np.zeros(0), 0, 0))
@@ -148,7 +144,7 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     full = {method: row for method, row in cells.items() if metric.joint and all(cell.sound for cell in row.values())}
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
     printed = {on: _printed(suite, on, metric) for on in suite.on}
-    missing = [(job, s) for job in jobs for s in job.seeds if job.cell(s, with_code=not any_code) not in by_cell]
+    missing = [(job, s) for job in jobs for s in job.seeds if name(job, s) not in by_cell]
     notes = [f"{suite.seeds} seeds; means with Student's {PERCENT} intervals over seeds, wide where these are few"]
     if any(printed.values()):
         notes.append(f"thesis: {SOURCES[suite.kind]}")
@@ -191,9 +187,9 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     blind = sorted({row["on"] for row in found if row["kind"] == "learn" and np.isnan(row["score"])})
     if blind:
         notes.append(f"no simulator to judge in, so no scores: {', '.join(blind)}")
-    codes = {row["code"] for row in found}
-    if len(codes) > 1:
-        notes.append(f"results of {len(codes)} versions of the methods' code stand side by side")
+    present = {cell for job in jobs for cell in job.cells}
+    if others := sum(row["cell"] not in present for row in found):
+        notes.append(f"{others:,} of {len(found):,} results are of other revisions of their method or of the protocol")
     versions = [json.loads(row["versions"]) for row in found]
     known = {name: sorted({str(each[name]) for each in versions if name in each}) for name in SHOWN}
     if told := [f"{name} {' and '.join(values)}" for name, values in known.items() if values]:
@@ -220,88 +216,3 @@ def _tuned(jobs: Sequence[Job]) -> list[str]:
     found = list(dict.fromkeys(found))
     told = "settings published for a task that the thesis keeps for evaluation (Table D.3), tuned on it"
     return [f"{told}: {', '.join(found)}"] if found else []
-
-
-# ---- forms ------------------------------------------------------------------------------------------------------------
-
-
-def rendered(tables: Sequence[Table], form: str = "text") -> str:
-    """The tables as text, Markdown, CSV or LaTeX, with the notes that they have in common.
-
-    Raises:
-        UserError: an unknown form.
-    """
-    if form not in FORMATS:
-        raise unknown("format", form, FORMATS)
-    if form == "csv":
-        return _csv(tables)
-    grid, note = {"text": (_text, "{}"), "markdown": (_markdown, "- {}"), "latex": (_latex, "% {}")}[form]
-    parts = [grid(table) for table in tables]
-    if len(tables) > 1:
-        title = {"text": "{}", "markdown": "**{}**", "latex": "% {}"}[form]
-        heads = [f"{t.metric.words}, {'more' if t.metric.higher else 'less'} is better" for t in tables]
-        parts = [f"{title.format(head)}\n\n{part}" for head, part in zip(heads, parts)]
-    notes = dict.fromkeys(line for table in tables for line in table.notes)
-    return "\n".join(["\n\n".join(parts), "", *(note.format(line) for line in notes)])
-
-
-def _grid(table: Table, mark: str) -> list[list[str]]:
-    """Heads, a row per log, task or problem with the thesis's scores below, and the interquartile means."""
-    methods, digits = list(table.cells), table.metric.digits
-    rows = [["", *methods]]
-    for on in table.suite.on:
-        row = [on]
-        for method in methods:
-            cell = table.cells[method][on]
-            text = f"{cell.estimate:.{digits}f}" if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
-            text = mark.format(text) if cell.bold else text
-            counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
-            row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
-        rows.append(row)
-        if table.printed[on]:
-            theirs = table.printed[on]
-            rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
-    if len(table.suite.on) > 1 and table.metric.joint:
-        rows.append(["IQM of all", *(f"{table.whole[m]:.{digits}f}" if m in table.whole else "-" for m in methods)])
-    return rows
-
-
-def _text(table: Table) -> str:
-    rows = _grid(table, "*{}")
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
-    rule = "  ".join("-" * w for w in widths)
-    legend = ["* best, or not told from it by Welch's t-test (p > 0.05)"] if any("*" in c for row in rows for c in row) else []
-    return "\n".join([lines[0], rule, *lines[1:], *(["", *legend] if legend else [])])
-
-
-def _markdown(table: Table) -> str:
-    head, *rows = ([cell.replace("|", r"\|") for cell in row] for row in _grid(table, "**{}**"))
-    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
-    lines += ["| " + " | ".join(cell.strip() for cell in row) + " |" for row in rows]
-    return "\n".join(lines)
-
-
-def _latex(table: Table) -> str:
-    def safe(text: str) -> str:
-        for sign in "&%_#$":
-            text = text.replace(sign, f"\\{sign}")
-        return text.replace("^", r"\^{}").replace("~", r"\~{}")
-
-    head, *rows = ([safe(cell.strip()) for cell in row] for row in _grid(table, r"\textbf{{{}}}"))
-    lines = [r"\begin{tabular}{l" + "r" * (len(head) - 1) + "}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
-    lines += [" & ".join(row) + r" \\" for row in rows]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
-
-
-def _csv(tables: Sequence[Table]) -> str:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"])
-    for table, on in itertools.product(tables, tables[0].suite.on):
-        for method, row in table.cells.items():
-            cell = row[on]
-            numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if len(cell.scores) else [""] * 3
-            told = [len(cell.scores), *numbers, int(cell.bold), cell.missing, cell.failed]
-            writer.writerow([table.metric.column, on, method, *told, table.printed[on].get(method, "")])
-    return out.getvalue().rstrip("\n")

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
-from deadreckon.bench.plan import Program
+from deadreckon.bench.jobs import Program
 from deadreckon.bench.store import Store
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from deadreckon.agents import agent_class, space
 from deadreckon.bench.executor import Executor, Told, run
-from deadreckon.bench.plan import Job, plan
+from deadreckon.bench.jobs import Job
+from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.data import catalogue

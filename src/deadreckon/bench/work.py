@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.bench.plan import Job, Program, agent_of, code, designer_of, estimator_of, turns
+from deadreckon.bench.identity import of_fits, revisions_of
+from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, turns
 from deadreckon.bench.store import Found
 from deadreckon.errors import UserError
-from deadreckon.files import alone
+from deadreckon.files import alone, digest
 from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
@@ -25,8 +26,15 @@ def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list
 
     Returns:
         What was found of each of its jobs.
+
+    Raises:
+        UserError: it was planned with other revisions of the code than there are here.
     """
     job, *others = program.jobs
+    for each in program.jobs:
+        if (here := revisions_of(each)) != each.revisions:
+            planned = f"{each.method} on {each.on} was planned at revisions {each.revisions}, where it would run are {here}"
+            raise UserError(f"{planned}; install the same package there, or run the command again")
     if others:
         return _learn_together(program, folder, watch)
     return [{"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job, folder, watch)]
@@ -150,8 +158,8 @@ def _ope(job: Job, folder: Path, watch: Progress) -> Found:
 
     log, task = _log(job), of_log(job.on)
     assert task is not None  # the plan has refused it
-    # Estimators of one log share fits, such as the behaviour model: whoever comes first makes them. Never with other code.
-    shared, rows = folder.parent / f"ope-{code()}", []
+    # Estimators of one log share fits, such as the behaviour model: whoever comes first makes them. Never of other revisions.
+    shared, rows = folder.parent / f"ope-{digest(of_fits(), 8)}", []
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
     for seed in job.seeds:
         [result] = evaluate_log(log, task.name, [estimator_of(job)], seed=seed, out=shared, watch=told)

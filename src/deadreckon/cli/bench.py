@@ -34,7 +34,7 @@ class Show:
     suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
     out: str = "runs/bench"  # folder of the results
     format: Literal["text", "markdown", "csv", "latex"] = "text"  # format of the table
-    any_code: bool = False  # whether to show results of other versions of the methods too
+    any_revision: bool = False  # whether to show results of other revisions of the methods and the protocol too
 
 
 @dataclass
@@ -61,22 +61,24 @@ def _list(args: Sequence[str]) -> None:
 
 
 def _show(args: Sequence[str]) -> None:
+    from deadreckon.bench.forms import rendered
     from deadreckon.bench.plan import plan
     from deadreckon.bench.store import Store
     from deadreckon.bench.suite import read
-    from deadreckon.bench.tables import rendered, tables
+    from deadreckon.bench.tables import tables
 
     options = parse(Show, args, "bench show")
     suite = read(options.suite)
-    print(rendered(tables(suite, plan(suite), Store(Path(options.out)), options.any_code), options.format))
+    print(rendered(tables(suite, plan(suite), Store(Path(options.out)), options.any_revision), options.format))
 
 
 def _run(options: Bench) -> None:
     from deadreckon.bench.executor import run
+    from deadreckon.bench.forms import rendered
     from deadreckon.bench.plan import plan
     from deadreckon.bench.store import Store
     from deadreckon.bench.suite import read
-    from deadreckon.bench.tables import rendered, tables
+    from deadreckon.bench.tables import tables
 
     suite = read(options.suite)
     plan(suite)  # refuses what cannot be run before a cluster is joined
@@ -95,7 +97,7 @@ def _run(options: Bench) -> None:
 
 def announce(suite, jobs, store, executor, each: bool):
     """Says what is to be done and how long it may take, job by job if `each`, and gives it."""
-    from deadreckon.bench.plan import programs
+    from deadreckon.bench.jobs import programs
     from deadreckon.bench.times import forecast
     from deadreckon.runs.durations import in_words
 
@@ -154,7 +156,7 @@ class Lines:
 
 def _page(suite, jobs, store):
     """The suite's page, which links to one per log or task."""
-    from deadreckon.bench.plan import file_name
+    from deadreckon.bench.jobs import file_name
     from deadreckon.bench.tables import tables
     from deadreckon.report import write
     from deadreckon.report.suite import write_suite

@@ -12,6 +12,8 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError, unknown
 
+REVISION = 1  # of what batches hold for given rows; raised where their numbers change (see bench/identity.py)
+
 
 class Batch(NamedTuple):
     """A minibatch; fields that were not asked for are None. `b` rows, or `b, window` where windows were asked for.

@@ -1,5 +1,7 @@
 """What any designer has to beat: the best designs of the data, and designs at random."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from deadreckon.errors import UserError
@@ -8,6 +10,8 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 
 class BestOfData(Designer):
     """The designs of the data with the highest scores, as they are."""
+
+    revision: ClassVar[int] = 1
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """The same for every seed.
@@ -24,6 +28,8 @@ class BestOfData(Designer):
 
 class Random(Designer):
     """Each variable drawn for itself: continuous ones evenly between their bounds (those of the data where it has none)."""
+
+    revision: ClassVar[int] = 1
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """A draw for every seed."""

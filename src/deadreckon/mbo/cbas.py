@@ -153,6 +153,7 @@ class Rounds(NamedTuple):
 class CbAS(Designer):
     """Conditioning by adaptive sampling; with `refit` above 0 autofocused."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"latent": "latent_size", "draws": "samples"}
 
     refit: NonNegative = 0.0  # exponent of the importance weights that the ensemble is refitted with; 0: never refitted

@@ -82,6 +82,7 @@ def predicted_score(net: MLP, x: Float[Array, "b z"]) -> Float[Array, "b"]:
 class COMs(Designer):
     """A model that does not predict more where the data ends, and gradient ascent on it."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
 
     hidden: Sizes = static((2048, 2048))  # width of each hidden layer

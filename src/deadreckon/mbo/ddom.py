@@ -83,6 +83,7 @@ def sample(
 class DDOM(Designer):
     """A guided diffusion model of designs given their score."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"sampling": "sampling_steps"}
 
     hidden: Sizes = static((1024, 1024))  # width of each hidden layer

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -98,7 +98,14 @@ class DesignInput(NamedTuple):
 
 
 class Designer(eqx.Module):
-    """Hyperparameters in, proposals out."""
+    """Hyperparameters in, proposals out.
+
+    Attributes:
+        revision: raised in the class whose code has changed what is proposed; here for what all designers share (class
+            attribute). Results of suites are told apart by it (see bench/identity.py).
+    """
+
+    revision: ClassVar[int] = 1
 
     def asked(self, data: Designs) -> str:
         """All settings that proposals for some data depend on, as text."""

@@ -55,6 +55,7 @@ def mixture(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
 class Forward(Designer):
     """A model of the score and gradient ascent on its mean; with several members an ensemble on redrawn designs."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
 
     members: Count = static(1)  # number of networks, each fitted on a bootstrap resample of the designs

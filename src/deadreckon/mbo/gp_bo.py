@@ -78,6 +78,7 @@ def worth(process: Process, x: Array) -> Array:
 class GPBO(Designer):
     """Expected improvement under a Gaussian process."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps", "rows": "max_rows"}
 
     kernel: Literal["auto", "rbf", "inner"] = static("auto")

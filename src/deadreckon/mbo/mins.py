@@ -93,6 +93,7 @@ class Inversion(eqx.Module):
 class MINs(Designer):
     """Model inversion networks."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps", "latent": "latent_size", "turns": "critic_updates"}
 
     hidden: Sizes = static((1024, 1024))  # width of each hidden layer of generator and critic

@@ -17,7 +17,7 @@ deviations on the method's page.
 import hashlib
 import warnings
 from collections.abc import Callable
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -137,6 +137,8 @@ class Training(eqx.Module):
 
 class NEMO(Designer):
     """Normalised maximum likelihood for offline model-based optimisation."""
+
+    revision: ClassVar[int] = 1
 
     bins: Annotated[int, Range(ge=2)] = static(40)  # bins of the score, and models (K)
     hidden: Sizes = static((256, 256))  # width of each hidden layer

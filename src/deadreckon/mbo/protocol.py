@@ -25,6 +25,7 @@ from deadreckon.progress import Watcher, unwatched
 from deadreckon.stats.interval import Interval
 from deadreckon.stats.means import mean_interval
 
+REVISION = 1  # of how designers are asked and judged; raised where scores change (see bench/identity.py)
 PERCENTILES = {100: "Best of the designs", 50: "Median design"}
 
 

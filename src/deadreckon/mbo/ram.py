@@ -35,6 +35,7 @@ def ranked(nets: tuple[MLP, Any, Any], x: Array) -> Array:
 class RaM(Designer):
     """A model that ranks, and gradient ascent on it."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
 
     hidden: Sizes = static((1024, 1024))  # width of each hidden layer

@@ -1,7 +1,7 @@
 """Experience that is mostly made up: MBPO's rollouts in a model of what has really been seen (thesis 5.3, Algorithm 3)."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,8 @@ class BranchedRollouts(ModelLearning):
     Raises:
         UserError: as `Exploration`, or turns that do not fit each other.
     """
+
+    revision: ClassVar[int] = 1
 
     def _begin(self, agent: Any) -> None:
         super()._begin(agent)

@@ -1,6 +1,6 @@
 """Experience of an agent that is shown how: demonstrations, then its own blocks of steps, as `DAPG.digest` sees them."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -20,6 +20,8 @@ from deadreckon.training.learner import lift
 
 class Demonstrated(OnPolicy):
     """The last block, and what was demonstrated. Observations are standardised by what is known before the first block."""
+
+    revision: ClassVar[int] = 1
 
     def _begin(self, agent: DAPG) -> None:
         super()._begin(agent)

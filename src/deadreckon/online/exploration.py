@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -113,6 +113,8 @@ class Exploration:
     Raises:
         UserError: a task or an agent that cannot learn online.
     """
+
+    revision: ClassVar[int] = 1
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """Experience of agents with a learned model: real steps, and an ensemble that is fitted to them anew every so often."""
 
 import zlib
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,8 @@ class ModelLearning(Exploration):
     Raises:
         UserError: as `Exploration`, or turns that do not fit each other.
     """
+
+    revision: ClassVar[int] = 1
 
     def _begin(self, agent: ModelledOnline) -> None:
         block = self.settings.block

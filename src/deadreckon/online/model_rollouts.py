@@ -1,6 +1,6 @@
 """Experience in a model from beginning to end: whole episodes that SLBO's policy makes up, learned from once."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -21,6 +21,8 @@ FAR = 100.0  # deviations of what was really seen, beyond which nothing is made 
 
 class ModelRollouts(ModelLearning):
     """Real steps, a model fitted to them, and what the policy has just done in that model, as `PPO.digest` sees it."""
+
+    revision: ClassVar[int] = 1
 
     def _begin(self, agent: Any) -> None:
         super()._begin(agent)

@@ -1,6 +1,6 @@
 """Experience that is learned from once: the last block of steps, with advantages."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -17,6 +17,8 @@ class OnPolicy(Exploration):
     Attributes:
         shared: what `digest` gets beside a lane's rows, the same for all lanes.
     """
+
+    revision: ClassVar[int] = 1
 
     def _begin(self, agent: Any) -> None:
         self.fields = learned_fields(agent, self.columns)

@@ -1,5 +1,7 @@
 """A model of the behaviour policy, where the log does not tell its propensities."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 
@@ -16,6 +18,8 @@ class BehaviorModel(eqx.Module):
     Beside policies that are clipped Gaussians it is one itself: what these have at the bounds are probabilities, which no
     density may divide.
     """
+
+    revision: ClassVar[int] = 1
 
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     lr: NonNegative = 3e-4  # learning rate of the model

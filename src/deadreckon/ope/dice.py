@@ -113,6 +113,7 @@ class Saddle(eqx.Module):
 class DICE(Estimator):
     """Marginalised importance sampling by a saddle point: BestDICE, or DualDICE and GenDICE by `DICE.preset`."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"average": "ema_rate"}
 
     primal: NonNegative = 0.0  # weight of the regularisation of Q

@@ -28,6 +28,7 @@ from deadreckon.ope.registry import Function, as_estimator
 from deadreckon.policies import library
 from deadreckon.progress import Watcher, unwatched
 
+REVISION = 1  # of the protocol: policies, true values, metrics; raised where numbers change (see bench/identity.py)
 METRICS = {
     "absolute_error": "Absolute error, in ranges of the true values",
     "rank_correlation": "Rank correlation",

@@ -17,7 +17,7 @@ judged.
 """
 
 from dataclasses import replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -48,6 +48,8 @@ OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warn
 
 class DoublyRobust(Estimator):
     """FQE corrected by importance sampling."""
+
+    revision: ClassVar[int] = 1
 
     takes_horizon = True
 

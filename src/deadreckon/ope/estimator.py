@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 
@@ -16,7 +16,14 @@ APART = "judges each policy by all episodes, and cross-fitted ones are one for e
 
 
 class Estimator(eqx.Module):
-    """Hyperparameters in, estimates out."""
+    """Hyperparameters in, estimates out.
+
+    Attributes:
+        revision: raised in the class whose code has changed the estimates; here for what all estimators share (class
+            attribute). Results of suites are told apart by it (see bench/identity.py).
+    """
+
+    revision: ClassVar[int] = 1
 
     takes_horizon = False  # whether it can count the first steps of an episode only, and take a discount of one
     # Whether it can judge cross-fitted policies: weights are of single rows. What is fitted to all folds for a policy has the

@@ -8,7 +8,7 @@ loss on a tenth of them, which do not teach it, is least.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -127,6 +127,8 @@ class Critics(eqx.Module):
 
 class FQE(Estimator):
     """Fitted Q evaluation with a squared loss."""
+
+    revision: ClassVar[int] = 1
 
     takes_horizon = True
 

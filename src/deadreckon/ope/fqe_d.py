@@ -157,6 +157,7 @@ def _values(learner: Distributions, critics: NormMLP, observation: Array, table:
 class FQED(Estimator):
     """Fitted Q evaluation of return distributions."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"renew": "target_update_period", "gradient_clip": "max_grad_norm"}
 
     members: Count = static(3)  # critics per policy, each fitted on a bootstrap resample of the episodes

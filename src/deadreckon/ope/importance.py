@@ -5,7 +5,7 @@ Precup, Sutton and Singh 2000. What is summed, and how ended and cut-off episode
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -25,6 +25,8 @@ PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation
 
 class ImportanceSampling(Estimator):
     """Trajectory-wise or per-decision importance sampling, plain (unbiased) or self-normalised."""
+
+    revision: ClassVar[int] = 1
 
     takes_horizon = True
     takes_crossed = True

@@ -41,6 +41,7 @@ TAUGHT = 40_000
 class LinearFQE(Estimator):
     """Fitted Q evaluation that is linear in features of observation and action."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"cosines": "fourier_features", "redraws": "n_bootstrap"}
 
     fourier_features: Count = static(256)  # random Fourier features, where the log has more than a few distinct observations

@@ -4,7 +4,7 @@ MB-FF draws from feed-forward Gaussians, MB-AR from auto-regressive ones (`dynam
 episodes redrawn with replacement and makes up its own episodes. Observations and rewards stay within the log's range.
 """
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -28,6 +28,8 @@ TAIL = 0.01  # made-up episodes are cut where so much of the discounted time is 
 
 class ModelBased(Estimator):
     """Returns of made-up episodes."""
+
+    revision: ClassVar[int] = 1
 
     kind: Literal["feedforward", "autoregressive"] = static("feedforward")
     """kind of model: feed-forward (MB-FF) or auto-regressive (MB-AR)"""

@@ -14,7 +14,7 @@ Steps without end are those of the longest episode. Episodes that were cut off t
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -56,6 +56,8 @@ class Marginal:
 
 class StateMarginal(Estimator):
     """Importance sampling by the policy's distribution over states at each step, for logs whose observations are few."""
+
+    revision: ClassVar[int] = 1
 
     takes_horizon = True
 

@@ -93,6 +93,7 @@ def _expected_ratio(net: MLP, observation: Array, table: Array) -> Array:
 class VPM(Estimator):
     """The variational power method."""
 
+    revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"inner": "inner_updates"}
 
     members: Count = static(3)  # networks per policy, each fitted on a bootstrap resample of the episodes

@@ -19,6 +19,8 @@ from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Simulator, Task
 
+REVISION = 1  # of how policies are judged in a simulator; raised where scores change (see bench/identity.py)
+
 
 @dataclass(frozen=True)
 class Evaluation:

@@ -8,7 +8,7 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -56,6 +56,8 @@ class Adroit(Task):
         dropped: (n,) bool, whether a state is terminal; None: none is.
         enough: an episode is a success if the goal is reached in more than so many steps (D4RL's `evaluate_success`).
     """
+
+    revision: ClassVar[int] = 1
 
     xml: str = ""
     sites: tuple[str, ...] = ()

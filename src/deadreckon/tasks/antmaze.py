@@ -7,7 +7,7 @@ middle of the cell in which an evaluation begins, x runs along the columns and y
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -58,6 +58,8 @@ class AntMaze(Maze):
         anywhere: begin in any free cell that is neither picked nor the goal's, as logs other than antmaze-umaze do, instead of
             at the start.
     """
+
+    revision: ClassVar[int] = 1
 
     marks: str = "RG"
     width: float = SCALE
@@ -156,6 +158,8 @@ class AntReach(Task):
     its goal vector to one length, too. A step earns the speed ahead (m/s), 0.5 for standing, and costs 0.05 of the squared
     action. Lying on the back, or a torso below 0.2 or above 1.0 m, ends the episode.
     """
+
+    revision: ClassVar[int] = 1
 
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "AntReachSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""

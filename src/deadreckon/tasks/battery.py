@@ -7,6 +7,7 @@ can be held against it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -77,6 +78,8 @@ def start_value(found: np.ndarray) -> float:
 @dataclass(frozen=True)
 class Battery(Task):
     """The task. Observations are block, charge and price; rewards are euros."""
+
+    revision: ClassVar[int] = 1
 
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> Simulator:
         """See `Task.simulate`; it is too small for threads."""

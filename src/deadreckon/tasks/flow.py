@@ -6,6 +6,7 @@ simulator does. There are no servers, no ports and no windows.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,6 +26,8 @@ class Flow(Task):
         guarded: SUMO brakes for learners, and holds them back where they would not have the right of way, as in D4RL, so that
             they cannot crash. Without it they can.
     """
+
+    revision: ClassVar[int] = 1
 
     road: str = ""
     guarded: bool = True

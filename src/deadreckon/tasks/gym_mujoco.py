@@ -5,7 +5,7 @@ What differs from the MuJoCo 1.5 and 2.0 of the original logs is written down in
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -41,6 +41,8 @@ class GymMujoco(Task):
         padding: zeros at the end. The contact forces of v2 (84) were zero under the MuJoCo 2.0 of the original logs, and
             cost nothing.
     """
+
+    revision: ClassVar[int] = 1
 
     xml: str = ""
     frame_skip: int = 1

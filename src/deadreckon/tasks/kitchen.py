@@ -7,7 +7,7 @@ differs between the two is written down in the docs (`tasks/kitchen.md`).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Kitchen(Task):
             is seen.
         object_noise: likewise of the kitchen's joints.
     """
+
+    revision: ClassVar[int] = 1
 
     elements: tuple[str, ...] = ()
     noise: float = 0.1

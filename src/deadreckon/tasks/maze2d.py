@@ -11,7 +11,7 @@ published *logs* rewards were computed again from the observation before the ste
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -44,6 +44,8 @@ class Maze2D(Maze):
     Attributes:
         dense: reward exp(-distance to the goal) instead of 1 within 0.5 of it and 0 elsewhere.
     """
+
+    revision: ClassVar[int] = 1
 
     dense: bool = False
 

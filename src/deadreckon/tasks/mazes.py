@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +20,8 @@ class Maze(Task):
         width: side of a cell, in the units of x and y.
         reach: distance from the goal within which a step is rewarded.
     """
+
+    revision: ClassVar[int] = 1
 
     layout: str = ""
     marks: str = "G"

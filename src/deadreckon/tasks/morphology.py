@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,6 +38,8 @@ class Morphology(Task):
         timestep: of an environment step, in s.
         broken: reward of a step in which the simulation breaks, which ends the episode.
     """
+
+    revision: ClassVar[int] = 1
 
     numbers: tuple[str, ...] = ()
     low: tuple[float, ...] = ()
@@ -264,6 +266,8 @@ class AntMorphology(Morphology):
     Masses, friction and motors are those of Gymnasium's Ant; a leg has three joints. Falling ends nothing.
     """
 
+    revision: ClassVar[int] = 1
+
     def build(self, design):
         """See `Morphology.build`."""
         body = _Body(self.timestep / self.frame_skip, 0.75)
@@ -307,6 +311,8 @@ class KittyMorphology(Morphology):
     Size, weight and position control are near those of ROBEL's D'Kitty (Ahn et al. 2020), whose meshes it does without. Falling
     over ends an episode.
     """
+
+    revision: ClassVar[int] = 1
 
     target = (0.0, 2.0)
 

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -133,6 +133,8 @@ class Task:
     """A place where policies are judged. Domains subclass it and implement `simulate`.
 
     Attributes:
+        revision: raised in the class whose code has changed observations, rewards, ends or scores (class attribute).
+            Results of suites are told apart by it (see bench/identity.py).
         name: such as `maze2d-umaze` or `maze2d-eval-large-dense`.
         domain: such as `maze2d`.
         horizon: steps after which an episode times out.
@@ -146,6 +148,8 @@ class Task:
         properties: what makes it hard, among `PROPERTIES`: thesis 7.3, and Table 8.1 where it has the task.
         source: where the task comes from, thesis Table D.2.
     """
+
+    revision: ClassVar[int] = 1
 
     name: str
     domain: str

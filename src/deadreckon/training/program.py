@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Discrete, Spec
 
+REVISION = 1  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
 INIT, DRAW, UPDATE, PREPARE, STARTS, ACT = range(6)  # purposes of randomness
 
 

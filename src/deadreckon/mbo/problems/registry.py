@@ -21,11 +21,13 @@ from deadreckon.mbo.problems.tfbind8 import tfbind8
 
 
 class Known(NamedTuple):
-    """How a problem is made, one line about it, and the file that it reads, if any."""
+    """How a problem is made, one line about it, the file that it reads, if any, and the revision of its designs and its judge,
+    which is raised where their numbers change (see bench/identity.py)."""
 
     make: Callable[..., Problem]
     about: str
     file: str | None = None
+    revision: int = 1
 
 
 PROBLEMS: dict[str, Known] = {

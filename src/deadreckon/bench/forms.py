@@ -1,0 +1,95 @@
+"""Tables of suites as text, Markdown, CSV or LaTeX."""
+
+import csv
+import io
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from deadreckon.bench.tables import Table
+from deadreckon.errors import unknown
+
+FORMATS = ("text", "markdown", "csv", "latex")
+
+
+def rendered(tables: Sequence[Table], form: str = "text") -> str:
+    """The tables as text, Markdown, CSV or LaTeX, with the notes that they have in common.
+
+    Raises:
+        UserError: an unknown form.
+    """
+    if form not in FORMATS:
+        raise unknown("format", form, FORMATS)
+    if form == "csv":
+        return _csv(tables)
+    grid, note = {"text": (_text, "{}"), "markdown": (_markdown, "- {}"), "latex": (_latex, "% {}")}[form]
+    parts = [grid(table) for table in tables]
+    if len(tables) > 1:
+        title = {"text": "{}", "markdown": "**{}**", "latex": "% {}"}[form]
+        heads = [f"{t.metric.words}, {'more' if t.metric.higher else 'less'} is better" for t in tables]
+        parts = [f"{title.format(head)}\n\n{part}" for head, part in zip(heads, parts)]
+    notes = dict.fromkeys(line for table in tables for line in table.notes)
+    return "\n".join(["\n\n".join(parts), "", *(note.format(line) for line in notes)])
+
+
+def _grid(table: Table, mark: str) -> list[list[str]]:
+    """Heads, a row a log, task or problem with the thesis's scores below, and the interquartile means."""
+    methods, digits = list(table.cells), table.metric.digits
+    rows = [["", *methods]]
+    for on in table.suite.on:
+        row = [on]
+        for method in methods:
+            cell = table.cells[method][on]
+            text = f"{cell.estimate:.{digits}f}" if len(cell.scores) and np.isfinite(cell.scores).all() else "-"
+            text = mark.format(text) if cell.bold else text
+            counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
+            row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
+        rows.append(row)
+        if table.printed[on]:
+            theirs = table.printed[on]
+            rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
+    if len(table.suite.on) > 1 and table.metric.joint:
+        rows.append(["IQM of all", *(f"{table.whole[m]:.{digits}f}" if m in table.whole else "-" for m in methods)])
+    return rows
+
+
+def _text(table: Table) -> str:
+    rows = _grid(table, "*{}")
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
+    rule = "  ".join("-" * w for w in widths)
+    legend = ["* best, or not told from it by Welch's t-test (p > 0.05)"] if any("*" in c for row in rows for c in row) else []
+    return "\n".join([lines[0], rule, *lines[1:], *(["", *legend] if legend else [])])
+
+
+def _markdown(table: Table) -> str:
+    head, *rows = ([cell.replace("|", r"\|") for cell in row] for row in _grid(table, "**{}**"))
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
+    lines += ["| " + " | ".join(cell.strip() for cell in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def _latex(table: Table) -> str:
+    def safe(text: str) -> str:
+        for sign in "&%_#$":
+            text = text.replace(sign, f"\\{sign}")
+        return text.replace("^", r"\^{}").replace("~", r"\~{}")
+
+    head, *rows = ([safe(cell.strip()) for cell in row] for row in _grid(table, r"\textbf{{{}}}"))
+    lines = [r"\begin{tabular}{l" + "r" * (len(head) - 1) + "}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
+    lines += [" & ".join(row) + r" \\" for row in rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
+
+
+def _csv(tables: Sequence[Table]) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"])
+    for table, on in itertools.product(tables, tables[0].suite.on):
+        for method, row in table.cells.items():
+            cell = row[on]
+            numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if len(cell.scores) else [""] * 3
+            told = [len(cell.scores), *numbers, int(cell.bold), cell.missing, cell.failed]
+            writer.writerow([table.metric.column, on, method, *told, table.printed[on].get(method, "")])
+    return out.getvalue().rstrip("\n")

@@ -1,0 +1,144 @@
+"""Jobs, which are cells of one run, programs of such jobs, and the methods that jobs name."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from deadreckon.files import digest
+from deadreckon.training.field_names import with_field_names
+
+
+@dataclass(frozen=True)
+class Job:
+    """Cells that differ in their seed alone: one run.
+
+    Attributes:
+        kind: of the suite.
+        method: its name in tables.
+        agent: name of the agent or designer.
+        settings: all its fields.
+        preset: name of the published settings that it began from, or "".
+        on: name of the log, task or problem.
+        data: what tells the data from other data: a log's own name, or the fingerprint of a file.
+        asked: what else decides the numbers: steps, episodes, ...
+        seeds: one cell each.
+        rows: of a log that is collected; None: all. `data` tells it too.
+        revisions: of all code that decides the numbers; see `identity.revisions_of`.
+        program: number of the program in its plan that it is a part of; None: of its own.
+    """
+
+    kind: str
+    method: str
+    agent: str
+    settings: dict[str, Any]
+    preset: str
+    on: str
+    data: str
+    asked: dict[str, Any]
+    seeds: tuple[int, ...]
+    rows: int | None = None
+    revisions: dict[str, Any] = field(default_factory=dict)
+    program: int | None = None
+
+    def cell(self, seed: int) -> str:
+        """The name of the cell with that seed, at the revisions of the present code."""
+        return digest([*self._content(seed), self.revisions], 10)
+
+    def content(self, seed: int) -> str:
+        """The same whatever the revisions."""
+        return digest(self._content(seed), 10)
+
+    def _content(self, seed: int) -> list[Any]:
+        return [self.kind, self.agent, self.settings, self.data, self.asked, seed]
+
+    @property
+    def cells(self) -> list[str]:
+        """Of all seeds."""
+        return [self.cell(seed) for seed in self.seeds]
+
+    @property
+    def name(self) -> str:
+        """Of the job's files: the method, where, and what tells its cells from others."""
+        return f"{file_name(f'{self.method}-{self.on}')}-{digest(self.cells, 10)}"
+
+
+@dataclass(frozen=True)
+class Program:
+    """Jobs of the same seeds that differ in float settings alone, which share a compiled program; often it is one job."""
+
+    jobs: tuple[Job, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its folder; of a single job its own."""
+        first, *others = self.jobs
+        if not others:
+            return first.name
+        return f"{file_name(f'{first.agent}-{first.on}')}-{digest([job.name for job in self.jobs], 10)}"
+
+    @property
+    def lanes(self) -> int:
+        """Cells."""
+        return sum(len(job.seeds) for job in self.jobs)
+
+    def run(self, job: Job) -> str:
+        """Where in the folder of all runs that of a job lies."""
+        return job.name if job.name == self.name else f"{self.name}/{job.name}"
+
+    def __str__(self) -> str:
+        job, others = self.jobs[0], len(self.jobs) - 1
+        first, last = job.seeds[0], job.seeds[-1]
+        more = f" and {others} other setting{'s' * (others > 1)} of {job.agent}" if others else ""
+        return f"{job.method}{more} on {job.on}, seed{f's {first} to {last}' if last > first else f' {first}'}"
+
+
+def programs(jobs: Sequence[Job]) -> list[Program]:
+    """The programs of jobs of one plan; those of which some seeds are done already are programs of their own."""
+    found: dict[Any, list[Job]] = {}
+    for job in jobs:
+        found.setdefault(job.name if job.program is None else (job.program, job.seeds), []).append(job)
+    return [Program(tuple(members)) for members in found.values()]
+
+
+def file_name(text: str) -> str:
+    """A name as a part of a file's."""
+    return "".join(c if c.isalnum() or c in "-+." else "_" for c in text)[:80].lstrip(".")
+
+
+# ---- methods of jobs -----------------------------------------------------------------------------------------------
+
+
+def agent_of(job: Job) -> Any:
+    """The agent of a job, as its settings say."""
+    from deadreckon.agents import agent_class
+
+    return agent_class(job.agent)(**{name: tuples(value) for name, value in job.settings.items()})
+
+
+def tuples(value: Any) -> Any:
+    """JSON knows lists alone; fields hold tuples."""
+    return tuple(map(tuples, value)) if isinstance(value, list) else value
+
+
+def turns(job: Job) -> Any:
+    """How acting and learning take turns in an online job."""
+    from deadreckon.online import Online
+
+    return Online(**type(agent_of(job)).acting(job.on))
+
+
+def designer_of(job: Job) -> Any:
+    """The designer of a job, as its suite says."""
+    from deadreckon.mbo.registry import sized
+
+    changes = {name: tuples(value) for name, value in job.asked["fields"].items()}
+    return sized(job.agent, job.on, job.asked["budget"], **changes)
+
+
+def estimator_of(job: Job) -> Any:
+    """The estimator of a job, as its suite says."""
+    from deadreckon.ope.registry import CPU_BUDGET, estimator
+
+    changes = {name: tuples(value) for name, value in job.asked["fields"].items()}
+    changes = with_field_names(type(estimator(job.agent)), changes)
+    return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.asked["budget"] == "cpu" else {}) | changes)
