@@ -1,5 +1,8 @@
 """Locks: one process at a time, and whoever waits says so. Names from outside: none leads out of its folder."""
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -28,6 +31,53 @@ def test_who_waits_for_another_process_says_so_once_and_goes_on_after_it(tmp_pat
     thread.join()
     assert order == ["other", "we"]
     assert len(told) == 1
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from deadreckon.files import alone
+with alone(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_another_process_is_refused_and_the_lock_of_a_killed_one_is_free(tmp_path):
+    path = tmp_path / "made" / "it"
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(path)], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        words = r"^another process is at work on the cake already: .*\.it\.lock is locked$"
+        with pytest.raises(BusyError, match=words), alone(path, what="the cake"):
+            pass
+        other.send_signal(signal.SIGKILL)
+    assert (path.parent / ".it.lock").exists()  # what a killed process leaves
+    with alone(path):
+        assert path.parent.exists()
+    assert not list(path.parent.iterdir())
+
+
+@pytest.mark.filterwarnings("ignore:another process is at it")
+def test_many_threads_are_there_one_at_a_time(tmp_path):
+    """Also where the one before removes file and folder of the lock while others open them."""
+    path, inside, worst = tmp_path / "made" / "it", [], []
+
+    def work():
+        for _ in range(5):
+            with alone(path, "is at it"):
+                inside.append(None)
+                worst.append(len(inside))
+                time.sleep(0.002)
+                inside.pop()
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert worst == [1] * 20
+    assert not list(tmp_path.rglob("*.lock"))
 
 
 @pytest.mark.parametrize("name", ["speed", "a b", "é", ".hidden", "x..y", "maze2d-umaze-v1@dr1", "a" * LONGEST])

@@ -6,18 +6,19 @@ import hashlib
 import json
 import os
 import shutil
-import sys
 import tempfile
-import time
 import unicodedata
 import warnings
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind it
 
@@ -165,12 +166,13 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
 
 
 @contextlib.contextmanager
-def alone(path: Path, wait: str = "") -> Iterator[None]:
+def alone(path: Path, wait: str = "", what: str = "this") -> Iterator[None]:
     """Lets one process at a time work on what will be `path`. The system frees the lock of a killed one.
 
     Args:
         path: need not be there yet.
         wait: what another process that is at it does: then it is waited for, which a warning tells, instead of refused.
+        what: is worked on, for the error.
 
     Raises:
         BusyError: another process is at it.
@@ -181,49 +183,38 @@ def alone(path: Path, wait: str = "") -> Iterator[None]:
     lock = path.with_name(f".{path.name}.lock")
     try:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            held = _locked(lock, wait)
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror or error}") from error
-        with _locked(lock, wait):
+        if held is None:
+            raise BusyError(f"another process is at work on {what} already: {lock} is locked")
+        try:
             yield
+        finally:
+            with contextlib.suppress(OSError):  # while it is held: whoever waits sees that the file is gone, and makes its own
+                lock.unlink()
+            held.release()
     finally:
         for folder in made:  # innermost first; one that holds something stays
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
 
-@contextlib.contextmanager
-def _locked(lock: Path, wait: str) -> Iterator[None]:
-    told = False
+def _locked(lock: Path, wait: str) -> "FileLock | None":
+    """A lock that is held; None where another process has it and is not waited for."""
+    from filelock import FileLock, Timeout  # 40 ms, which `deadreckon --help` need not take
+
+    held, told = FileLock(lock), False
     while True:
         lock.parent.mkdir(parents=True, exist_ok=True)  # whoever was waited for may have removed it
-        with open(lock, "ab") as file:
-            try:
-                if sys.platform == "win32":
-                    import msvcrt
-
-                    msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-                else:
-                    import fcntl
-
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except (BlockingIOError, PermissionError) as error:
-                if wait:
-                    if not told:
-                        warnings.warn(f"another process {wait}: waiting for it", stacklevel=4)
-                    told = True
-                    time.sleep(0.2)
-                    continue
-                raise BusyError(f"another process is at work on this already: {lock} is locked") from error
-            # Whoever had it may have removed it between our opening and our locking it; then it is locked in vain.
-            try:
-                if not os.path.samestat(os.fstat(file.fileno()), lock.stat()):
-                    continue
-            except FileNotFoundError:
-                continue
-            try:
-                yield
-            finally:
-                with contextlib.suppress(OSError):  # where open files cannot be removed, it stays
-                    lock.unlink()
-            return
+        try:
+            held.acquire(timeout=0.2, poll_interval=0.02)
+            return held
+        except FileNotFoundError:  # the folder was removed between these two lines
+            continue
+        except Timeout:
+            if not wait:
+                return None
+        if not told:
+            warnings.warn(f"another process {wait}: waiting for it", stacklevel=4)
+        told = True

@@ -22,6 +22,7 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.files import file_part, read_json, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
+from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
 from deadreckon.runs.seen import seen
 from deadreckon.runs.train import Run, load, train
@@ -108,6 +109,13 @@ def cross_fit(
         "folds": folds, "by": by, "seed": seed, "agent": name, "episodes": np.bincount(fold).tolist(),
         "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,
     }  # fmt: skip
+    with Folder(path).alone():
+        return _cross_fit(agent, log, path, config, options)
+
+
+def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], options: dict[str, Any]) -> CrossFit:
+    """The cross-fit in the folder `path`."""
+    folds, by, seed = config["folds"], config["by"], config["seed"]
     _begin(path, config, options.get("resume", False))
 
     shared: dict[str, Any] = {"seed": seed} | options
@@ -120,11 +128,11 @@ def cross_fit(
         failed = [not own for own in healthy].index(True)
         failure = next(f for f in runs[failed].failures if f is not None)
         raise UserError(f"{path / f'fold{failed}'} failed: {failure.metric} was not finite at update {failure.step}")
-    if deliver == "mixture":
+    if config["deliver"] == "mixture":
         picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
         mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
-        store.save(path / MIXTURE, mixture, {"agent": name, "members": config["members"]}, taught=log.episode_ids)
+        store.save(path / MIXTURE, mixture, {"agent": config["agent"], "members": config["members"]}, taught=log.episode_ids)
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)
     write_json(path / NAME, config)

@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 
 from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, replacing, write_json
+from deadreckon.files import alone, read_json, replacing, write_json
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
@@ -37,6 +37,10 @@ class Folder:
     """Paths and files of one run."""
 
     path: Path
+
+    def alone(self) -> contextlib.AbstractContextManager[None]:
+        """Lets one process at a time write here; another is refused with a `BusyError`. See `files.alone`."""
+        return alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path))
 
     @property
     def config(self) -> Path:

@@ -58,11 +58,19 @@ def train_online(
     asked.check(seed, seeds=seeds)
     task = find_task(task) if isinstance(task, str) else task
     lanes = lanes_of(agent, seeds)
+    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
+    with folder.alone():
+        return _train_online(lanes, task, steps, seeds, seed, folder, asked)
+
+
+def _train_online(
+    lanes: list[Agent], task: Task, steps: int, seeds: int, seed: int, folder: Folder, asked: OnlineSettings
+) -> Run:
+    """The run in `folder`, of one agent a seed."""
     turns = asked.settings or Online(**type(lanes[0]).acting(task.name))
     updates = turns.updates(steps)
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
-    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
     every = max(1, round((asked.evaluate_every or max(steps // 50, 1)) * turns.updates_per_step))
     if asked.evaluate_every is None:
         every = folder.period(asked.resume) or every
@@ -84,7 +92,7 @@ def train_online(
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
     config = json.loads(json.dumps(config, default=str))
     for text in folder.check(config, resume=asked.resume):
-        warnings.warn(text, stacklevel=2)
+        warnings.warn(text, stacklevel=3)
     folder.begin(config)
     # What a simulator shows is in no log: demonstrations alone have been seen.
     taught = np.zeros(0, np.uint64) if shown is None else shown.episode_ids

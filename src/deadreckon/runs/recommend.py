@@ -20,7 +20,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, write_json
+from deadreckon.files import alone, read_json, write_json
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.clock import Clock
@@ -122,44 +122,45 @@ def recommend(
     if holdout is not None and not 0 < holdout.share < 1:
         raise UserError(f"the share held out must lie between 0 and 1, got {holdout.share}: the card judges by it")
     out = Path(out)
-    if out.exists():
-        raise UserError(f"{out} is there already; give another --out")
-    if not isinstance(data, Dataset) and not isinstance(data, Path) and not str(data):
-        raise UserError("no log is named")
-    tell(clock.divided())
-    given, options = str(data), dict(columns or {})
-    try:
-        if isinstance(data, Dataset):
-            given = str(out / LOG)
-            write_folder(data, given)
-            options = {"mmap": isinstance(data.observations, np.memmap)}
-        else:
-            try:
-                out.mkdir(parents=True)
-            except OSError as error:
-                raise UserError(f"cannot write {out}: {error.strerror or error}") from error
-        job = {
-            "data": given, "columns": options, "task": task, "discount": discount, "seed": seed, "out": str(out),
-            "holdout": None if holdout is None else holdout.told(), "accept": accept_model_based, "budget": clock.budget,
-            "began": time.time() - clock.spent(), "end": time.time() + clock.left(),
-        }  # fmt: skip
-        found = followed(job, clock, tell, watch)
-    finally:
-        shutil.rmtree(out / LOG, ignore_errors=True)
-    if found.refused and not found.state.get("candidates"):
-        shutil.rmtree(out, ignore_errors=True)
-        raise UserError(found.refused)
-    name = data.name if isinstance(data, Dataset) else found.state.get("log", str(data))
-    again = None if isinstance(data, Dataset) or columns else str(data)
-    told = _written(out, name, again, found, clock)
-    if page is not None:
-        page(out, True)
-        if told["results"] and clock.spent() < clock.budget:
-            try:
-                page(out, False)
-            except Exception as error:  # noqa: BLE001 - the card is there, and counts more than its pictures
-                tell(f"report.html has the card alone; its pictures failed with {type(error).__name__}: {error}")
-    return Recommendation(out, told, clock.spent())
+    with alone(out, what=str(out)):
+        if out.exists():
+            raise UserError(f"{out} is there already; give another --out")
+        if not isinstance(data, Dataset) and not isinstance(data, Path) and not str(data):
+            raise UserError("no log is named")
+        tell(clock.divided())
+        given, options = str(data), dict(columns or {})
+        try:
+            if isinstance(data, Dataset):
+                given = str(out / LOG)
+                write_folder(data, given)
+                options = {"mmap": isinstance(data.observations, np.memmap)}
+            else:
+                try:
+                    out.mkdir(parents=True)
+                except OSError as error:
+                    raise UserError(f"cannot write {out}: {error.strerror or error}") from error
+            job = {
+                "data": given, "columns": options, "task": task, "discount": discount, "seed": seed, "out": str(out),
+                "holdout": None if holdout is None else holdout.told(), "accept": accept_model_based, "budget": clock.budget,
+                "began": time.time() - clock.spent(), "end": time.time() + clock.left(),
+            }  # fmt: skip
+            found = followed(job, clock, tell, watch)
+        finally:
+            shutil.rmtree(out / LOG, ignore_errors=True)
+        if found.refused and not found.state.get("candidates"):
+            shutil.rmtree(out, ignore_errors=True)
+            raise UserError(found.refused)
+        name = data.name if isinstance(data, Dataset) else found.state.get("log", str(data))
+        again = None if isinstance(data, Dataset) or columns else str(data)
+        told = _written(out, name, again, found, clock)
+        if page is not None:
+            page(out, True)
+            if told["results"] and clock.spent() < clock.budget:
+                try:
+                    page(out, False)
+                except Exception as error:  # noqa: BLE001 - the card is there, and counts more than its pictures
+                    tell(f"report.html has the card alone; its pictures failed with {type(error).__name__}: {error}")
+        return Recommendation(out, told, clock.spent())
 
 
 # ---- the card ---------------------------------------------------------------------------------------------------------

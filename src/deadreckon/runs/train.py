@@ -1,5 +1,6 @@
 """From a log to policies in a run folder: the one place where an agent meets its judge."""
 
+import contextlib
 import dataclasses
 import json
 import warnings
@@ -111,7 +112,8 @@ def train(
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=asked.strict)
     lanes = lanes_of(agent, seeds)
     path = Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{log.name}")
-    [run] = _train({path: lanes}, path, log, steps, seed, task, asked)
+    with Folder(path).alone():
+        [run] = _train({path: lanes}, path, log, steps, seed, task, asked)
     return run
 
 
@@ -154,7 +156,10 @@ def train_together(
         raise UserError("no agent to train")
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=asked.strict)
     lanes = {out / name: [agent] * seeds for name, agent in agents.items()}
-    return dict(zip(agents, _train(lanes, out, log, steps, seed, task, asked)))
+    with contextlib.ExitStack() as locks:
+        for path in (out, *lanes):
+            locks.enter_context(Folder(path).alone())
+        return dict(zip(agents, _train(lanes, out, log, steps, seed, task, asked)))
 
 
 def _train(
