@@ -262,7 +262,7 @@ def acting(name: str, policy: str) -> Any:
 def perform_rows(name: str, policy: Any, steps: int, threads: int) -> tuple[float, float]:
     """Rows a second of a collection, and steps an episode."""
     from deadreckon.collect.rollouts import Segment, collect_rollouts
-    from deadreckon.data.dataset import Provenance
+    from deadreckon.data.provenance import Provenance
 
     with tempfile.TemporaryDirectory() as scratch:
         begin = time.perf_counter()

@@ -12,8 +12,8 @@ from deadreckon import tasks
 from deadreckon.collect import rollouts
 from deadreckon.collect.gym import collect_gym
 from deadreckon.collect.rollouts import Segment, collect_rollouts, played
-from deadreckon.data.dataset import Provenance
 from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json

@@ -3,7 +3,8 @@
 import numpy as np
 
 from deadreckon._version import __version__
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
 from deadreckon.tasks.battery import BLOCKS, BUY, SELL, TASK, WAIT
 
 NIGHT, EVENING = (0, 1), (6, 7)  # blocks of the day in which the operator buys, and sells

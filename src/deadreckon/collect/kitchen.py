@@ -14,7 +14,8 @@ from deadreckon._version import __version__
 from deadreckon.collect.kitchen_demonstrator import KNOWN, Demonstrator
 from deadreckon.collect.stage import asked_for, same_collection
 from deadreckon.data.catalogue import VERSION
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.progress import Progress

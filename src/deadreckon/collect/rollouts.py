@@ -20,7 +20,8 @@ from jaxtyping import Array, PRNGKeyArray
 
 from deadreckon._version import __version__
 from deadreckon.collect.stage import FLUSH, Episode, Stage, asked_for
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError

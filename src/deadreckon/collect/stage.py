@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_at, write_json
 from deadreckon.tasks.task import Task

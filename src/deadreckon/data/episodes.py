@@ -1,4 +1,4 @@
-"""Which episode is which: a number for each, made of what the episode holds, so that it is known again in any file and part."""
+"""Which log and which episode is which: numbers made of what they hold, known again in any file and part."""
 
 import hashlib
 from collections.abc import Iterator
@@ -10,7 +10,23 @@ if TYPE_CHECKING:
     from deadreckon.data.dataset import Dataset
 
 _BLOCK = 2**22  # bytes looked at together: they stay in the processor's cache, and no memory-mapped column is loaded whole
+_ROWS = 262_144  # looked at together, likewise
 _STEP = np.uint64(0x9E3779B97F4A7C15)
+
+
+def fingerprint(log: "Dataset") -> str:
+    """Hex digest of what methods can see of a log: its columns and its action space."""
+    digest = hashlib.blake2b(repr(log.action_space).encode(), digest_size=16)
+    named = {"observations": log.observations, "actions": log.actions, "rewards": log.rewards,
+             "terminals": log.terminals, "timeouts": log.timeouts, "final_observations": log.final_observations,
+             "final_known": log.final_known, **dict(sorted(log.extras.items()))}  # fmt: skip
+    if log.successors is not None:
+        named["successors"] = log.successors
+    for key, column in named.items():
+        digest.update(f"{key}{column.shape}{column.dtype}".encode())
+        for start in range(0, len(column), _ROWS):
+            digest.update(np.ascontiguousarray(column[start : start + _ROWS]).tobytes())
+    return digest.hexdigest()
 
 
 def content_ids(log: "Dataset") -> np.ndarray:

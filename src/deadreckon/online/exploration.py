@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from deadreckon.agents.agent import Agent
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Discrete, Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.data.dataset import Provenance
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json

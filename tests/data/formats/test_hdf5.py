@@ -4,12 +4,13 @@ import pyarrow.parquet as pq
 import pytest
 from small_logs import images, make_log, same
 
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.formats.hdf5 import create, read_hdf5, write_hdf5
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.formats.npz import write_npz
 from deadreckon.data.formats.tables import write_parquet
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.columns import COLUMNS, NEEDED, renamed
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.header import Header
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming
 

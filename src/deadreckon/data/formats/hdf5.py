@@ -12,9 +12,10 @@ import h5py
 import numpy as np
 
 from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, columns_of, refuse_mmap
 from deadreckon.data.formats.header import Header
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading
 from deadreckon.files import digest, replacing, reserve, safe_name

@@ -5,7 +5,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from deadreckon.data.dataset import Dataset, Provenance
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, action_space_from_json, action_space_to_json
 from deadreckon.errors import UserError
 
