@@ -15,6 +15,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.data.formats.folder import write_folder
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.report import recommended
@@ -214,7 +215,7 @@ def small(monkeypatch):
 
 def attempt(tmp_path, log, seconds=300.0, **options):
     """The work, in this process: what it sends, and the folder."""
-    dr.data.folder.write_folder(log, tmp_path / "log")
+    write_folder(log, tmp_path / "log")
     sent = []
     (out := tmp_path / "out").mkdir()
     given = {"columns": {}, "task": None, "discount": 0.9, "seed": 0, "holdout": None, "accept": False}

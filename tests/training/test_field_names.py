@@ -6,7 +6,6 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from deadreckon.data.hdf5 import write_hdf5
 
 import deadreckon as dr
 from deadreckon.agents import AGENTS, agent_class
@@ -15,6 +14,7 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.tune import candidates
 from deadreckon.cli.main import main
 from deadreckon.collect.gym import _fields
+from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, designer
 from deadreckon.ope.registry import ESTIMATORS, estimator

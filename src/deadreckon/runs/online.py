@@ -64,7 +64,7 @@ def train_online(
 
 
 def _train_online(
-    lanes: list[Agent], task: Task, steps: int, seeds: int, seed: int, folder: Folder, asked: OnlineSettings
+    lanes: Sequence[Agent], task: Task, steps: int, seeds: int, seed: int, folder: Folder, asked: OnlineSettings
 ) -> Run:
     """The run in `folder`, of one agent a seed."""
     turns = asked.settings or Online(**type(lanes[0]).acting(task.name))
