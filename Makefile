@@ -20,7 +20,7 @@ define uv_sync
 endef
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow lint docs bench lock clean
+.PHONY: help setup demo test fast test-slow lint docs bench lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -30,7 +30,11 @@ setup: $(STAMP) ## the environment in .venv, with the tools for tests
 demo: $(STAMP) ## the main job on data that we make ourselves: collect, learn, judge; see runs/demo/report.html
 	$(BIN)/deadreckon demo --out runs/demo
 
-test: lint ## lint and the fast tests
+# Beside each other: pyright, most of lint, is one thread, which would leave the other cores idle.
+test: $(STAMP) ## lint and the fast tests
+	@$(MAKE) --no-print-directory -j 2 lint fast
+
+fast: $(STAMP) ## the fast tests alone
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test-slow: $(STAMP) ## the tests marked slow: learning, kills, the built wheel

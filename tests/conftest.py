@@ -99,7 +99,7 @@ def browse(tmp_path_factory):
 
 
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
-LONGEST = ("tests/training/", "tests/agents/", "tests/runs/", "tests/ope/", "tests/mbo/")
+LONGEST = ("tests/test_golden.py", "tests/agents/", "tests/ope/", "tests/mbo/", "tests/runs/", "tests/training/")
 
 
 def pytest_configure(config):
@@ -109,5 +109,5 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    """Folders that take longest go first, so that no worker is left alone with a long file at the end."""
-    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
+    """What takes longest goes first, so that no worker is left alone with a long file at the end."""
+    items.sort(key=lambda item: next((i for i, name in enumerate(LONGEST) if item.nodeid.startswith(name)), len(LONGEST)))

@@ -39,9 +39,10 @@ def log_prob(mean, log_std, pre):
 
 
 def test_td3_target_is_smoothed_clipped_masked_and_the_smaller(batch):
-    agent = TD3(hidden=(16, 16), discount=0.9, policy_noise=0.4, noise_clip=0.5).resolve(SPEC, 10)
+    agent = TD3(hidden=(16, 16), discount=0.9, policy_noise=1.0, noise_clip=0.3).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))
-    noise = np.clip(0.4 * np.asarray(jax.random.normal(KEY, (6, 1))), -0.5, 0.5)
+    noise = np.clip(np.asarray(jax.random.normal(KEY, (6, 1))), -0.3, 0.3)
+    assert (noise.min(), noise.max()) == (np.float32(-0.3), np.float32(0.3))  # clipped on both sides
     action = np.clip(np.tanh(numpy_mlp(state.target_actor, np.asarray(batch.next_observation))) + noise, -1, 1)
     least = np.minimum(*(q(state.target_critics, j, batch.next_observation, action) for j in range(2)))
     expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * least
@@ -49,7 +50,7 @@ def test_td3_target_is_smoothed_clipped_masked_and_the_smaller(batch):
 
 
 def test_td3_actor_follows_the_first_critic_and_moves_every_other_update(batch):
-    agent = TD3(hidden=(16, 16)).resolve(SPEC, 10)
+    agent = TD3(hidden=(16, 16), actor_lr=0.1, tau=0.5).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))
     action = np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation)))
     loss = agent.actor_loss(state.actor, state, batch)
@@ -58,8 +59,10 @@ def test_td3_actor_follows_the_first_critic_and_moves_every_other_update(batch):
     even, _ = update(state, jnp.int32(0))
     odd, metrics = update(state, jnp.int32(1))
     assert not np.array_equal(even.actor.weights[0], state.actor.weights[0])
-    expected = 0.995 * np.asarray(state.target_critics.weights[0]) + 0.005 * np.asarray(even.critics.weights[0])
-    np.testing.assert_allclose(even.target_critics.weights[0], expected, rtol=1e-5, atol=1e-7)
+    moved = (state.target_critics, even.critics, even.target_critics), (state.target_actor, even.actor, even.target_actor)
+    for before, online, after in moved:  # towards what the networks have become in this update
+        expected = 0.5 * (np.asarray(before.weights[0]) + np.asarray(online.weights[0]))
+        np.testing.assert_allclose(after.weights[0], expected, rtol=1e-5, atol=1e-7)
     assert float(metrics["actor_loss"]) == 0.0
     np.testing.assert_array_equal(odd.actor.weights[0], state.actor.weights[0])
     np.testing.assert_array_equal(odd.target_critics.weights[0], state.target_critics.weights[0])
@@ -104,6 +107,18 @@ def test_sac_target_and_actor_loss(batch):
     loss, mean_log_prob = agent.actor_loss(state.actor, state, batch, KEY)
     np.testing.assert_allclose(mean_log_prob, log_prob(mean, log_std, pre).mean(), rtol=1e-4)
     np.testing.assert_allclose(loss, (0.3 * log_prob(mean, log_std, pre) - least).mean(), rtol=1e-4)
+
+
+def test_sac_draws_of_targets_and_actor_have_keys_of_their_own(batch):
+    agent = SAC(hidden=(4,)).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    new, metrics = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
+    first, second = jax.random.split(KEY)
+    critic_loss = agent.critic_loss(state.critics, state, batch, agent.target(state, batch, first), KEY)[1]["critic_loss"]
+    np.testing.assert_allclose(metrics["critic_loss"], critic_loss, rtol=1e-5)
+    of_actor = [float(agent.actor_loss(state.actor, state._replace(critics=new.critics), batch, k)[0]) for k in (first, second)]
+    assert float(metrics["actor_loss"]) == pytest.approx(of_actor[1], rel=1e-5)
+    assert abs(of_actor[0] - of_actor[1]) > 1e-3
 
 
 @pytest.mark.parametrize(("target", "rises"), [(-50.0, False), (50.0, True)])

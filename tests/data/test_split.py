@@ -85,6 +85,15 @@ def test_folds_are_balanced_and_keep_clusters_together(sizes, k, seed):
         assert all(not set(p.learning) & set(p.held) and len(p.learning) + len(p.held) == log.episodes for p in parts)
 
 
+def test_folds_are_drawn_by_the_seed():
+    log = users([1] * 20)[0]
+    first, second = folds(log, 4, seed=0), folds(log, 4, seed=1)
+    np.testing.assert_array_equal(first, folds(log, 4, seed=0))
+    for fold in (first, second):
+        assert not np.array_equal(fold, np.arange(20) % 4)
+    assert not np.array_equal(first, second)
+
+
 def test_what_cannot_be_held_out():
     log, _ = users([2, 2])
     changing = make_log((2, 2), site=[1, 1, 4, 5], flat=[7, 7, 7, 7], pair=np.zeros((4, 2)))

@@ -9,7 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scipy import stats
 
-from deadreckon.data.batch import TransitionSource
+from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import AutoRegressive, Gaussian, Trainer
@@ -95,6 +95,29 @@ def test_losses_equal_numpy_for_each_member_on_its_own_rows():
     squares = np.square(mean - target).sum(-1) - ends
     np.testing.assert_allclose(plain.losses(params, inputs, target, terminal, jax.random.key(1)), squares, rtol=1e-4)
     np.testing.assert_array_equal(plain.sample(params, jnp.asarray(inputs), jax.random.key(2))[0], mean)
+
+
+def test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations(monkeypatch):
+    """Two rows by hand: (inputs, target, terminal) as every member is given them."""
+    told, losses = [], Gaussian.losses
+
+    def spy(self, params, inputs, target, terminal, key):
+        told.append((inputs, target, terminal))
+        return losses(self, params, inputs, target, terminal, key)
+
+    monkeypatch.setattr(Gaussian, "losses", spy)
+    monkeypatch.setattr(models, "stacks", lambda: 1)
+    model = Gaussian(members=2, hidden=())
+    params = model.create(SPEC, jax.random.key(0))
+    batch = Batch(
+        observation=jnp.array([[1.0, 2.0], [3.0, 4.0]]), action=jnp.array([[0.5], [-0.5]]), reward=jnp.array([6.0, -3.0]),
+        next_observation=jnp.array([[1.5, 2.0], [3.0, 3.0]]), terminal=jnp.array([0.0, 1.0]),
+    )  # fmt: skip
+    model.update((params, init_opt(params), jnp.float32(3.0)), batch, step=jnp.int32(0), key=jax.random.key(0))
+    ((inputs, target, terminal),) = told
+    np.testing.assert_allclose(inputs, [[[1.0, 2.0, 0.5], [3.0, 4.0, -0.5]]] * 2)
+    np.testing.assert_allclose(target, [[[0.5, 0.0, 2.0], [0.0, -1.0, -1.0]]] * 2)
+    np.testing.assert_allclose(terminal, [[0.0, 1.0]] * 2)
 
 
 @pytest.mark.parametrize("parts", [2, 5])

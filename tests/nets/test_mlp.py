@@ -70,6 +70,12 @@ def test_adam_step_and_target_tracking_equal_the_formulas():
     assert copy(params)["w"] is not params["w"]
 
 
+def test_adamw_takes_a_share_of_the_parameters_away_in_learning_rates():
+    params = {"w": jnp.array([2.0, -4.0])}
+    still = {"w": jnp.zeros(2)}
+    np.testing.assert_allclose(apply_gradients(params, still, ADAM.init(params), 0.1, 0.5)[0]["w"], [1.9, -3.8], rtol=1e-6)
+
+
 def test_vae_loss_equals_numpy():
     vae = VAE.create(3, 2, (8,), jax.random.key(0))
     obs, act = np.random.default_rng(0).normal(size=(5, 3)), np.tanh(np.random.default_rng(1).normal(size=(5, 2)))

@@ -57,6 +57,12 @@ def test_capital_by_hand():
     assert betting.log_capital(x, np.array(0.25), np.array([0.5, 0.1])) == pytest.approx(expected)
 
 
+def test_the_bound_is_where_the_capital_reaches_one_over_alpha():
+    x = np.random.default_rng(0).exponential(size=40)
+    for alpha in (0.01, 0.05, 0.3):
+        assert float(np.exp(betting.log_capital(x, betting.lower(x, alpha)))) == pytest.approx(1 / alpha, rel=1e-6)
+
+
 def test_mixtures_know_neither_order_nor_unit():
     rng = np.random.default_rng(0)
     x = rng.lognormal(0.0, 1.0, 200)

@@ -1,0 +1,575 @@
+"""Planted bugs: does a test fail for each?
+
+    python tests/mutants.py                      # each by the tests named beside it; a table at the end
+    python tests/mutants.py --whole              # what these have let pass, by all fast tests
+    python tests/mutants.py --only huber ddof    # those whose name holds one of the words
+    python tests/mutants.py --markdown           # the table, as docs/tests.md has it
+
+A bug is one edit of the source that a person could make. Each is applied alone to a copy of `src`, and tests are run on it.
+Results are kept in `.cache/mutants.json` under a digest of the bug and of all of `src` and `tests`, so that a run which was
+interrupted goes on, and a change of the package begins anew (`--keep` takes old results of the same bug, whatever has changed).
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCE = ROOT / "src" / "deadreckon"
+CACHE = ROOT / ".cache" / "mutants.json"
+
+
+class Mutant(NamedTuple):
+    """One bug.
+
+    Attributes:
+        name: by which it is known.
+        file: below `src/deadreckon`.
+        original: text that stands there once.
+        replacement: what it becomes.
+        breaks: what is wrong then, in a phrase.
+        tests: arguments of pytest, without `tests/`, that should see it.
+    """
+
+    name: str
+    file: str
+    original: str
+    replacement: str
+    breaks: str
+    tests: tuple[str, ...]
+
+    def source(self) -> str:
+        """The whole file with the bug in it."""
+        text = (SOURCE / self.file).read_text()
+        if text.count(self.original) != 1:
+            raise ValueError(f"{self.name}: the original must stand once in {self.file}, not {text.count(self.original)} times")
+        return text.replace(self.original, self.replacement)
+
+
+MUTANTS = (
+    # ---- targets and losses of agents
+    Mutant(
+        "backup-terminal", "agents/agent.py", "batch.reward + discount * (1.0 - batch.terminal) * future",
+        "batch.reward + discount * future", "targets look beyond a terminal",
+        ("agents/test_actor_critics.py::test_td3_target_is_smoothed_clipped_masked_and_the_smaller",),
+    ),
+    Mutant(
+        "bellman-stop-gradient", "agents/agent.py", "jnp.square(q - jax.lax.stop_gradient(target))", "jnp.square(q - target)",
+        "critics learn through their own targets",
+        ("agents/test_bear.py::test_bellman_loss_is_the_squared_error_with_no_gradient_through_the_target",),
+    ),
+    Mutant(
+        "trace-off-by-one", "agents/agent.py", "step[0] + decay * step[1] * later", "step[0] + decay * later",
+        "advantages cross the ends of episodes",
+        ("agents/test_rivals.py::test_traced_advantages_are_discounted_sums_that_end_where_rows_do",),
+    ),
+    Mutant(
+        "imitation-weight-slope", "agents/agent.py", "-(jax.lax.stop_gradient(weight) * log_prob).mean()",
+        "-log_prob.mean()", "weights of imitation are forgotten",
+        ("agents/test_offline.py::test_iql_losses",),
+    ),
+    Mutant(
+        "least-is-greatest", "nets/mlp.py", "jnp.where(a <= b, a, b)", "jnp.where(a >= b, a, b)",
+        "the greatest of a few critics counts instead of the least", ("nets/test_mlp.py",),
+    ),
+    Mutant(
+        "least-of-many", "nets/mlp.py", "jax.lax.stop_gradient(values).argmin(0)", "jax.lax.stop_gradient(values).argmax(0)",
+        "the greatest of many critics counts",
+        ("agents/test_offline.py::test_the_least_of_many_is_that_of_few_with_a_slope_of_one_of_them",),
+    ),
+    Mutant(
+        "polyak-swapped", "nets/optim.py", "t + rate * (o - t)", "o + rate * (t - o)", "targets follow at the wrong rate",
+        ("nets/test_mlp.py",),
+    ),
+    Mutant(
+        "td3-stale-target", "agents/td3.py", "(actor, state.critics), self.target_rate)",
+        "(state.actor, state.critics), self.target_rate)", "the target actor follows the actor of before the update",
+        ("agents/test_actor_critics.py::test_td3_actor_follows_the_first_critic_and_moves_every_other_update",),
+    ),
+    Mutant(
+        "td3-noise-unclipped", "agents/td3.py", "-self.noise_clip, self.noise_clip)", "-self.noise_clip, jnp.inf)",
+        "smoothing noise is clipped on one side only",
+        ("agents/test_actor_critics.py::test_td3_target_is_smoothed_clipped_masked_and_the_smaller",),
+    ),
+    Mutant(
+        "td3-actor-every", "agents/td3.py", "step % self.actor_every == 0", "step % self.actor_every != 0",
+        "the actor moves at the wrong updates",
+        ("agents/test_actor_critics.py::test_td3_actor_follows_the_first_critic_and_moves_every_other_update",),
+    ),
+    Mutant(
+        "td3bc-lambda-slope", "agents/td3_bc.py", "jax.lax.stop_gradient(jnp.abs(q).mean())", "jnp.abs(q).mean()",
+        "the weight of the value has a gradient",
+        ("agents/test_actor_critics.py::test_td3_bc_weight_has_no_gradient",),
+    ),
+    Mutant(
+        "sac-entropy-sign", "agents/sac.py", "slope = -(log_prob + self.entropy_target)",
+        "slope = -(log_prob - self.entropy_target)", "entropy is held at minus its target",
+        ("agents/test_actor_critics.py::test_sac_temperature_falls_when_the_policy_is_more_random_than_asked",),
+    ),
+    Mutant(
+        "sac-key-reuse", "agents/sac.py", "self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)",
+        "self.actor_loss, has_aux=True)(state.actor, state, batch, k_target)", "actor and target share their draws",
+        (
+            "agents/test_actor_critics.py::test_sac_draws_of_targets_and_actor_have_keys_of_their_own",
+        ),
+    ),
+    Mutant(
+        "iql-expectile-side", "agents/iql.py", "jnp.where(gap < 0, 1.0 - self.expectile, self.expectile)",
+        "jnp.where(gap > 0, 1.0 - self.expectile, self.expectile)", "the expectile is that of the other side",
+        ("agents/test_offline.py::test_iql_losses",),
+    ),
+    Mutant(
+        "cql-without-volume", "agents/cql.py", "q_values(critics, batch.observation, uniform) + size * jnp.log(2.0)",
+        "q_values(critics, batch.observation, uniform)", "uniform actions are weighted as if the box had volume one",
+        ("agents/test_offline.py::test_cql_penalty",),
+    ),
+    Mutant(
+        "cql-multiplier-sign", "agents/cql.py", 'slope = self.threshold - metrics["gap"]',
+        'slope = metrics["gap"] - self.threshold',
+        "the multiplier falls where the gap is too large",
+        ("agents/test_offline.py::test_cql_multiplier_rises_where_the_difference_is_too_large",),
+    ),
+    Mutant(
+        "bcq-max-axis", "agents/bcq.py", "self.mixed(q).max(0)", "self.mixed(q).mean(0)",
+        "targets take the mean action instead of the best",
+        ("agents/test_offline.py::test_bcq_target_is_the_best_of_moved_actions_by_a_mixture",),
+    ),
+    Mutant(
+        "bear-dual-sign", "agents/bear.py", "* (divergence - self.threshold)", "* (self.threshold - divergence)",
+        "the multiplier descends",
+        ("agents/test_bear.py::test_dual_step_ascends_clips_and_rests",),
+    ),
+    Mutant(
+        "bear-warm-start", "agents/bear.py", "warm = step < self.warm_start", "warm = step <= self.warm_start",
+        "the warm start lasts one update longer",
+        (
+            "agents/test_bear.py::test_dual_step_ascends_clips_and_rests",
+            "agents/test_bear.py::test_actor_loss_is_the_lagrangian",
+        ),
+    ),
+    Mutant(
+        "awr-window-mask", "agents/awr.py", "[batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])]",
+        "[batch.mask[:, :-1], jnp.zeros_like(batch.mask[:, :1])]", "advantages come from rows beyond an episode's end",
+        ("agents/test_rivals.py::test_awr_returns_are_td_lambda_within_episode_and_window",),
+    ),
+    Mutant(
+        "ppo-timeout-goes-on", "agents/on_policy.py", 'goes_on = 1.0 - jnp.maximum(rows["terminal"], rows["timeout"])',
+        'goes_on = 1.0 - rows["terminal"]', "advantages run on beyond a timeout",
+        ("agents/test_ppo.py::test_advantages_are_the_sums_by_hand",),
+    ),
+    Mutant(
+        "ppo-timeout-is-terminal", "agents/on_policy.py", 'discount * (1.0 - rows["terminal"]) * following',
+        'discount * (1.0 - jnp.maximum(rows["terminal"], rows["timeout"])) * following', "a timeout has no future",
+        ("agents/test_ppo.py::test_advantages_are_the_sums_by_hand",),
+    ),
+    Mutant(
+        "ppo-clip-max", "agents/ppo.py", "-jnp.minimum(ratio * gain, clipped * gain)",
+        "-jnp.maximum(ratio * gain, clipped * gain)",
+        "the objective is not pessimistic",
+        ("agents/test_ppo.py::test_what_is_gained_beyond_the_clip_counts_no_more",),
+    ),
+    Mutant(
+        "edac-self-pairs", "agents/edac.py", "- jnp.square(unit).sum((0, -1))", "- jnp.square(unit).sum(-1).mean(0)",
+        "pairs of a critic with itself are not all taken out",
+        ("agents/test_offline.py::test_edac_likeness_by_hand_and_by_pairs",),
+    ),
+    Mutant(
+        "mve-discount", "agents/mve.py", "rewards[t] + self.discount * goes_on[t] * value",
+        "rewards[t] + self.discount * value",
+        "made-up steps after an end count",
+        ("agents/test_expansion.py::test_mve_is_the_sum_by_hand",),
+    ),
+    Mutant(
+        "steve-variance-axis", "agents/steve.py", "targets.var((1, 2))", "targets.var(1).mean(1)",
+        "disagreement of critics is forgotten",
+        ("agents/test_expansion.py::test_steve_weighs_horizons_by_their_certainty",),
+    ),
+    Mutant(
+        "model-of-changes", "dynamics/model.py", "batch.next_observation - batch.observation, batch.reward",
+        "batch.next_observation, batch.reward", "models learn the next observation instead of its change",
+        ("dynamics/test_ensemble.py::test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations",),
+    ),
+    # ---- networks
+    Mutant(
+        "tanh-correction", "nets/distributions.py", "return (normal - squash).sum(-1)", "return (normal + squash).sum(-1)",
+        "the density of squashed actions has the wrong sign of its correction",
+        ("nets/test_distributions.py",),
+    ),
+    Mutant(
+        "kl-swapped", "nets/distributions.py", "jnp.square((p.mean - q.mean) * jnp.exp(-q.log_std))",
+        "jnp.square((p.mean - q.mean) * jnp.exp(-p.log_std))", "a divergence measures in the wrong distribution's deviations",
+        ("nets/test_distributions.py",),
+    ),
+    Mutant(
+        "mmd-bandwidth", "nets/mmd.py", "jnp.exp(-squared / (2.0 * bandwidth))", "jnp.exp(-squared / bandwidth)",
+        "the Gaussian kernel is narrower by sqrt 2", ("nets/test_mmd.py",),
+    ),
+    Mutant(
+        "adamw-decays-new", "nets/optim.py", "lambda n, p: n - lr * weight_decay * p", "lambda n, p: n - weight_decay * p",
+        "weights decay without the learning rate",
+        ("nets/test_mlp.py",),
+    ),
+    # ---- batches and logs
+    Mutant(
+        "n-step-beyond-end", "data/batch.py", "inside = k < self.span(rows)", "inside = k <= self.span(rows)",
+        "n-step rewards hold one of the next episode", ("training/test_fit.py",),
+    ),
+    Mutant(
+        "next-action-across", "data/batch.py", "inside = ~r.log._is_end[rows]", "inside = ~np.asarray(r.log.terminals[rows])",
+        "what the log did next is that of another episode after a timeout", ("training/test_fit.py",),
+    ),
+    Mutant(
+        "usable-timeouts", "data/dataset.py", "self.final_known | self.terminals[self.ends]", "self.final_known | True",
+        "rows without a known successor are learned from", ("data/test_dataset.py",),
+    ),
+    Mutant(
+        "returns-to-go", "data/dataset.py", "to_go[rows] += discount * to_go[rows + 1]",
+        "to_go[rows] += discount * to_go[rows]",
+        "returns to go are sums of the wrong rows", ("data/test_dataset.py",),
+    ),
+    Mutant(
+        "frame-timeouts", "data/frame.py", 'columns["timeouts"] |= ends & ~columns["terminals"]', 'columns["timeouts"] |= ends',
+        "ended episodes are also cut off", ("data/test_frame.py",),
+    ),
+    Mutant(
+        "horizon-cut", "data/formats/build.py", "(step % horizon == horizon - 1) & ~ends", "(step % horizon == 0) & ~ends",
+        "a horizon cuts one step early", ("data/formats/test_hdf5.py",),
+    ),
+    Mutant(
+        "minari-truncations", "data/formats/minari.py", "columns[\"timeouts\"] = timeouts", "columns[\"terminals\"] = timeouts",
+        "truncations are read as terminals", ("data/formats/test_minari.py",),
+    ),
+    Mutant(
+        "csv-separator", "mbo/designs.py", 'max(",;\\t", key=first.count)', 'max(",\\t", key=first.count)',
+        "semicolons separate nothing", ("mbo/test_designs.py",),
+    ),
+    Mutant(
+        "holdout-share", "data/split.py", "round((1 - self.share) * log.episodes)", "round(self.share * log.episodes)",
+        "the share is learned from and the rest held out", ("data/test_split.py",),
+    ),
+    Mutant(
+        "folds-not-drawn", "data/split.py", "        return rng.permutation(np.arange(log.episodes) % k)\n    sizes",
+        "        return np.arange(log.episodes) % k\n    sizes", "folds are not drawn by the seed",
+        ("data/test_split.py::test_folds_are_drawn_by_the_seed",),
+    ),
+    # ---- replay and learning online
+    Mutant(
+        "replay-overwrites", "training/replay.py", "start = self.count - rows.shape[1]", "start = 0",
+        "each flush overwrites the file from its beginning", ("training/test_replay.py",),
+    ),
+    Mutant(
+        "row-after-reset", "online/exploration.py", "terminal[:, None], timeout[:, None])",
+        "timeout[:, None], terminal[:, None])",
+        "terminals and timeouts change places in the replay file",
+        ("online/test_exploration.py::test_rows_are_what_the_simulator_did",),
+    ),
+    # ---- intervals, bootstrap, scores
+    Mutant(
+        "student-two-sided", "stats/means.py", "special.stdtrit(n - 1, 1 - alpha / 2) * x.std(ddof=1)",
+        "special.stdtrit(n - 1, 1 - alpha) * x.std(ddof=1)", "Student's interval is one-sided", ("stats/test_means.py",),
+    ),
+    Mutant(
+        "student-ddof", "stats/inference.py", "influence.std(0, ddof=1) / np.sqrt(n)", "influence.std(0) / np.sqrt(n)",
+        "standard errors divide by n",
+        ("stats/test_inference.py",),
+    ),
+    Mutant(
+        "ensemble-prediction", "stats/bootstrap.py", "np.sqrt(1 + 1 / members)", "np.sqrt(1 / members)",
+        "an ensemble's interval is that of its mean", ("stats/test_means.py",),
+    ),
+    Mutant(
+        "crossed-axes", "stats/crossed.py", "sources.append((float(columns.var(ddof=1)) / episodes, episodes - 1.0))",
+        "sources.append((float(columns.var(ddof=1)) / policies, episodes - 1.0))", "the variance over episodes counts seeds",
+        ("report/test_rows.py",),
+    ),
+    Mutant(
+        "paired-unpaired", "stats/crossed.py", "(a.mean(0) - b.mean(0)).var(ddof=1)",
+        "(a.mean(0).var(ddof=1) + b.mean(0).var(ddof=1))",
+        "paired episodes count as independent", ("report/test_rows.py",),
+    ),
+    Mutant(
+        "iqm-quarters", "stats/scores.py", "cut = n // 4", "cut = n // 5", "the interquartile mean keeps too much",
+        ("stats/test_scores.py",),
+    ),
+    Mutant(
+        "ties-count-whole", "stats/scores.py", "(x[:, None] == y) / 2", "(x[:, None] == y)", "ties count as wins",
+        ("stats/test_scores.py",),
+    ),
+    Mutant(
+        "bold-one-sided", "stats/scores.py", "return float(2.0 * stdtr(freedom, -abs(t)))",
+        "return float(stdtr(freedom, -abs(t)))",
+        "p is half of what it is", ("stats/test_scores.py",),
+    ),
+    Mutant(
+        "betting-alpha", "stats/betting.py", ">= np.log(1 / alpha)", ">= np.log(0.5 / alpha)",
+        "a bound by betting fails twice as often as it says", ("stats/test_betting.py",),
+    ),
+    # ---- estimators of policies' values
+    Mutant(
+        "ratios-swapped", "ope/importance.py",
+        "np.subtract(own, logged_probs(case, behavior, model, folds), out=ratios[: len(own)])",
+        "np.subtract(logged_probs(case, behavior, model, folds), own, out=ratios[: len(own)])",
+        "weights are the log's probabilities over the policy's",
+        ("ope/test_bandit.py", "ope/test_exact.py::test_weighted_values_are_true_within_their_intervals",),
+    ),
+    Mutant(
+        "ended-episodes-forgotten", "ope/weights.py", "stays = self.ended & (not alive_only)",
+        "stays = self.ended & alive_only",
+        "episodes that have ended leave the weights' sum",
+        ("ope/test_intervals.py::test_sums_by_hand",),
+    ),
+    Mutant(
+        "discount-in-contributions", "ope/weights.py",
+        "return np.bincount(self.of, rho * x * self.discount**self.time, self.count)",
+        "return np.bincount(self.of, rho * x, self.count)", "contributions of episodes are not discounted",
+        ("ope/test_intervals.py::test_sums_by_hand", "ope/test_intervals.py", "ope/test_demands.py",),
+    ),
+    Mutant(
+        "kaplan-meier", "ope/weights.py", "at_risk = np.maximum(beyond + cut, 1)", "at_risk = np.maximum(beyond, 1)",
+        "chances of being cut off leave out those that are",
+        ("ope/test_intervals.py::test_chances_of_being_cut_off_by_hand",),
+    ),
+    Mutant(
+        "switch-side", "ope/switch.py", "np.where(log_rho <= limit, log_rho, -np.inf)",
+        "np.where(log_rho >= limit, log_rho, -np.inf)",
+        "large weights are trusted and small ones not",
+        ("ope/test_switch.py::test_switch_by_hand",),
+    ),
+    Mutant(
+        "fqe-terminal", "ope/fqe.py", "self.discount * (1.0 - batch.terminal) * future", "self.discount * future",
+        "fitted values look beyond a terminal",
+        (
+            "ope/test_case.py::test_members_learn_each_from_its_own_redrawn_episodes",
+            "ope/test_corrected.py",
+            "test_golden.py",
+        ),
+    ),
+    Mutant(
+        "fqe-member-weights", "ope/fqe.py", 'error = square * batch.extra["weight"].T[:, None, :]',
+        'error = square * batch.extra["weight"].mean(-1)', "all members learn from the mean of their redraws",
+        ("ope/test_case.py::test_members_learn_each_from_its_own_redrawn_episodes",),
+    ),
+    Mutant(
+        "dice-future-masked", "ope/dice.py", "self.discount * lasts * future - q", "self.discount * future - q",
+        "residuals look beyond a terminal",
+        ("ope/test_exact.py", "test_golden.py",),
+    ),
+    Mutant(
+        "rank-correlation-order", "ope/metrics.py", "np.corrcoef(rankdata(estimates), rankdata(truth))",
+        "np.corrcoef(estimates, truth)", "rank correlation is of values", ("ope/test_metrics.py",),
+    ),
+    Mutant(
+        "regret-k", "ope/metrics.py", "np.sort(estimates)[::-1][k - 1]", "np.sort(estimates)[k - 1]",
+        "regret is of the k worst", ("ope/test_metrics.py",),
+    ),
+    Mutant(
+        "error-rates-swapped", "ope/metrics.py", "float(taken[~good].mean())", "float(taken[good].mean())",
+        "the share of false alarms is that of right ones",
+        ("ope/test_metrics.py",),
+    ),
+    Mutant(
+        "tail-side", "ope/tail.py", "np.maximum(quantile - returns, 0.0) / share",
+        "np.maximum(returns - quantile, 0.0) / share",
+        "the tail is the upper one",
+        ("ope/test_tail.py::test_exact_where_the_log_is_the_distribution",),
+    ),
+    Mutant(
+        "guarantee-bonferroni", "ope/guarantee.py", "alpha / len(case.policies))", "alpha)",
+        "a guarantee holds for one policy, not for all",
+        ("ope/test_demands.py::test_a_guarantee_holds_as_often_as_promised", "ope/test_demands.py",),
+    ),
+    Mutant(
+        "horizon-off-by-one", "ope/estimand.py", "over = time == horizon - 1", "over = time == horizon",
+        "an estimand's horizon ends no episode",
+        ("ope/test_decide.py::test_a_horizon_cuts_episodes_and_knows_what_the_task_ended",),
+    ),
+    # ---- the decision
+    Mutant(
+        "deploy-by-estimate", "ope/select.py", "    elif low > 0:\n", "    elif difference > 0:\n",
+        "policies are deployed by the estimate, not by its lower end",
+        ("ope/test_select.py::test_decisions_against_deploying",),
+    ),
+    Mutant(
+        "objections-ignored", "ope/select.py", "key=lambda i: (not objections[i], *_standing(first, every[i]))",
+        "key=lambda i: _standing(first, every[i])", "a policy with objections is chosen before one without",
+        ("ope/test_select.py::test_a_policy_without_overlap_comes_last",),
+    ),
+    Mutant(
+        "missing-support", "ope/support.py", "rare = chances < RARE / chances.shape[1]",
+        "rare = chances > RARE / chances.shape[1]",
+        "common actions count as unsupported",
+        ("ope/test_decide.py::test_actions_that_the_log_never_takes_are_told",),
+    ),
+    Mutant(
+        "looks-spend-nothing", "runs/looks.py", "1 + len(own.looks) + sum(len(note.looks) for note in others)",
+        "1 + len(own.looks)", "looks at overlapping episodes are not counted together",
+        ("runs/test_offline.py::test_each_look_at_the_same_episodes_spends_half_of_what_is_left",),
+    ),
+    Mutant(
+        "holdout-of-resumed", "runs/holdout.py", "if given is None and before is not None:", "if before is not None:",
+        "a run that is gone on with cannot be told to hold out otherwise",
+        ("runs/test_holdout.py::test_a_run_that_is_gone_on_with_keeps_what_it_held_out",),
+    ),
+    Mutant(
+        "discounted-return", "runs/evaluate.py", "alive * rewards * discounts[:, None] ** t",
+        "alive * rewards * discounts[:, None] ** (t + 1)", "true discounted returns are too small by one discount",
+        ("runs/test_train.py::test_discounted_returns_and_lengths",),
+    ),
+    Mutant(
+        "counts-after-end", "runs/evaluate.py", "returns += alive * rewards", "returns += rewards",
+        "rewards after an episode's end count",
+        ("runs/test_train.py",),
+    ),
+    # ---- designers
+    Mutant(
+        "nemo-phase", "mbo/nemo.py", "% settings.ratio == settings.ratio - 1",
+        "% settings.ratio == 0", "designs move before their models have learned",
+        ("mbo/test_nemo.py::test_designs_move_after_every_ratio_updates_of_the_models_and_not_while_these_are_pretrained",),
+    ),
+    Mutant(
+        "nemo-bin-edge", "mbo/nemo.py", "(jnp.arange(bins) + 0.5) / bins", "jnp.arange(bins) / bins",
+        "bins are known by their lower edges",
+        (
+            "mbo/test_nemo.py::test_discretised_logistic_equals_numpy",
+            "mbo/test_nemo.py::test_gradients_of_mu_and_of_the_mean_point_alike",
+        ),
+    ),
+    Mutant(
+        "nml-own-model", "mbo/nemo.py", "jnp.diagonal(own, axis1=0, axis2=2)", "own.mean(0)",
+        "each bin's probability is the mean over all models",
+        ("mbo/test_nemo.py::test_p_nml_takes_each_bin_from_its_own_model",),
+    ),
+    Mutant(
+        "climb-descends", "mbo/surrogate.py", "jnp.clip(x + lr * slope, low, high)", "jnp.clip(x - lr * slope, low, high)",
+        "designs go down",
+        ("mbo/test_designers.py::test_proposals",),
+    ),
+    Mutant(
+        "coms-margin-sign", "mbo/coms.py", 'slack = self.settings.margin - metrics["overestimation"]',
+        'slack = metrics["overestimation"] - self.settings.margin',
+        "the penalty falls where too much is promised",
+        ("mbo/test_parts.py::test_a_penalty_grows_where_too_much_is_promised",),
+    ),
+    Mutant(
+        "minimised-scores", "mbo/designs.py", "return -scores if self.minimise else scores", "return scores",
+        "scores to be made small are shown with the wrong sign", ("mbo/test_designs.py",),
+    ),
+    Mutant(
+        "mixture-variance", "mbo/forward.py", "jnp.sqrt(jnp.exp(2 * log_std).mean(0) + mean.var(0))",
+        "jnp.sqrt(jnp.exp(2 * log_std).mean(0))", "members that disagree do not doubt",
+        ("mbo/test_parts.py", "mbo/test_designers.py",),
+    ),
+    # ---- report
+    Mutant(
+        "percent-factor", "report/text.py", 'f"{100 * value:.1f}\\N{NO-BREAK SPACE}%"', 'f"{value:.1f}\\N{NO-BREAK SPACE}%"',
+        "percentages are shares",
+        ("report/test_text.py",),
+    ),
+    Mutant(
+        "percent-chart", "report/curves.py", "series.append(_series(page, e, name, factor))",
+        "series.append(_series(page, e, name))",
+        "a chart in percent is drawn in shares",
+        ("report/test_page.py::test_a_chart_in_percent_shows_percent",),
+    ),
+    Mutant(
+        "score-scale", "tasks/task.py",
+        "return 100.0 * (np.asarray(returns, np.float64) - self.random) / (self.expert - self.random)",
+        "return 100.0 * (np.asarray(returns, np.float64) - self.random) / self.expert", "scores of the expert are not 100",
+        ("tasks/test_maze2d.py",),
+    ),
+    Mutant(
+        "overestimation-sign", "report/rows.py", "self.value - self.truth", "self.truth - self.value",
+        "overestimation has the wrong sign",
+        ("report/test_rows.py",),
+    ),
+    Mutant(
+        "rows-worst-first", "report/rows.py", "r.worth.value, reverse=True)", "r.worth.value)",
+        "the table begins with the worst",
+        ("report/test_rows.py",),
+    ),
+    Mutant(
+        "minus-sign", "report/text.py", 'else f"{value:,.0f}"', 'else f"{value / 1000:,.0f}"', "numbers of thousands lose them",
+        ("report/test_text.py",),
+    ),
+)
+
+
+def cells(mutant: Mutant) -> dict[str, str]:
+    """What a result stands under, and what it was found with."""
+    told = hashlib.blake2b(repr(mutant).encode(), digest_size=8).hexdigest()
+    code = hashlib.blake2b(digest_size=8)
+    for path in sorted([*SOURCE.rglob("*.py"), *(ROOT / "tests").rglob("*.py")]):
+        if path != Path(__file__).resolve():
+            code.update(path.read_bytes())
+    return {"mutant": told, "code": code.hexdigest()}
+
+
+def run(mutant: Mutant, tests: tuple[str, ...]) -> tuple[str, float]:
+    """The first test that fails on a copy of the source with the bug, or nothing; and the seconds that took."""
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "src"
+        shutil.copytree(SOURCE, copy / "deadreckon")  # with what is compiled already, which saves seconds
+        (copy / "deadreckon" / mutant.file).write_text(mutant.source())
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-rfE", *tests]
+        done = subprocess.run(
+            command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(copy)}, capture_output=True, text=True, check=False
+        )
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    if done.returncode not in (0, 1, 2) or (done.returncode and not failed):
+        raise RuntimeError(f"{mutant.name}: pytest ended with {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+    return (failed[1] if failed else ""), time.monotonic() - begun
+
+
+def markdown(results: dict[str, dict]) -> str:
+    """The table."""
+    lines = ["| bug | in | caught by |", "|---|---|---|"]
+    for mutant in MUTANTS:
+        found = results.get(mutant.name)
+        by = "not run" if found is None else f"`{found['by'].removeprefix('tests/')}`" if found["by"] else "**survived**"
+        lines.append(f"| {mutant.breaks} | `{mutant.file}` | {by} |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Runs the bugs; 1 where one has survived."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--whole", action="store_true", help="run all fast tests on what the named ones let pass")
+    parser.add_argument("--keep", action="store_true", help="take results of the same bug, whatever else has changed since")
+    parser.add_argument("--only", nargs="+", metavar="WORD", help="bugs whose name holds one of these")
+    parser.add_argument("--markdown", action="store_true", help="print the table and run nothing")
+    given = parser.parse_args()
+    results = json.loads(CACHE.read_text()) if CACHE.exists() else {}
+    if given.markdown:
+        print(markdown(results))
+        return 0
+    some = [m for m in MUTANTS if not given.only or any(word in m.name for word in given.only)]
+    for mutant in some:
+        asked, found = cells(mutant), results.get(mutant.name, {})
+        same = found.get("mutant") == asked["mutant"] and (given.keep or found.get("code") == asked["code"])
+        if not same:
+            by, seconds = run(mutant, tuple(f"tests/{each}" for each in mutant.tests))
+            found = {**asked, "by": by, "seconds": seconds, "whole": False}
+        if not found["by"] and given.whole and not found["whole"]:
+            by, seconds = run(mutant, ("tests",))
+            found |= {"by": by, "seconds": found["seconds"] + seconds, "whole": True}
+        results[mutant.name] = found
+        CACHE.parent.mkdir(exist_ok=True)
+        CACHE.write_text(json.dumps(results, indent=1))
+        print(f"{mutant.name:28} {found['by'] or 'SURVIVED':100} {found['seconds']:6.1f} s", flush=True)
+    survived = [m.name for m in some if not results[m.name]["by"]]
+    print(f"{len(some) - len(survived)} of {len(some)} caught" + (f"; survived: {', '.join(survived)}" if survived else ""))
+    return bool(survived)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,30 @@
+"""Intervals from influence functions, by hand."""
+
+import numpy as np
+import pytest
+
+from deadreckon.stats import inference
+
+
+def test_standard_errors_and_students_interval():
+    """Squares of (1, -1, 3, -3) sum to 20: a variance of 20/3, and an error of its root over two."""
+    influence = np.array([[1.0, 0.0], [-1.0, 0.0], [3.0, 0.0], [-3.0, 0.0]])
+    error = np.sqrt(20 / 3) / 2
+    np.testing.assert_allclose(inference.errors(influence), [error, 0.0])
+    low, high = inference.student(np.array([5.0, 7.0]), influence)
+    reach = 3.182446 * error  # Student's t of three degrees of freedom at 97.5 %
+    np.testing.assert_allclose(low, [5.0 - reach, 7.0], rtol=1e-6)
+    np.testing.assert_allclose(high, [5.0 + reach, 7.0], rtol=1e-6)
+    assert np.isinf(inference.errors(influence[:1])).all()
+
+
+def test_gains_are_paired_and_endless_where_nothing_is_known():
+    """Two estimates that vary together have a difference that is certain."""
+    influence = np.random.default_rng(0).standard_normal((30, 1)) * np.array([[1.0, 1.0, -1.0]])
+    gain, low, high = inference.gains(np.array([1.0, 4.0, 2.0]), influence, 0, known=np.array([True, True, False]))
+    np.testing.assert_allclose(gain, [0.0, 3.0, 1.0])
+    np.testing.assert_allclose((low[:2], high[:2]), ([0.0, 3.0], [0.0, 3.0]), atol=1e-12)
+    assert (low[2], high[2]) == (-np.inf, np.inf)
+    _, low, high = inference.gains(np.array([1.0, 4.0, 2.0]), influence, 0)
+    assert high[2] - 1.0 == pytest.approx(1.0 - low[2])
+    assert high[2] - 1.0 > 2.045 * inference.errors(2 * influence)[0]  # Student's t of 29 degrees of freedom, at least
