@@ -10,6 +10,7 @@ from deadreckon.mbo.cbas import Layout
 from deadreckon.mbo.coms import COMs, Conservative
 from deadreckon.mbo.ddom import kept, sample
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.forward import mixture
 from deadreckon.mbo.ram import Ranking
 from deadreckon.mbo.surrogate import counts
 from deadreckon.mbo.variables import Variable
@@ -98,3 +99,11 @@ def _sample(net, count):
     with jax.disable_jit():
         drawn = sample.__wrapped__(tree, jnp.float32(1.0), 0.0, *wide, jax.random.key(0), count=count, steps=100)
     return np.asarray(drawn)[:, 0]
+
+
+def test_a_mixture_is_unsure_of_what_its_members_are_unsure_of_and_disagree_on():
+    """Means 1 and 5, deviations 1 and 1: the mean of the squares is 1, and that of the means' distances from 3 is 4."""
+    nets = MLP((jnp.zeros((2, 3, 2)),), (jnp.array([[1.0, 0.0], [5.0, 0.0]]),))
+    mean, deviation = mixture(nets, jnp.ones((4, 3)))
+    np.testing.assert_allclose(mean, [3.0] * 4)
+    np.testing.assert_allclose(deviation, [5**0.5] * 4, rtol=1e-6)

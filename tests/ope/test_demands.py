@@ -78,6 +78,13 @@ def test_a_guarantee_holds_as_often_as_promised():
     assert np.mean(missed) <= 0.1
 
 
+def test_a_guarantee_shares_its_chance_of_failing_among_all_policies():
+    log = trials(400, np.random.default_rng(0))
+    alone = guaranteed(case_of(log, [MOSTLY]), 0, (0.0, 1.0), 0.05)
+    assert guaranteed(case_of(log, [MOSTLY, FIRST]), 0, (0.0, 1.0), 0.1) == pytest.approx(alone, abs=1e-9)
+    assert alone < guaranteed(case_of(log, [MOSTLY]), 0, (0.0, 1.0), 0.1) - 1e-4
+
+
 def exact(true, policy):
     value, reach = 0.0, true.initial
     for t in range(4):
