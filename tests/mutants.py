@@ -395,12 +395,12 @@ MUTANTS = (
     Mutant(
         "deploy-by-estimate", "ope/select.py", "    elif low > 0:\n", "    elif difference > 0:\n",
         "policies are deployed by the estimate, not by its lower end",
-        ("ope/test_select.py::test_decisions_against_deploying",),
+        ("ope/test_select.py::test_the_lower_end_decides_and_not_the_estimate",),
     ),
     Mutant(
         "objections-ignored", "ope/select.py", "key=lambda i: (not objections[i], *_standing(first, every[i]))",
         "key=lambda i: _standing(first, every[i])", "a policy with objections is chosen before one without",
-        ("ope/test_select.py::test_a_policy_without_overlap_comes_last",),
+        ("ope/test_select.py::test_a_policy_that_something_speaks_against_is_not_chosen_before_one_without",),
     ),
     Mutant(
         "missing-support", "ope/support.py", "rare = chances < RARE / chances.shape[1]",

@@ -102,6 +102,23 @@ def estimates(method, gains, bootstrap, ess=None, corrected=True):
     return Estimates(method, names, value, value, value, Estimand(0.9), **known)
 
 
+def test_the_lower_end_decides_and_not_the_estimate():
+    draws = np.random.default_rng(0).standard_normal((1000, 1))
+    wide, narrow = (select([estimates("DR", [1.0], 1.0 + spread * draws, ess=[900.0])]) for spread in (1.0, 0.1))
+    assert (wide.gain, narrow.gain) == (1.0, 1.0)
+    assert wide.low < 0 < narrow.low
+    assert (wide.deploy, narrow.deploy) == (False, True)
+
+
+def test_a_policy_that_something_speaks_against_is_not_chosen_before_one_without():
+    draws = np.random.default_rng(0).standard_normal((1000, 2))
+    found = estimates("DR", [2.0, 1.0], np.array([2.0, 1.0]) + 0.1 * draws, ess=[900.0, 900.0])
+    assert select([found]).name == "a"
+    choice = select([found], seen=["it has learned from these episodes", None])
+    assert (choice.name, choice.deploy) == ("b", True)
+    assert choice.objections == (("it has learned from these episodes",), ())
+
+
 def test_a_policy_without_overlap_comes_last():
     """Where rewards are negative, one that never acts as the log did has a value of 0."""
     rng = np.random.default_rng(0)
