@@ -27,7 +27,7 @@ def test_from_files_to_a_decision(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--discount", "0.9", *SMALL]
     assert main([*common, "--estimators", "fqe,is", "--select", "--out", str(made / "ope")]) == 0
     out = capsys.readouterr().out
-    assert "judged on: 8 held-out episodes of 40\n" in out
+    assert "evaluated on: 8 held-out episodes of 40\n" in out
     asked = "expected discounted return (discount 0.9) of the first 20 steps of an episode; sampled actions; 95 % intervals"
     assert f"fqe (FQE-L2), model-based: {asked}" in out
     assert f"is (WPDIS): {asked}" in out
@@ -48,7 +48,7 @@ def test_options_of_what_is_estimated(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe-linear"]
     assert main([*common, "--horizon", "5", "--discount", "1", "--unseen", "--accept-model-based"]) == 0
     out = capsys.readouterr().out
-    assert "judged on: 40 episodes, which no policy has learned from as the user says, although 32 of them equal" in out
+    assert "evaluated on: 40 episodes, which no policy has learned from as the user says, although 32 of them equal" in out
     assert "FQE-linear, model-based: expected return of the first 5 steps of an episode; sampled actions" in out
     assert "DEPLOY" not in out  # nobody asked for a decision
     assert main([*common, "--cluster", "user"]) == 2

@@ -124,7 +124,7 @@ def test_what_the_log_does_not_cover_comes_last():
     assert alone.name == "a"
     assert "but 80 % of its actions have no support in the log" in alone.reason
     short = select([found], Support(np.zeros(2), np.full(2, 0.7), np.array([0.94, 0.96]), np.zeros(2, bool)))
-    assert short.objections[0][0].startswith("its importance weights average 0.70 a step instead of 1 (at most 0.94")
+    assert short.objections[0][0].startswith("its importance weights average 0.70 per step instead of 1 (at most 0.94")
     assert not short.objections[1]
     unknown = select([found], lacking(np.full(2, np.nan)))
     assert (unknown.name, unknown.warnings) == ("a", ("the log is too short to tell how many of a's actions have support",))

@@ -26,7 +26,7 @@ from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
 from deadreckon.stats.interval import ALPHA
 
-UNSEEN = "no check can see confounding: something that was not recorded and made both the logged actions and the rewards"
+UNSEEN = "no check can detect confounding: an unrecorded variable that influenced both the logged actions and the rewards"
 GROUPS = 50  # whose gains are told apart at most
 MOST = 100.0  # factor of odds up to which the tipping point is searched
 

@@ -305,7 +305,7 @@ class DoublyRobust(Estimator):
         exact = Fit(self.fqe, case).features.table is not None
         if exact:
             warnings.append(
-                f"{self.label} rests on observations that hold all that matters (the Markov property), which its interval does "
+                f"{self.label} assumes that observations are Markov (they hold all that matters), which its interval does "
                 "not know"
             )
         else:

@@ -96,7 +96,7 @@ class StateMarginal(Estimator):
         ess = np.asarray(ess)
         warnings = [
             *episodes.warnings(case.names, ess),
-            "SMIS rests on states that hold all that matters (the Markov property), which its interval does not know",
+            "SMIS assumes that states are Markov (they hold all that matters), which its interval does not know",
             *(f"{100 * share:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
               for name, share in zip(case.names, lost) if share > TAIL),
         ]  # fmt: skip

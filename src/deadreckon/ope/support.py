@@ -44,7 +44,7 @@ class Support(NamedTuple):
             found.append(f"{100 * self.missing[which]:.0f} % of its actions have no support in the log")
         if self.ratio_high[which] < SHORT:
             found.append(
-                f"its importance weights average {self.ratio[which]:.2f} a step instead of 1 (at most "
+                f"its importance weights average {self.ratio[which]:.2f} per step instead of 1 (at most "
                 f"{self.ratio_high[which]:.2f} with 99 % confidence): it takes actions that the log does not show, or "
                 "propensities are wrong"
             )

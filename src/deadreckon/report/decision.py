@@ -83,7 +83,7 @@ def _number(value: float | None) -> float:
 def _support(told: dict[str, Any], chosen: int) -> str:
     missing, ratio = told["support"]["missing"][chosen], told["support"]["ratio"][chosen]
     said = "not known" if missing is None else f"{percent(missing)} of its actions have no support in the log"
-    return said if ratio is None else f"{said}; its weights average {ratio:.2f} a step (1 where there is support)"
+    return said if ratio is None else f"{said}; its weights average {ratio:.2f} per step (1 with full support)"
 
 
 def _against(told: dict[str, Any], chosen: int) -> Markup:
@@ -100,8 +100,8 @@ def _against(told: dict[str, Any], chosen: int) -> Markup:
     if others:
         rest = tag("ul", [tag("li", tag("b", name), f": {'; '.join(own)}") for name, own in others], class_="caveats")
         more = tag("details", tag("summary", f"Objections to other policies ({len(others)} of {len(names) - 1})"), rest)
-    unseen = note("Not in a log: whether something that was not recorded made the logged actions (confounding).")
-    return tag("div", tag("h3", "What speaks against it, and what else was said"), items, more, unseen)
+    unseen = note("A log cannot show whether an unrecorded variable influenced the logged actions (confounding).")
+    return tag("div", tag("h3", "Objections, warnings and other estimates"), items, more, unseen)
 
 
 def _check(told: dict[str, Any], chosen: int) -> str:

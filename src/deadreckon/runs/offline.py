@@ -186,7 +186,7 @@ def grounds(told: dict[str, Any]) -> list[tuple[str, str]]:
     known = {"logged": "those that were logged", "learned": "a model's of the behaviour policy: none were logged"}
     found = [
         ("estimated", told["estimand"]["words"]),
-        ("judged on", judged["words"] + of),
+        ("evaluated on", judged["words"] + of),
         ("level", f"{level} for all policies at once: {looked}"),
     ]
     return found + ([("propensities", known[told["propensities"]])] if "propensities" in told else [])

@@ -248,7 +248,8 @@ def card(told: dict[str, Any]) -> str:
     names = [*(each["name"] for each in told["policies"]), "the log"]
     width = max(map(len, names))
     number = lambda x: "-" if x is None else f"{x:.2f}"  # noqa: E731
-    lines = [f"judged on {told['judged']['words']}", "", f"{first['title']}: {told['estimand']['words']}; {PERCENT} intervals"]
+    lines = [f"evaluated on {told['judged']['words']}", ""]
+    lines.append(f"{first['title']}: {told['estimand']['words']}; {PERCENT} intervals")
     for name, value, low, high in zip(names, first["value"], first["low"], first["high"]):
         lines.append(f"  {name:<{width}}  {number(value):>{MANY_DIGITS}} [{number(low)}, {number(high)}]")
     lines += ["", supports(told), "", choice]

@@ -54,12 +54,11 @@ class RunSettings:
             UserError: names what is too small or too large.
         """
         counts |= {"chunk": self.chunk, "episodes": self.episodes}
-        if min(counts.values()) < 1:
-            *names, last = counts
-            got = ", ".join(map(str, counts.values()))
-            raise UserError(f"{', '.join(names)} and {last} must be >= 1, got {got}")
+        for name, count in counts.items():
+            if count < 1:
+                raise UserError(f"{name} must be >= 1, got {count}")
         if not 0 <= seed <= 2**32 - counts["seeds"]:
-            raise UserError(f"seed must be 0 .. 2^32 - seeds, got {seed}")
+            raise UserError(f"seed must be from 0 to 2^32 - seeds, got {seed}")
         if self.evaluate_every is not None and self.evaluate_every < 1:
             raise UserError(f"evaluate_every must be >= 1, got {self.evaluate_every}")
 
