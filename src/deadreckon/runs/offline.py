@@ -224,7 +224,7 @@ def supports(told: dict[str, Any]) -> str:
     names = [each["name"] for each in told["policies"]]
     width = max(map(len, names))
     shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in told["support"]["missing"]]
-    words = "mean weight of a step {:.2f} (1 where there is support)"
+    words = "mean weight per step {:.2f} (1 where there is support)"
     weights = ["" if mean is None else f", {words.format(mean)}" for mean in told["support"]["ratio"]]
     lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
     return "\n".join(["share of each policy's actions without support in the log", *lines])
