@@ -78,12 +78,7 @@ def load(path: Path | str) -> EnvPolicy:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    if not Path(path).exists():
-        raise UserError(f"no file {path}")
-    try:
-        tree, arrays = portable.read(path)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    tree, arrays = _read(path)
 
     def decode(value: Any) -> Any:
         if isinstance(value, dict):
@@ -118,7 +113,13 @@ def taught(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
+    return _read(path)[1].get(_TAUGHT)
+
+
+def _read(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    if not Path(path).exists():
+        raise UserError(f"no file {path}")
     try:
-        return portable.read(path)[1].get(_TAUGHT)
+        return portable.read(path)
     except ValueError as error:
         raise UserError(str(error)) from error
