@@ -15,12 +15,12 @@ from deadreckon.errors import UserError, unknown
 
 # name: (module, function, one line)
 COMMANDS = {
-    "demo": ("demo", "demo", "an end-to-end demo in minutes: collect a log, learn five ways, judge, report"),
-    "tasks": ("show", "tasks", "the simulators that policies are judged in; logs and policies made in them, with scores"),
+    "demo": ("demo", "demo", "an end-to-end demo in minutes: collect a log, learn five ways, decide, report"),
+    "tasks": ("show", "tasks", "the simulators that policies are evaluated in; logs and policies made in them, with scores"),
     "agents": ("show", "agents", "the learning algorithms, and where they come from"),
     "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),
     "train": ("train", "train", "learn a policy from a log, or online in a simulator; several seeds as one program"),
-    "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench judges the estimators"),
+    "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench compares the estimators"),
     "tune": ("tune", "tune", "settings of an agent: chosen from a log alone by estimates, or on training tasks"),
     "recommend": ("recommend", "recommend", "from a log and so much time to a decision card: agents, settings, estimates"),
     "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
@@ -32,7 +32,7 @@ COMMANDS = {
 
 HELP = """usage: deadreckon COMMAND [OPTIONS]
 
-Logged data into decisions: learn policies from a fixed log, judge them, show what they are worth.
+Logged data into decisions: learn policies from a fixed log, estimate what they are worth, and decide.
 
 commands:
 {commands}

@@ -15,7 +15,7 @@ from deadreckon.cli.train import columns_of, holdout_of
 
 @dataclass
 class Recommend:
-    """Try agents and settings on a log, judge them by held-out episodes of it, and say in time whether to deploy which."""
+    """Try agents and settings on a log, estimate them on held-out episodes, and say in time which to deploy, if any."""
 
     data: Annotated[str, tyro.conf.Positional]  # log to learn from: a known name, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)

@@ -9,7 +9,7 @@ from deadreckon.errors import unknown
 
 @dataclass
 class Tasks:
-    """The simulators that policies are judged in."""
+    """The simulators that policies are evaluated in."""
 
     domain: str | None = None  # domain to show, such as maze2d; None: all
 
