@@ -13,11 +13,11 @@ from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
-from deadreckon.policies import store
+from deadreckon.policies import BlackBoxPolicy, store
 from deadreckon.report import write
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.gather import gather
-from deadreckon.runs.offline import checked, judge, read_estimates
+from deadreckon.runs.offline import checked, grounds, judge, read_estimates
 from deadreckon.runs.train import train
 
 SMALL = FQE(members=2, hidden=(8,), steps=100)
@@ -134,6 +134,36 @@ def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_pa
     said = judge([tmp_path / "mine.npz"], log, unseen=True, **QUICK)
     assert said.told["judged"]["fresh"]
     assert "as the user says" in said.told["judged"]["words"]
+
+
+def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_no_ends():
+    """Action 1 is never taken: nothing that any estimator says of a policy that takes it has an end."""
+    rng = np.random.default_rng(0)
+    log = Dataset.from_arrays(
+        observations=rng.standard_normal((300, 2)), actions=2 * rng.integers(0, 2, 300), rewards=rng.standard_normal(300),
+        terminals=np.ones(300, bool), behavior_log_probs=np.full(300, -np.log(2)), action_space=Discrete(3), name="gap",
+    )  # fmt: skip
+
+    def policy(share):
+        probs = np.array([1.0 - share, share, 0.0])
+        return BlackBoxPolicy(
+            lambda seen, rng: rng.choice(3, len(seen), p=probs), action_probs=lambda seen: np.tile(probs, (len(seen), 1))
+        )
+
+    policies = [policy(0.0), policy(0.3)]
+    judged = judge(policies, log, ["dr-linear", "is"], unseen=True, **QUICK)
+    told = judged.told
+    assert [each["name"] for each in told["policies"]] == ["policy 0", "policy 1"]
+    assert "30 % of its actions have no support" in told["choice"]["objections"][1][0]
+    for each in told["results"]:
+        assert np.isfinite(each["low"][0])
+        assert (each["low"][1], each["high"][1]) == (-np.inf, np.inf)
+        assert each["gain"][1][1:] == [-np.inf, np.inf]
+    assert dict(grounds(told))["log"] == log.name
+    alone = judge(policies[1:], log, ["dr-linear", "is"], unseen=True, **QUICK).choice
+    assert not any("agrees" in line for line in alone.evidence)
+    with pytest.raises(UserError, match="policies to judge are runs, folders, files or policies, got int"):
+        judge([3], log, unseen=True, **QUICK)
 
 
 def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):

@@ -266,12 +266,22 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
     monkeypatch.setattr(work, "LATE", 1e9)
     monkeypatch.setattr(work, "LOOKS", 1e-9)  # one update at a time
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 60)
+    monkeypatch.setattr(work, "FEWEST", 1)
     sent, out = attempt(tmp_path, a_log())
     lines = of(sent, "line")
     assert "pilot: bold is left out, it diverges (NaN or Inf) on this log" in lines
     assert any(line.startswith("bc was ended after") for line in lines)
     assert dr.load_run(out / "bc").config["steps"] < 60
     assert (out / "estimates.json").exists()
+
+
+def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, monkeypatch):
+    """That they are no better would say nothing of what the log has to teach; nor is a look spent on them."""
+    monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 20)
+    sent, out = attempt(tmp_path, a_log())
+    assert of(sent, "unfinished") == ["not enough time: it would do for 20 updates of each candidate, 200 are the fewest"]
+    assert [each["need"] > 0 for each in of(sent, "state") if "need" in each] == [True]
+    assert not (out / "estimates.json").exists()
 
 
 def test_deterministic_policies_come_last_and_the_plan_says_what_that_means():

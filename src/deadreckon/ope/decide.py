@@ -20,7 +20,7 @@ from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import PROPENSITIES, as_estimator
-from deadreckon.ope.select import MANY, SHARE, Choice, select
+from deadreckon.ope.select import MANY, SHARE, Choice, endless_where_unsupported, select
 from deadreckon.ope.sensitivity import weight_box
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
@@ -101,7 +101,7 @@ def decide(
     if tail is not None:
         more["tail"], line = _tail(case, which, tail, model, alpha, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
-    return Decision(results, checked, choice, more)
+    return Decision([endless_where_unsupported(each, checked) for each in results], checked, choice, more)
 
 
 def check(
@@ -154,7 +154,7 @@ def _confounded(
     told["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
     undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
     if np.isnan(tipping):
-        undone = "its gain is not above zero with confidence even where there is none"
+        undone = "its gain is not above zero with confidence even if there is none"
     elif np.isinf(tipping):
         undone = f"its gain stays sure where odds of logged actions are off by {MOST:g}"
     choice = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {undone}"))

@@ -57,14 +57,23 @@ class Estimates:
     inflation: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
-    def of_influence(cls, method: str, case: "OPEInput", value: np.ndarray, influence: np.ndarray, **more: Any) -> "Estimates":
+    def of_influence(
+        cls,
+        method: str,
+        case: "OPEInput",
+        value: np.ndarray,
+        influence: np.ndarray,
+        *,
+        ess: np.ndarray | None = None,
+        **more: Any,
+    ) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
-        itself.
+        itself; without weights nothing is known.
         """
         low, high = inference.intervals(value, influence, seed=case.seed)
-        if (weights := more.get("effective")) is not None:  # without weights nothing is known
-            low, high = np.where(weights > 0, low, -np.inf), np.where(weights > 0, high, np.inf)
-        return cls(method, case.names, value, low, high, case.estimand, influence=influence, **more)
+        if ess is not None:
+            low, high = np.where(ess > 0, low, -np.inf), np.where(ess > 0, high, np.inf)
+        return cls(method, case.names, value, low, high, case.estimand, influence=influence, ess=ess, **more)
 
     @property
     def discount(self) -> float:

@@ -6,7 +6,7 @@ be checked from a log is whether something that was not recorded made the logged
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -146,7 +146,8 @@ def select(
     known = np.ones(len(first.names), bool)
     known[[first.names.index(name) for name in names]] = [not own for own in unknown]
     every = gains(first, alpha, known)
-    found = [every, *(gains(each, alpha) for each in estimates[1:])]
+    shown = supported(first, support)
+    found = [every, *(gains(each, alpha, shown) for each in estimates[1:])]
     objections = []
     for i in range(len(names)):
         own = [] if seen is None or seen[i] is None else [str(seen[i])]
@@ -173,7 +174,8 @@ def select(
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
         agrees = ", agrees that it is best" if chosen == best else f", would choose {names[chosen]}"
-        agrees = agrees if len(names) > 1 else ""  # of one policy there is nothing to choose
+        # Of one policy there is nothing to choose, and where nothing is known nothing to agree with.
+        agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
         evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}]{agrees}")
     warnings = list(first.warnings)
     which, moved = _moved(first, known)
@@ -197,6 +199,20 @@ def select(
         name, deploy, float(difference), float(low), float(high), reason, tuple(evidence), tuple(warnings), every[keep],
         tuple(objections), 1 - alpha, MOVED * moved,
     )  # fmt: skip
+
+
+def supported(found: Estimates, support: Support | None) -> np.ndarray:
+    """(policies,) whether the log can speak for each policy of an estimate, the behaviour policy among them."""
+    known = np.ones(len(found.names), bool)
+    for i, name in enumerate(name for name in found.names if name != LOGGED):
+        known[found.names.index(name)] = support is None or not support.objections(i)
+    return known
+
+
+def endless_where_unsupported(found: Estimates, support: Support | None) -> Estimates:
+    """An estimate whose intervals have no ends for policies that the log cannot speak for: nothing else would be true."""
+    known = supported(found, support)
+    return replace(found, low=np.where(known, found.low, -np.inf), high=np.where(known, found.high, np.inf))
 
 
 def _unreliable(found: Estimates, which: int) -> list[str]:

@@ -88,6 +88,7 @@ DEARER = 10.0  # so many times as long as an update of the first candidate, an i
 MOST = 100_000  # updates of a candidate
 WORTH = 10_000  # updates that each should have before another candidate is tried
 ENOUGH = 3  # candidates that should be tried, with small networks if need be
+FEWEST = 200  # updates of each, below which nobody is judged
 TRIED, LONGEST = 20, 1.0  # a pilot looks at the clock every so many updates, and ends after so many seconds of them
 PILOTS, SECOND = 0.2, 0.5  # shares of the time by which a further pilot must end; by which that of the second candidate begins
 SPARING = 400.0  # seconds below which large networks are not even looked at: what it takes to compile them is worth more
@@ -276,12 +277,15 @@ class Attempt:
         time_for = max(left - LATE * judging, LEAST * left)
         begin = 0.3 * sum(each.start for each in pilots)  # of folders, and what of the programs is compiled again
         rates = [each.rate for each in pilots]
-        steps = min(max(self._steps(time_for - begin, rates), TRIED), MOST)
-        for told in self.told:
-            told["planned"] = steps
-        least = min(steps, 1_000)
+        steps = min(self._steps(max(time_for - begin, 0.0), rates), MOST)
+        least = min(max(steps, FEWEST), 1_000)
         spent = time.time() - self.job.began
         self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
+        if steps < FEWEST:
+            # Whoever has hardly begun to learn would be judged to be no better, which is another thing than not knowing.
+            raise Unfinished(f"not enough time: it would do for {steps} updates of each candidate, {FEWEST} are the fewest")
+        for told in self.told:
+            told["planned"] = steps
         self._tell()
         self.send("line", self._plan(hidden, steps, rates, time_for, judging))
         self._stage("learning")
@@ -302,6 +306,8 @@ class Attempt:
                     self.send("line", f"{candidate.name} was ended after {run.config['steps']:,} updates: its time was over")
                 runs.append(run)
             self._tell()
+        if runs and max(run.config["steps"] for run in runs) < FEWEST:
+            raise Unfinished(f"not enough time: no candidate came to {FEWEST} updates, the fewest that are judged")
         return runs
 
     def _learned(

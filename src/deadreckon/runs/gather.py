@@ -10,6 +10,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.case import CrossFitted
 from deadreckon.policies import library, store
+from deadreckon.policies.policy import Policy
 from deadreckon.policies.resolve import PICKLES, policy_of_file
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
@@ -44,14 +45,19 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
     """Policies to judge.
 
     Args:
-        given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), or names of tasks whose eleven snapshots
-            are meant.
+        given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), policies, of which nobody knows what they
+            have learned from, or names of tasks whose eleven snapshots are meant.
 
     Raises:
         UserError: none of these.
     """
     found: list[Gathered] = []
-    for each in given:
+    for number, each in enumerate(given):
+        if isinstance(each, Policy):
+            found.append(Gathered(each, f"policy {number}", None, None))
+            continue
+        if not isinstance(each, Run | CrossFit | str | Path):
+            raise UserError(f"policies to judge are runs, folders, files or policies, got {type(each).__name__}")
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]

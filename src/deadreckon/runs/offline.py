@@ -19,7 +19,7 @@ from deadreckon.ope.decide import check, decide
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import PROPENSITIES, as_estimator, titled
-from deadreckon.ope.select import Choice, gains
+from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import for_case, fresh, gather
@@ -142,7 +142,7 @@ def judge(
         truth = simulated(
             acting, task, episodes=episodes, seed=seed, greedy=greedy, discount=discount, horizon=case.estimand.horizon
         )
-    every = [gains(each, spent.alpha) for each in results]
+    every = [gains(each, spent.alpha, supported(each, checks)) for each in results]
     every[0][: len(names)] = choice.gains  # which know what speaks against an interval
     shares = lambda x: [None if np.isnan(share) else float(share) for share in x]  # noqa: E731
     told = {
@@ -185,6 +185,7 @@ def grounds(told: dict[str, Any]) -> list[tuple[str, str]]:
         looked = "looks at these episodes were not counted"
     known = {"logged": "those that were logged", "learned": "a model's of the behaviour policy: none were logged"}
     found = [
+        ("log", told["log"]),
         ("estimated", told["estimand"]["words"]),
         ("evaluated on", judged["words"] + of),
         ("level", f"{level} for all policies at once: {looked}"),

@@ -196,6 +196,8 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
         evidence.append(f"{each['name']}: {how.get(each['state'], each['state'])}{updates}")
     if found.refused or found.unfinished or found.fault:
         reason = str(found.refused or found.unfinished or found.fault)
+        if found.unfinished and state.get("need"):
+            evidence.append(f"a budget of {_enough(state, clock)} would do, as far as is known")
     else:
         learned = sum(each["state"] == "learned" for each in candidates)
         of = f"{learned} of {len(candidates)} candidates have learned, none is judged"
