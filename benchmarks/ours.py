@@ -44,9 +44,9 @@ def make_ours(agent_name: str, options: dict[str, Any]) -> Callable[[int], int]:
         return _fqe(log, options)
     fields: dict[str, Any] = {"hidden": (options["width"],) * 2, "batch_size": options["batch"]}
     if options["peer"] == "cql":
-        fields |= {"draws": options["cql_samples"]}
+        fields |= {"samples": options["cql_samples"]}
     if options["peer"] == "bcq":
-        fields |= {"behavior_hidden": (options["behaviour_width"],) * 2, "draws": options["target_samples"]}
+        fields |= {"behavior_hidden": (options["behaviour_width"],) * 2, "samples": options["target_samples"]}
     if options["peer"] == "bear":
         fields |= {
             "behavior": options["behaviour"], "behavior_hidden": (options["behaviour_width"],) * 2, "warm_start": 0,

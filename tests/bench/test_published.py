@@ -191,8 +191,8 @@ def test_b_1_is_what_the_presets_have():
     for name, row in table["tasks"].items():
         preset = PRESETS[name]
         assert list(row) == list(table["fields"])
-        assert row["k"] == list(preset["length"])[: len(row["k"])]
-        assert len(row["k"]) == 4 or preset["length"][0] == preset["length"][1] == 1
+        assert row["k"] == list(preset["rollout_length"])[: len(row["k"])]
+        assert len(row["k"]) == 4 or preset["rollout_length"][0] == preset["rollout_length"][1] == 1
         assert (row["width"],) * row["layers"] == preset.get("model_hidden", (200,) * 4)
         if row["G"] is not None:
             assert row["G"] == preset.get("updates_per_step", 20)

@@ -32,7 +32,7 @@ def test_agent_help_shows_the_comments_behind_fields(capsys):
     assert done.value.code == 0
     out = capsys.readouterr().out
     assert "--agent.min-weight" in out
-    assert "lambda: target" in out
+    assert "lambda" in out
 
 
 def test_collect_info_convert_train_evaluate_report(tmp_path, monkeypatch, capsys):

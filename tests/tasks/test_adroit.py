@@ -4,6 +4,7 @@ import pickle
 import warnings
 
 import gymnasium
+import jax
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -100,7 +101,7 @@ def test_dapgs_policies_succeed_here(task, real_data):
     simulator = task.simulate(range(8 if task.name == "door" else 40))
     seen, reached, alive = simulator.reset(), 0, True
     for _ in range(task.horizon):
-        actions = np.asarray(first_actions(policy, seen, None, True))
+        actions = np.asarray(first_actions(policy, seen, jax.random.key(0), True))
         seen, _, terminals, timeouts = simulator.step(actions)
         reached, alive = reached + (simulator.achieved & alive), alive & ~(terminals | timeouts)
     # Of 1,000 episodes with drawn actions, 0.72 .. 0.97 succeed (docs/tasks/adroit.md); means do better.

@@ -72,8 +72,9 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
+            policy = policy_of_file(path)
             taught = None if path.suffix in PICKLES else store.taught(path)
-            found.append(Gathered(policy_of_file(path), path.stem, None, taught, None, path))
+            found.append(Gathered(policy, path.stem, None, taught, None, path))
         else:
             if len(path.parts) > 1:
                 raise UserError(f"no folder or file {path}")
