@@ -208,6 +208,7 @@ def small(monkeypatch):
     sizes = {"TRIED": 20, "MOST": 60, "WORTH": 40, "ENOUGH": 2, "LARGE": (8,), "SMALL": (4,), "LONGEST": 0.01, "LOOKS": 0.01}
     for name, value in sizes.items():
         monkeypatch.setattr(work, name, value)
+    monkeypatch.setattr(work, "FEWEST", 1)
     monkeypatch.setattr(work, "PROPENSITIES", dr.ope.BehaviorModel(hidden=(8,), lr=1e-3, steps=60))
     bold = Candidate("bold", "bc", {"batch_size": 16, "lr": 1e-3}, "-")
     monkeypatch.setattr(work, "CONTINUOUS", (Candidate("bc", "bc", {"batch_size": 16}, "-"), bold))
@@ -266,7 +267,6 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
     monkeypatch.setattr(work, "LATE", 1e9)
     monkeypatch.setattr(work, "LOOKS", 1e-9)  # one update at a time
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 60)
-    monkeypatch.setattr(work, "FEWEST", 1)
     sent, out = attempt(tmp_path, a_log())
     lines = of(sent, "line")
     assert "pilot: bold is left out, it diverges (NaN or Inf) on this log" in lines
@@ -277,6 +277,7 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
 
 def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, monkeypatch):
     """That they are no better would say nothing of what the log has to teach; nor is a look spent on them."""
+    monkeypatch.setattr(work, "FEWEST", 200)
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 20)
     sent, out = attempt(tmp_path, a_log())
     assert of(sent, "unfinished") == ["not enough time: it would do for 20 updates of each candidate, 200 are the fewest"]
