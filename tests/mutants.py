@@ -346,11 +346,7 @@ MUTANTS = (
     Mutant(
         "fqe-terminal", "ope/fqe.py", "self.discount * (1.0 - batch.terminal) * future", "self.discount * future",
         "fitted values look beyond a terminal",
-        (
-            "ope/test_case.py::test_members_learn_each_from_its_own_redrawn_episodes",
-            "ope/test_corrected.py",
-            "test_golden.py",
-        ),
+        ("ope/test_case.py::test_targets_of_fitted_values_end_at_terminals",),
     ),
     Mutant(
         "fqe-member-weights", "ope/fqe.py", 'error = square * batch.extra["weight"].T[:, None, :]',
@@ -360,7 +356,7 @@ MUTANTS = (
     Mutant(
         "dice-future-masked", "ope/dice.py", "self.discount * lasts * future - q", "self.discount * future - q",
         "residuals look beyond a terminal",
-        ("ope/test_exact.py", "test_golden.py",),
+        ("ope/test_case.py::test_the_saddle_point_looks_ahead_where_the_episode_goes_on_and_nowhere_else",),
     ),
     Mutant(
         "rank-correlation-order", "ope/metrics.py", "np.corrcoef(rankdata(estimates), rankdata(truth))",
@@ -421,12 +417,12 @@ MUTANTS = (
     Mutant(
         "discounted-return", "runs/evaluate.py", "alive * rewards * discounts[:, None] ** t",
         "alive * rewards * discounts[:, None] ** (t + 1)", "true discounted returns are too small by one discount",
-        ("runs/test_train.py::test_discounted_returns_and_lengths",),
+        ("runs/test_train.py::test_nothing_counts_after_an_episodes_end",),
     ),
     Mutant(
         "counts-after-end", "runs/evaluate.py", "returns += alive * rewards", "returns += rewards",
         "rewards after an episode's end count",
-        ("runs/test_train.py",),
+        ("runs/test_train.py::test_nothing_counts_after_an_episodes_end",),
     ),
     # ---- designers
     Mutant(
@@ -437,10 +433,7 @@ MUTANTS = (
     Mutant(
         "nemo-bin-edge", "mbo/nml.py", "(jnp.arange(bins) + 0.5) / bins", "jnp.arange(bins) / bins",
         "bins are known by their lower edges",
-        (
-            "mbo/test_nemo.py::test_discretised_logistic_equals_numpy",
-            "mbo/test_nemo.py::test_gradients_of_mu_and_of_the_mean_point_alike",
-        ),
+        ("mbo/test_nemo.py::test_middles_of_bins_are_halfway_between_their_edges",),
     ),
     Mutant(
         "nml-own-model", "mbo/nml.py", "jnp.diagonal(own, axis1=0, axis2=2)", "own.mean(0)",

@@ -50,6 +50,10 @@ def test_probabilities_far_out_stay_finite():
     np.testing.assert_allclose(logs[0, 3] - logs[0, 2], 1 / (K * 0.1), rtol=1e-3)
 
 
+def test_middles_of_bins_are_halfway_between_their_edges():
+    np.testing.assert_allclose(middles(4), [0.125, 0.375, 0.625, 0.875])
+
+
 def test_quantisation_at_the_edges():
     u = jnp.asarray([0.0, 0.1249, 0.125, 0.5, 0.999, 1.0, 1.7, -0.2])
     np.testing.assert_array_equal(quantise(u, K), [0, 0, 1, 4, 7, 7, 7, 0])

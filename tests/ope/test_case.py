@@ -10,8 +10,10 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
+from deadreckon.nets.optim import init_opt
 from deadreckon.ope import FQE, LOGGED, BehaviorModel, DoublyRobust, ImportanceSampling, OPEInput
-from deadreckon.ope.fqe import Critics, Scale
+from deadreckon.ope.dice import DICE, Saddle
+from deadreckon.ope.fqe import Critics, Scale, State
 from deadreckon.ope.tables import NOISE
 from deadreckon.policies import BlackBoxPolicy, EnvPolicy, library
 from deadreckon.policies.kinds import ClippedGaussian, Deterministic
@@ -82,6 +84,39 @@ def test_members_learn_each_from_its_own_redrawn_episodes():
     slopes = jax.grad(lambda net: learner.loss(net, batch, target)[0])(critics).biases[0][:, 0, 0]
     np.testing.assert_allclose(slopes, [-2 * (2 * 1) / 2, -2 * (3 * 2) / 2])
     assert float(metrics["loss"]) == pytest.approx((2 + 12) / 4)
+
+
+def test_targets_of_fitted_values_end_at_terminals(monkeypatch):
+    """Critics that say 2 everywhere, rewards of 1: 1 + 0.9 * 2 where the episode goes on, 1 where it has ended."""
+    told, loss = [], Critics.loss
+
+    def spy(self, critics, batch, target):
+        told.append(target)
+        return loss(self, critics, batch, target)
+
+    monkeypatch.setattr(Critics, "loss", spy)
+    learner = Critics(FQE(hidden=()), 0.9, Scale(1.0, 1.0, -9.0, 9.0), share=1.0, first=0.0, members=1, policies=1, stops=False)
+    critics = MLP((jnp.zeros((1, 1, 2, 1)),), (jnp.full((1, 1, 1), 2.0),))
+    extra = {"weight": jnp.ones((2, 1)), "policy": jnp.zeros((2, 1, 1, 1))}
+    batch = Batch(jnp.ones((2, 1)), jnp.ones((2, 1)), jnp.ones(2), jnp.ones((2, 1)), jnp.array([0.0, 1.0]), extra=extra)
+    learner.update(State(critics, critics, init_opt(critics), None), batch, step=jnp.int32(0), key=jax.random.key(0))
+    np.testing.assert_allclose(told[0], [[[2.8, 1.0]]], rtol=1e-6)
+
+
+def test_the_saddle_point_looks_ahead_where_the_episode_goes_on_and_nowhere_else():
+    rng = np.random.default_rng(0)
+    learner = Saddle(DICE(hidden=(), members=1), 0.9, 1.0, 1)
+    q, zeta = (MLP((jnp.asarray(rng.normal(size=(1, 1, 2, 1)), jnp.float32),), (jnp.zeros((1, 1, 1)),)) for _ in range(2))
+    ones, table = jnp.ones((2, 1)), jnp.zeros((2, 1, 1, 1))
+    extra = {"weight": ones, "policy": table, "initial_weight": ones, "initial_policy": table}
+
+    def value(following):
+        batch = Batch(ones, ones, jnp.ones(2), jnp.array(following)[:, None], jnp.array([0.0, 1.0]), initial_observation=ones,
+                      extra=extra)  # fmt: skip
+        return float(learner.lagrangian((q, jnp.zeros((1, 1))), zeta, batch)[0])
+
+    assert value([1.0, 5.0]) == pytest.approx(value([1.0, 1.0]), rel=1e-6)  # the second row is terminal
+    assert abs(value([5.0, 1.0]) - value([1.0, 1.0])) > 1e-2
 
 
 def test_a_clipped_policy_is_divided_by_a_clipped_model():

@@ -1,10 +1,13 @@
 """From a log to a judged run folder, and taking it up again."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import deadreckon as dr
 from deadreckon.collect import generate
+from deadreckon.data.spec import Box
 from deadreckon.files import read_json, write_json
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
@@ -249,6 +252,27 @@ def test_discounted_returns_and_lengths():
     rewards = np.exp(-np.linalg.norm(result.trajectories[0, :, 1:, :2] - goal, axis=-1))
     np.testing.assert_allclose(result.discounted[0], (rewards * 0.5 ** np.arange(299)).sum(1), rtol=1e-4)
     assert (result.lengths == 300).all()
+
+
+def test_nothing_counts_after_an_episodes_end():
+    """Episodes of one, two and three steps, side by side, and a reward of one at every step, also after an end."""
+
+    class Ends:
+        def reset(self):
+            self.steps = 0
+            return np.zeros((3, 1), np.float32)
+
+        def step(self, actions):
+            self.steps += 1
+            return np.zeros((3, 1), np.float32), np.ones(3), self.steps >= np.array([1, 2, 3]), np.zeros(3, bool)
+
+    ends = SimpleNamespace(
+        name="ends", horizon=3, observation_shape=(1,), action_space=Box((-1.0,), (1.0,)), simulate=lambda seeds: Ends()
+    )
+    result = evaluate(BlackBoxPolicy(lambda obs, rng: np.zeros((len(obs), 1))), ends, episodes=3, discount=0.5)
+    np.testing.assert_array_equal(result.returns, [[1.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(result.discounted, [[1.0, 1.5, 1.75]])
+    np.testing.assert_array_equal(result.lengths, [[1, 2, 3]])
 
 
 def test_interval_of_a_mean_by_hand():
