@@ -16,7 +16,7 @@ from deadreckon.data.frame import check_column, to_arrow
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 from deadreckon.mbo.coordinates import Coordinates
-from deadreckon.mbo.variables import FEWEST, Variable, _codes, _variable
+from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, variable_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class Designs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
         columns, variables = [], []
         for column in inputs:
-            values, variable = _variable(
+            values, variable = variable_of(
                 name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column)
             )
             columns.append(values)
@@ -185,7 +185,7 @@ class Designs:
         for v in self.variables:
             check_column(table, v.name, self.name)
             if v.kind == "categorical":
-                columns.append(_codes(self.name, table, v.name, v.levels))
+                columns.append(codes(self.name, v.name, filled(self.name, table, v.name), v.levels))
             else:
                 columns.append(numbers(self.name, table, v.name))
         x = np.stack(columns, 1)

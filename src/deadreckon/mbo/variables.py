@@ -42,7 +42,7 @@ class Variable:
             raise UserError(f"{self.name}: bounds must satisfy low <= high, got {self.low:g} and {self.high:g}")
 
 
-def _variable(
+def variable_of(
     name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any
 ) -> tuple[np.ndarray, Variable]:
     """A column's numbers, and what it may be."""
@@ -53,18 +53,38 @@ def _variable(
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
         raise UserError(f"{name}: column {column}: {unknown('kind', kind, KINDS)}")
-    if kind == "categorical":
-        if bounds is not None:
-            raise UserError(f"{name}: column {column} is categorical and has levels, not bounds")
-        if given is None and not levels:
-            _not_numbers(name, table, column)
-        known = _typed(levels, stored) if levels else _levels(name, table, column)
-        if given is None and not levels and len(known) == table.num_rows >= FEWEST:
-            raise UserError(
-                f"{name}: column {column} holds another text in every row, from which nothing is learned; ignore it, or say "
-                "kind categorical"
-            )
-        return _codes(name, table, column, known), Variable(column, "categorical", levels=known)
+    if kind != "categorical":
+        return _number(name, table, column, kind, bounds)
+    if bounds is not None:
+        raise UserError(f"{name}: column {column} is categorical and has levels, not bounds")
+    return _category(name, table, column, levels, told=given is not None or bool(levels))
+
+
+def _category(
+    name: str, table: pa.Table, column: str, levels: Sequence[Any] | None, *, told: bool
+) -> tuple[np.ndarray, Variable]:
+    """Codes of a column, and the variable; unless somebody `told` that it is categorical, what is likely a mistake is refused."""
+    stored, values = table.column(column).type, filled(name, table, column)
+    if not told and pa.types.is_string(stored):
+        _check_texts(name, column, values)
+    if levels:
+        known = _typed(levels, stored)
+    elif is_category(stored) and not pa.types.is_boolean(stored):
+        known = tuple(category_codes(name, column, table.column(column).combine_chunks())[1])
+    else:
+        known = tuple(sorted(set(values)))
+    if not told and len(known) == table.num_rows >= FEWEST:
+        raise UserError(
+            f"{name}: column {column} holds another text in every row, from which nothing is learned; ignore it, or say "
+            "kind categorical"
+        )
+    return codes(name, column, values, known), Variable(column, "categorical", levels=known)
+
+
+def _number(
+    name: str, table: pa.Table, column: str, kind: str, bounds: tuple[float, float] | None
+) -> tuple[np.ndarray, Variable]:
+    """Values of a column of numbers, and the variable within its bounds."""
     values = numbers(name, table, column)
     low, high = bounds if bounds is not None else (values.min(), values.max())
     if not low <= high:
@@ -108,11 +128,21 @@ def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:
     return tuple(map(typed, levels))
 
 
-def _not_numbers(name: str, table: pa.Table, column: str) -> None:
+def filled(name: str, table: pa.Table, column: str) -> list[Any]:
+    """The values of a column, none of which may be missing.
+
+    Raises:
+        UserError: one is.
+    """
+    values = table.column(column).to_pylist()
+    for row, value in enumerate(values):
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            raise UserError(f"{name}: column {column} is empty in row {row}")
+    return values
+
+
+def _check_texts(name: str, column: str, values: Sequence[str]) -> None:
     """Refuses texts that are numbers in most rows: one bad cell would make a category of each."""
-    if not pa.types.is_string(table.column(column).type):
-        return
-    values = _texts(name, table, column)
     bad = [row for row, value in enumerate(values) if not is_number(value)]
     if bad and len(bad) < len(values) / 2:
         row = bad[0]
@@ -122,25 +152,15 @@ def _not_numbers(name: str, table: pa.Table, column: str) -> None:
         )
 
 
-def _texts(name: str, table: pa.Table, column: str) -> list[Any]:
-    values = table.column(column).to_pylist()
-    for row, value in enumerate(values):
-        if value is None or (isinstance(value, float) and math.isnan(value)):
-            raise UserError(f"{name}: column {column} is empty in row {row}")
-    return values
+def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any]) -> np.ndarray:
+    """Indices of values in the levels of a categorical variable.
 
-
-def _levels(name: str, table: pa.Table, column: str) -> tuple[Any, ...]:
-    if is_category(table.column(column).type) and not pa.types.is_boolean(table.column(column).type):
-        _texts(name, table, column)
-        return tuple(category_codes(name, column, table.column(column).combine_chunks())[1])
-    return tuple(sorted(set(_texts(name, table, column))))
-
-
-def _codes(name: str, table: pa.Table, column: str, levels: Sequence[Any]) -> np.ndarray:
+    Raises:
+        UserError: a value is none of them.
+    """
     index = {level: i for i, level in enumerate(levels)}
     out = []
-    for row, value in enumerate(_texts(name, table, column)):
+    for row, value in enumerate(values):
         if value not in index:
             shown = ", ".join(map(str, levels[:8])) + (", ..." if len(levels) > 8 else "")
             raise UserError(f"{name}: column {column} has the unknown level {value!r} in row {row}; known are {shown}")
