@@ -63,7 +63,7 @@ def variable_of(
 def _category(
     name: str, table: pa.Table, column: str, levels: Sequence[Any] | None, *, told: bool
 ) -> tuple[np.ndarray, Variable]:
-    """Codes of a column, and the variable; unless somebody `told` that it is categorical, what is likely a mistake is refused."""
+    """Codes of a column and the variable; unless somebody `told` that it is categorical, likely mistakes are refused."""
     stored, values = table.column(column).type, filled(name, table, column)
     if not told and pa.types.is_string(stored):
         _check_texts(name, column, values)
