@@ -9,6 +9,7 @@ import numpy as np
 
 from deadreckon.bench.tables import Table
 from deadreckon.errors import unknown
+from deadreckon.stats.interval import ALPHA
 
 FORMATS = ("text", "markdown", "csv", "latex")
 
@@ -59,7 +60,7 @@ def _text(table: Table) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
     rule = "  ".join("-" * w for w in widths)
-    legend = ["* best, or not told from it by Welch's t-test (p > 0.05)"] if any("*" in c for row in rows for c in row) else []
+    legend = [f"* best, or not told from it by Welch's t-test (p > {ALPHA:g})"] if any("*" in c for row in rows for c in row) else []
     return "\n".join([lines[0], rule, *lines[1:], *(["", *legend] if legend else [])])
 
 

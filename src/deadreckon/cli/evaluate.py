@@ -13,7 +13,7 @@ from deadreckon.errors import UserError
 
 @dataclass
 class Evaluate:
-    """Run policies in a simulator and print returns, scores and 95 % intervals."""
+    """Run policies in a simulator and print returns, scores and confidence intervals."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders or policy files
     task: str | None = None  # simulator to evaluate in; None: that of the run

@@ -7,7 +7,7 @@ import numpy as np
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.report.entries import Entry, Page
 from deadreckon.stats.crossed import against, mean_interval, paired
-from deadreckon.stats.interval import Interval
+from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks.task import Task
 
 BEHAVIOR = LOGGED
@@ -89,7 +89,7 @@ def behavior(entry: Entry) -> Interval | None:
     return Interval(known["mean"], known["low"], known["high"]) if known else None
 
 
-def versus(a: Row, b: Row, miss: float = 0.05) -> Difference | None:
+def versus(a: Row, b: Row, miss: float = ALPHA) -> Difference | None:
     """How much `a`, a run, is worth beyond `b`, a run or the behaviour policy.
 
     Args:

@@ -12,10 +12,8 @@ from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import coded, figure, note, tile, unit_of
 from deadreckon.report.rows import Difference, Row, log_row, rows, versus
 from deadreckon.report.text import brackets, number, percent, score, words
-from deadreckon.stats.interval import PERCENT, Interval
+from deadreckon.stats.interval import ALPHA, PERCENT, Interval
 from deadreckon.tasks.mazes import Maze
-
-MISS = 0.05  # how often one of a page's intervals of differences may miss
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def compare(page: Page) -> Comparison | None:
     log = logs[0]
     cloning = next((r for r in judged if r.baseline), None)
     compared = sum(own is not None for own in logs) + (sum(not r.baseline for r in judged) if cloning else 0)
-    miss = MISS / max(compared, 1)
+    miss = ALPHA / max(compared, 1)  # one of the page's differences may miss so often
     over_log = versus(best, log, miss) if log else None
     over_cloning = versus(best, cloning, miss) if cloning and cloning is not best else None
     level = f"{'score' if best.score else 'return'} {score(best.worth.value if best.worth else None)}"
