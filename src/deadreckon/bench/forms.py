@@ -60,7 +60,8 @@ def _text(table: Table) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
     rule = "  ".join("-" * w for w in widths)
-    legend = [f"* best, or not told from it by Welch's t-test (p > {ALPHA:g})"] if any("*" in c for row in rows for c in row) else []
+    starred = any("*" in cell for row in rows for cell in row)
+    legend = [f"* best, or not told from it by Welch's t-test (p > {ALPHA:g})"] if starred else []
     return "\n".join([lines[0], rule, *lines[1:], *(["", *legend] if legend else [])])
 
 
