@@ -151,7 +151,7 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     from dataclasses import replace
 
     cases = [
-        ({"steps": 0}, "steps, seeds"),
+        ({"steps": 0}, "^steps must be >= 1, got 0$"),
         ({"task": "maze2d-umze"}, "did you mean maze2d-umaze"),
         ({"evaluate_every": 0}, "evaluate_every"),
     ]
