@@ -7,10 +7,10 @@ from run_folders import TASK, write_run
 
 from deadreckon.report.entries import read
 from deadreckon.report.rows import against, paired, rows, versus
-from deadreckon.report.simulated import MISS, compare
+from deadreckon.report.simulated import compare
 from deadreckon.report.terminal import headline, table
 from deadreckon.stats.crossed import mean_interval
-from deadreckon.stats.interval import Interval
+from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks import registry
 
 
@@ -108,7 +108,7 @@ def test_differences_hold_for_all_that_are_compared(tmp_path):
     best = many.best
     reach = lambda gap: gap.worth.high - gap.worth.low  # noqa: E731
     assert reach(many.versus_log) > 1.2 * reach(few.versus_log)
-    assert many.versus_log.worth == versus(best, many.log, MISS / 4).worth
+    assert many.versus_log.worth == versus(best, many.log, ALPHA / 4).worth
     one = paired(best.entry.last("score"), np.zeros((1, 6)), 0.05)
     assert paired(best.entry.last("score"), np.zeros((1, 6)), 0.05 / 4).high > one.high
 
