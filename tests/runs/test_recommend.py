@@ -144,6 +144,16 @@ def test_work_that_dies_leaves_a_card(doing, tmp_path, end, reason):
     assert reason in (tmp_path / "out" / "report.html").read_text()
 
 
+def test_more_time_is_advised_where_it_would_have_helped_and_nowhere_else(doing, tmp_path):
+    """Candidates that diverged do so in any time, also where it is known how long all would have taken."""
+    need = STATES + "send('state', {'need': 300.0})\n"
+    short = need + "send('state', {'short': True})\n"
+    for name, told in (("diverged", need), ("short", short)):
+        doing(told + "send('unfinished', 'nothing was judged')")
+        found = recommend(a_log(), 60.0, out=tmp_path / name)
+        assert any("would do" in line for line in found.choice.evidence) == (name == "short")
+
+
 def test_input_that_does_not_fit_is_an_error_and_leaves_nothing(doing, tmp_path):
     doing("send('refused', 'no file x.csv')")
     with pytest.raises(UserError, match="no file x.csv"):
@@ -282,6 +292,7 @@ def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, m
     sent, out = attempt(tmp_path, a_log())
     assert of(sent, "unfinished") == ["not enough time: it would do for 20 updates of each candidate, 200 are the fewest"]
     assert [each["need"] > 0 for each in of(sent, "state") if "need" in each] == [True]
+    assert {"short": True} in of(sent, "state")
     assert not (out / "estimates.json").exists()
 
 

@@ -283,7 +283,7 @@ class Attempt:
         self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
         if steps < FEWEST:
             # Whoever has hardly begun to learn would be judged to be no better, which is another thing than not knowing.
-            raise Unfinished(f"not enough time: it would do for {steps} updates of each candidate, {FEWEST} are the fewest")
+            raise self._short(f"it would do for {steps} updates of each candidate, {FEWEST} are the fewest")
         for told in self.told:
             told["planned"] = steps
         self._tell()
@@ -307,8 +307,13 @@ class Attempt:
                 runs.append(run)
             self._tell()
         if runs and max(run.config["steps"] for run in runs) < FEWEST:
-            raise Unfinished(f"not enough time: no candidate came to {FEWEST} updates, the fewest that are judged")
+            raise self._short(f"no candidate came to {FEWEST} updates, the fewest that are judged")
         return runs
+
+    def _short(self, why: str) -> "Unfinished":
+        """What ends an attempt that more time would have helped, which the card says too."""
+        self.send("state", {"short": True})
+        return Unfinished(f"not enough time: {why}")
 
     def _learned(
         self, candidate: Candidate, told: dict[str, Any], hidden: tuple[int, ...], steps: int, rate: float, end: float,

@@ -196,7 +196,7 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
         evidence.append(f"{each['name']}: {how.get(each['state'], each['state'])}{updates}")
     if found.refused or found.unfinished or found.fault:
         reason = str(found.refused or found.unfinished or found.fault)
-        if found.unfinished and state.get("need"):
+        if state.get("short"):
             evidence.append(f"a budget of {_enough(state, clock)} would do, as far as is known")
     else:
         learned = sum(each["state"] == "learned" for each in candidates)
