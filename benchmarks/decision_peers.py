@@ -116,7 +116,7 @@ def _holds(said: dict[str, Any], true: np.ndarray) -> bool:
 
 def table(theirs: dict[str, Any], own: dict[str, Any]) -> str:
     """By family and method, as Markdown."""
-    lines = ["| family | method | logs | deploys | … what is not better | mean gain | all intervals hold |"]
+    lines = ["| family | method | logs | deploys | … a policy that is not better | mean gain | all intervals cover |"]
     lines.append("|---|---|--:|--:|--:|--:|--:|")
     for family in sorted({trial.rpartition("-")[0] for trial in theirs}):
         said: dict[str, list[dict[str, Any]]] = {}

@@ -53,7 +53,8 @@ def table(out: Path) -> str:
 
     from deadreckon.files import read_json
 
-    lines = ["| propensities | policy | logs | bias | its error | covered, both at once | … at least | binomial p (95 %) |",
+    lines = ["| propensities | policy | logs | bias | standard error of the bias | "
+             "coverage of both at once | … lower bound (95 %) | binomial p (95 %) |",
              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for kind in KINDS:
         found = [read_json(path) for path in sorted((out / kind).glob("*.json"))]

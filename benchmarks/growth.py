@@ -31,7 +31,7 @@ GROWTH = {
     "rows": (10_000, 100_000, 1_000_000, 10_000_000), "policies": (1, 10, 100),
 }  # fmt: skip
 WORDS = {"batch": "rows a batch", "width": "width of both layers", "seeds": "seeds", "rows": "rows of the log",
-         "policies": "policies judged at once (FQE)"}  # fmt: skip
+         "policies": "policies evaluated at once (FQE)"}  # fmt: skip
 
 
 def parse() -> argparse.Namespace:

@@ -140,7 +140,7 @@ def compare_settings(arguments: argparse.Namespace) -> None:
             subprocess.run(command, check=True, env={**os.environ, "JAX_PLATFORMS": arguments.platform})
             if repeat:
                 seconds.append(time.perf_counter() - began)
-    print(f"| {arguments.settings} settings, {arguments.steps:,} updates each | seconds | beside one after another |")
+    print(f"| {arguments.settings} settings, {arguments.steps:,} updates each | seconds | relative to one after another |")
     print("|---|---:|---:|")
     alone = statistics.median(took["no"])
     for way, seconds in took.items():
@@ -159,7 +159,7 @@ def compare(arguments: argparse.Namespace) -> int:
         work(arguments)
         return 0
     ways = [(1, lanes) for lanes in arguments.lanes] + [(count, 1) for count in arguments.processes]
-    print("| seeds at once | updates of a seed a second, all together | beside one after another | seconds to the first |")
+    print("| seeds at once | updates per second, sum over seeds | relative to one after another | seconds to the first |")
     print("|---|---:|---:|---:|", flush=True)
     alone = None
     for processes, lanes in ways:

@@ -103,7 +103,7 @@ def run(trial: Trial) -> dict[str, Any]:
 def table(found: list[dict[str, Any]]) -> str:
     """Runs as a table, and whether what is asked holds."""
     lines = [
-        "| log | rows | budget | machine | card after | of the budget | judged | candidates | updates each |",
+        "| log | rows | budget | machine | card after | of the budget | evaluated | candidates | updates each |",
         "|---|--:|--:|---|--:|--:|---|--:|--:|",
     ]
     for each in found:

@@ -83,9 +83,9 @@ def planning(cells: int) -> None:
 
         suite = timed("read the suite", lambda: read(path))
         jobs = timed("plan", lambda: plan(suite))
-        timed("ask what is missing of an empty folder", lambda: store.undone(jobs))
-        timed("keep all results", lambda: [store.keep("many", job, rows(job, 1.0)) for job in jobs])
-        assert timed("ask what is missing of a full one", lambda: store.undone(jobs)) == []
+        timed("find what is missing in an empty folder", lambda: store.undone(jobs))
+        timed("write all results", lambda: [store.keep("many", job, rows(job, 1.0)) for job in jobs])
+        assert timed("find what is missing in a full one", lambda: store.undone(jobs)) == []
         timed("forecast of what is missing (all results are read)", lambda: forecast(programs(jobs[:1]), store))
         timed("make the table", lambda: rendered(tables(suite, jobs, store), "csv"))
     print(f"{sum(len(job.seeds) for job in jobs):,} cells in {len(jobs):,} jobs")

@@ -104,7 +104,7 @@ def main(options: Options) -> None:
         print(f"{seed + 1} of {options.seeds} seeds done", flush=True)
     apart, errors = (np.stack(part) for part in zip(*found))  # (seeds, shares), (seeds, rows, shares)
     heads = " | ".join(f"{kl:.3f}" for kl in apart.mean(0))
-    print(f"\n| rows | error at a KL of {heads} | slope at 0 (least to greatest seed) |")
+    print(f"\n| rows | error at a KL of {heads} | slope at 0 (range over seeds) |")
     print("|---:|" + "---:|" * (len(options.shares) + 1))
     for k, rows in enumerate(options.rows):
         near = slice(0, options.near)

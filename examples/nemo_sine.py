@@ -101,7 +101,7 @@ def main(options: Options) -> None:
             rows.append((name, *parts[0], *parts[1]))
         if seed == 0 and options.picture:
             draw(options, *found)
-    print(f"entropy: {np.log(options.bins):.2f} at most; means over {options.seeds} seeds (least to greatest)\n")
+    print(f"entropy: {np.log(options.bins):.2f} at most; means over {options.seeds} seeds (range over seeds)\n")
     print("| | entropy inside | surprise at the truth inside | entropy outside | surprise at the truth outside |")
     print("|---|---:|---:|---:|---:|")
     for name in ("NML", "ensemble"):

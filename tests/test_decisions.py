@@ -223,9 +223,9 @@ def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):
     # An interval without ends holds, but not among those that have some.
     row = page.splitlines()[2].split(" | ")
     columns = page.splitlines()[0].split(" | ")
-    assert row[columns.index("all intervals hold")] == "100.0 %"
-    assert row[columns.index("… where one has ends")] == "–"
-    assert row[columns.index("endless")] == "100 %"
+    assert row[columns.index("all intervals cover")] == "100.0 %"
+    assert row[columns.index("… where any is finite")] == "–"
+    assert row[columns.index("infinite intervals")] == "100 %"
 
 
 def test_results_are_kept_as_one_file(study, tmp_path):

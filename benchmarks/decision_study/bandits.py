@@ -9,7 +9,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
-from decision_study.problem import LOG, TRUTH, WORLD, Choices, Estimand, Family, Problem, choose, softmax, tilted
+from decision_study.problem import BETTER, LOG, TRUTH, WORLD, Choices, Estimand, Family, Problem, choose, softmax, tilted
 
 BLOCK, MOST = 20_000, 60  # contexts at a time, and blocks, of the truth
 ONE = Estimand(0.0, 1)
@@ -339,17 +339,19 @@ def many(seed: int, rows: int) -> Problem:
     return problem(world, rows, NOISES["bernoulli"], candidates, "many-actions")
 
 
-NEVER = "never: all policies are worth the same"
+NEVER = "none: all policies have the same value"
 FAMILIES = (
     Family("null-bandit", null(True), NEVER),
     Family("null-bandit-unknown", null(False), NEVER),
-    Family("classes", classes(True, False), "always `better`, by little in the 30 % of logs whose own policy is near the best"),
-    Family("classes-unknown", classes(False, True), "as `classes`"),
-    Family("classes-rough", classes(False, False), "as `classes`, whose twin it is"),
-    Family("missing", missing(False, True), "where the action that the log lacks is good, or its own policy not near the best"),
-    Family("missing-unknown", missing(False, False), "as `missing`"),
-    Family("supported", missing(True, True), "as `missing`, whose twin it is"),
-    Family("supported-unknown", missing(True, False), "as `supported`"),
-    Family("users", users, "half of the logs; in the others tastes cancel and all policies are worth the same"),
-    Family("many-actions", many, "always `better`, by little in the 30 % near the best", split="confirmatory"),
+    Family("classes", classes(True, False), BETTER),
+    Family("classes-unknown", classes(False, True), "as in `classes`"),
+    Family("classes-rough", classes(False, False), "as in `classes`, of which it is a variant"),
+    Family(
+        "missing", missing(False, True), "where the action that the log lacks is good or the behaviour policy is not nearly optimal"
+    ),
+    Family("missing-unknown", missing(False, False), "as in `missing`"),
+    Family("supported", missing(True, True), "as in `missing`, of which it is a variant"),
+    Family("supported-unknown", missing(True, False), "as in `supported`"),
+    Family("users", users, "in half of the logs; in the others the preferences cancel and all policies have the same value"),
+    Family("many-actions", many, BETTER, split="confirmatory"),
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
-from decision_study.problem import LOG, TRUTH, WORLD, Estimand, Family, Normal, Problem
+from decision_study.problem import BETTER, LOG, TRUTH, WORLD, Estimand, Family, Normal, Problem
 
 LEAST = 10  # episodes of a log
 BLOCK, MOST, SALES = 2_000, 60, 30  # episodes at a time, and blocks, of the truth; blocks of customers
@@ -389,9 +389,8 @@ def prices(seed: int, rows: int) -> Problem:
     return Problem(log, Estimand(0.0, 1), world, candidates)
 
 
-NEARLY = "always `better`, by little in the 30 % of logs whose own policy is near the best"
 FAMILIES = (
-    Family("linear-quadratic", regulator, NEARLY),
-    Family("pendulum", pendulum, "`more`, where the log's own policy pushes less than is best"),
-    Family("pricing", prices, NEARLY, split="confirmatory"),
+    Family("linear-quadratic", regulator, BETTER),
+    Family("pendulum", pendulum, "where the behaviour policy applies less torque than is optimal (`more`)"),
+    Family("pricing", prices, BETTER, split="confirmatory"),
 )

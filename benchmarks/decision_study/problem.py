@@ -175,6 +175,9 @@ class Problem:
         return self.log.select(episodes), {name: column[rows] for name, column in self.hidden.items()}
 
 
+BETTER = "in all logs (`better`), with a small gain in the 30 % of logs whose behaviour policy is nearly optimal"
+
+
 @dataclass(frozen=True)
 class Family:
     """Logs of one kind.

@@ -15,14 +15,16 @@ WHAT = {
     "old-level": "… at the package's level", "old-fqe": "… by FQE alone", "oracle": "oracle", "argmax-fqe": "argmax of FQE",
     "argmax-wis": "argmax of WIS",
 }  # fmt: skip
-INTERVALS = ("all intervals hold", "… at least", "… where one has ends", "endless", "width / oracle's")
+UPPER, LOWER = "… upper bound (95 %)", "… lower bound (95 %)"
+BAD, SHARE, WIDTH = "… a policy that is not better", "share of the oracle's gain", "width relative to the oracle's"
+INTERVALS = ("all intervals cover", LOWER, "… where any is finite", "infinite intervals", WIDTH)
 RULE = (
-    "rule", "deploys", "… what is not better", "… at most", "not better, of what it deploys", "… at most", "mean gain",
-    "of the oracle's", *INTERVALS,
+    "rule", "deploys", BAD, UPPER, "not better, among deployed", UPPER, "mean gain",
+    SHARE, *INTERVALS,
 )  # fmt: skip
 OVERVIEW = (
-    "family", "logs", "cross-fitted", "deploys", "… what is not better", "… at most", "not better, of what it deploys",
-    "mean gain", "531dcab's rule, held-out rows", "difference ± error", "of the oracle's", *INTERVALS,
+    "family", "logs", "cross-fitted", "deploys", BAD, UPPER, "not better, among deployed",
+    "mean gain", "531dcab's rule, held-out rows", "difference ± error", SHARE, *INTERVALS,
 )  # fmt: skip
 
 
@@ -87,16 +89,16 @@ class Facts:
         """In words, by column."""
         found = {
             "logs": str(self.logs), "cross-fitted": _share(self.crossed, self.logs), "deploys": _share(self.deploys, self.logs),
-            "… what is not better": _share(self.bad, self.logs), "… at most": _most(self.bad, self.logs),
-            "not better, of what it deploys": _share(self.bad, self.deploys), "mean gain": f"{self.gains.mean():+.3g}",
-            "of the oracle's": f"{100 * self.gains.sum() / self.oracle:.0f} %" if self.oracle > 0 else "–",
+            BAD: _share(self.bad, self.logs), UPPER: _most(self.bad, self.logs),
+            "not better, among deployed": _share(self.bad, self.deploys), "mean gain": f"{self.gains.mean():+.3g}",
+            SHARE: f"{100 * self.gains.sum() / self.oracle:.0f} %" if self.oracle > 0 else "–",
         }  # fmt: skip
         if intervals:
             found |= {
-                "all intervals hold": _share(self.holds, self.logs),
-                "… at least": f"{100 * wilson(self.holds, self.logs)[0]:.1f} %",
-                "… where one has ends": _share(self.some_hold, self.some), "endless": f"{100 * self.endless:.0f} %",
-                "width / oracle's": "–" if math.isnan(self.width) else f"{self.width:.2f}",
+                "all intervals cover": _share(self.holds, self.logs),
+                LOWER: f"{100 * wilson(self.holds, self.logs)[0]:.1f} %",
+                "… where any is finite": _share(self.some_hold, self.some), "infinite intervals": f"{100 * self.endless:.0f} %",
+                WIDTH: "–" if math.isnan(self.width) else f"{self.width:.2f}",
             }  # fmt: skip
         return found
 
@@ -116,21 +118,21 @@ def tables(trials: Sequence[dict[str, Any]], rules: Sequence[str], better: dict[
     by_name = {name: [trial for trial in trials if trial["family"] == name] for name in names}
     rows = [_overview(name, own) for name, own in by_name.items()]
     rows.append(_overview("all families", trials))
-    for gain in ("mean gain", "531dcab's rule, held-out rows", "difference ± error", "of the oracle's", "width / oracle's"):
+    for gain in ("mean gain", "531dcab's rule, held-out rows", "difference ± error", SHARE, WIDTH):
         rows[-1][OVERVIEW.index(gain)] = "–"
     parts = [_markdown(OVERVIEW, rows)]
     for name, own in by_name.items():
         some = sum(max(trial["gains"]) > 0 for trial in own)
         head = f"### {name}\n\n{len(own)} logs, {some} of them with a candidate that is better."
         if name in better:
-            head += f" A better one is there {better[name]}"
-            head += "." if better[name].startswith("never") else "; in a quarter of the logs it is taken away."
+            head += f" Better candidates: {better[name]}"
+            head += "." if better[name].startswith("none") else "; in a quarter of the logs they are removed."
         rows = []
         for rule in rules:
             if facts := Facts.of(own, rule):
                 cells = facts.cells(not rule.startswith("argmax")) | {"rule": WHAT[rule]}
                 row = [cells.get(column, "–") for column in RULE]
-                second = len(RULE) - 1 - RULE[::-1].index("… at most")  # of what it deploys
+                second = len(RULE) - 1 - RULE[::-1].index(UPPER)  # of what it deploys
                 row[second] = _most(facts.bad, facts.deploys)
                 rows.append(row)
         parts.append(head + "\n\n" + _markdown(RULE, rows) + (_told(own) if name in TWINS else ""))
@@ -186,10 +188,10 @@ def _told(trials: Sequence[dict[str, Any]]) -> str:
         return ""
     if trials[0]["supported"]:
         return (
-            f"\n\nOf candidates made by hand the package says that support is missing in {hits} of {count} logs "
-            f"({_share(hits, count)}), which is false."
+            f"\n\nFor hand-made candidates the package reports missing support, wrongly, in {hits} of {count} logs "
+            f"({_share(hits, count)})."
         )
     return (
-        f"\n\nThe package says that support is missing, of all candidates made by hand, in {hits} of {count} logs "
-        f"({_share(hits, count)}), and deploys one of them in {deploys}."
+        f"\n\nThe package reports missing support for all hand-made candidates in {hits} of {count} logs "
+        f"({_share(hits, count)}) and deploys one of them in {deploys}."
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.theory.tabular import MDP, garnet
-from decision_study.problem import LOG, WORLD, Choices, Estimand, Family, Problem, softmax, tilted
+from decision_study.problem import BETTER, LOG, WORLD, Choices, Estimand, Family, Problem, softmax, tilted
 
 NEAR = 0.3  # share of the logs whose own policy is all but the best
 LEAST = 10  # episodes
@@ -225,12 +225,11 @@ def store(seed: int, rows: int) -> Problem:
     return problem(table, rows, days, seed, candidates_of(table, rng), "inventory")
 
 
-BETTER = "always `better`, by little in the 30 % of logs whose own policy is near the best"
 FAMILIES = (
-    Family("null-sequential", noise, "never: all policies are worth the same"),
+    Family("null-sequential", noise, "none: all policies have the same value"),
     Family("tabular-short", short(True), BETTER),
     Family("tabular-long", long, BETTER),
     Family("tabular-cut", cut, BETTER),
-    Family("tabular-unknown", short(False), "as `tabular-short`"),
+    Family("tabular-unknown", short(False), "as in `tabular-short`"),
     Family("inventory", store, BETTER, split="confirmatory"),
 )

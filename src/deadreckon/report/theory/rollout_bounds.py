@@ -28,7 +28,7 @@ def bounds(out: Path, seed: int = 0) -> Made:
     for under, number in (("old", "5.2.2"), ("new", "5.2.3")):
         tight = looseness.lengths(under=under)
         drawn = {"as printed": tight.printed, "sharper": tight.sharp, "exact": tight.exact}
-        panels[f"{number} where it is met, by length"] = lines(tight.k, drawn, names, "promised too much", "rollout length k")
+        panels[f"{number} where it is met, by length"] = lines(tight.k, drawn, names, "overestimate", "rollout length k")
         files.append(columns(out / f"tight-{under}.csv", vars(tight)))
     files.insert(0, sheet(out / "bounds.svg", panels, names))
     courses = looseness.courses(seed=seed)
