@@ -347,7 +347,8 @@ FAMILIES = (
     Family("classes-unknown", classes(False, True), "as in `classes`"),
     Family("classes-rough", classes(False, False), "as in `classes`, of which it is a variant"),
     Family(
-        "missing", missing(False, True), "where the action that the log lacks is good or the behaviour policy is not nearly optimal"
+        "missing", missing(False, True),
+        "where the action that the log lacks is good or the behaviour policy is not nearly optimal",
     ),
     Family("missing-unknown", missing(False, False), "as in `missing`"),
     Family("supported", missing(True, True), "as in `missing`, of which it is a variant"),
