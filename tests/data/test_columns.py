@@ -3,8 +3,9 @@ import inspect
 import numpy as np
 import pytest
 
-from deadreckon.data.columns import COLUMNS, NEEDED, RESERVED, extra_name, renamed
+from deadreckon.data.columns import COLUMNS, NEEDED, RESERVED, extra_name
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.build import renamed
 from deadreckon.errors import UserError
 
 
@@ -21,6 +22,6 @@ def test_names_of_further_columns():
     with pytest.raises(UserError, match="two columns would be called infos_goal"):
         extra_name("infos/goal", {"goal": 0, "infos_goal": 0})
     column = np.zeros(1)
-    assert renamed({"name": column, "rewards": column, "goal": column}).keys() == {"infos_name", "rewards", "goal"}
-    with pytest.raises(UserError, match="two columns would be called infos_name"):
-        renamed({"name": column, "infos_name": column})
+    assert renamed("log", {"name": column, "rewards": column, "goal": column}).keys() == {"infos_name", "rewards", "goal"}
+    with pytest.raises(UserError, match="log: two columns would be called infos_name"):
+        renamed("log", {"name": column, "infos_name": column})

@@ -141,6 +141,7 @@ def _with(column, place, value):
         ({"goal": np.array(list("abcd"))}, "log: column goal holds <U1, numbers are needed"),
         ({"actions": np.zeros((0, 1))}, "log: the log has no rows"),
         ({"actions": np.float32(1)}, "log: the log has no rows"),
+        ({"actions": np.full((4, 1), 1e20)}, "log: action bounds must satisfy low < high"),
         ({"final_observations": np.zeros((2, 2))}, r"final_observations have shape \(2, 2\), \(1, 2\) is needed"),
         ({"final_observations": np.full((1, 2), np.nan)}, "final_observations has nan in row 0"),
         ({"final_observations": np.zeros((1, 2)), "final_known": [1, 1]}, "final_known has 2 values, 1 episodes"),

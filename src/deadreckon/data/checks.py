@@ -7,7 +7,7 @@ import numpy as np
 
 from deadreckon.data.columns import COLUMNS, LOG_PROBS
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, naming
 
 SLACK = 1e-6  # that a logarithm of a probability may lie above 0 by rounding
 _BLOCK = 262_144  # rows looked at together, so that checks never load a memory-mapped column whole
@@ -178,7 +178,8 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
     if space is None:
         low, high = column.min(0).astype(float), column.max(0).astype(float)
         flat = low == high  # a dimension that never moves still needs a width
-        space = Box(tuple((low - flat).tolist()), tuple((high + flat).tolist()))
+        with naming(log, log):
+            space = Box(tuple((low - flat).tolist()), tuple((high + flat).tolist()))
     if column.shape[1] != space.size:
         raise UserError(f"{log}: actions have {column.shape[1]} dimensions, the bounds have {space.size}")
     return column, space

@@ -24,18 +24,3 @@ def extra_name(key: str, taken: Mapping[str, Any]) -> str:
     if found in taken:
         raise UserError(f"two columns would be called {found}, {key} and another; rename one")
     return found
-
-
-def renamed(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """`columns`, where further ones that are called like an argument of `from_arrays` become `infos_...`.
-
-    Raises:
-        UserError: two columns would have one name.
-    """
-    given: dict[str, Any] = {}
-    for key, column in columns.items():
-        key = f"infos_{key}" if key in RESERVED and key not in COLUMNS else key
-        if key in given:
-            raise UserError(f"two columns would be called {key}; rename one")
-        given[key] = column
-    return given

@@ -12,7 +12,7 @@ from deadreckon.data.episodes import content_ids, fingerprint
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, Statistics
 from deadreckon.data.split import Holdout
-from deadreckon.errors import UserError, naming
+from deadreckon.errors import UserError
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,7 @@ class Dataset:
         from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
 
         columns, extra, warnings = frame_columns(frame, name=name, **mapping)
-        with naming(name, name):
-            log = cls.from_arrays(**columns, name=name, provenance=Provenance(source=source, extra=extra), strict=strict)
+        log = cls.from_arrays(**columns, name=name, provenance=Provenance(source=source, extra=extra), strict=strict)
         return replace(log, warnings=(*warnings, *log.warnings))
 
     def __len__(self) -> int:

@@ -1,6 +1,5 @@
 """Columns of a table as numbers: levels for texts, means and indicators for what is missing."""
 
-import re
 from typing import Any
 
 import numpy as np
@@ -29,16 +28,6 @@ class Encoder:
         self.table = table
         self.warnings: list[str] = []
         self.extra: dict[str, Any] = {}
-
-    def plausible(self, names: list[str]) -> list[str]:
-        """`names` less a leading row number that a table library wrote into the file, and less timestamps."""
-        index = row_numbers(names)
-        if index:
-            self.warnings.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
-        moments = [column for column in names if pa.types.is_temporal(self.table.column(column).type)]
-        if moments:
-            self.warnings.append(f"timestamps are left out of the observations: {', '.join(moments)}")
-        return [column for column in names if column not in index and column not in moments]
 
     def observations(self, names: list[str]) -> np.ndarray:
         """(rows, size) float32 of the columns `names`; what each dimension is goes to `extra`.
@@ -82,6 +71,33 @@ class Encoder:
             self.extra["observation_levels"] = levels
         return out
 
+    def actions(self, names: list[str]) -> np.ndarray:
+        """(rows,) integers for one column of integers or categories, (rows, size) floats otherwise.
+
+        Raises:
+            UserError: no column, or one that cannot be encoded.
+        """
+        if not names:
+            raise UserError(f"{self.name}: no action column is named")
+        if len(names) > 1:
+            return np.stack([numbers(self.name, self.table, column) for column in names], 1)
+        (column,) = names
+        values = self.complete(column)
+        if is_category(values.type):
+            codes, levels = category_codes(self.name, column, values)
+            self.extra["action_levels"] = levels
+            return codes
+        if not pa.types.is_integer(values.type):
+            return numbers(self.name, self.table, column)[:, None]
+        codes = values.to_numpy(zero_copy_only=False)
+        levels, index = np.unique(codes, return_inverse=True)
+        if levels[0] >= 0 and levels[-1] < _SPARSE * len(levels):
+            return codes
+        self.extra["action_levels"] = levels.tolist()
+        text = f"actions are {len(levels)} integers from {levels[0]} to {levels[-1]}"
+        self.warnings.append(f"{text}; they are numbered 0 .. {len(levels) - 1}")
+        return index
+
     def kept(self, column: str) -> np.ndarray:
         """(rows,) of a column that is no observation: numbers as they are; texts, categories and times as int64 codes, whose
         levels go to `extra` where they are not very many.
@@ -99,6 +115,29 @@ class Encoder:
             self.extra.setdefault("kept_levels", {})[column] = levels
         return codes
 
+    def episodes(self, column: str, ordered: bool) -> np.ndarray:
+        """(rows,) int64 index of each row's episode: of its value among those of the column, in the order in which they first
+        appear or, if `ordered`, ascending."""
+        values = self.complete(column)
+        if isinstance(values, pa.DictionaryArray):
+            values = values.dictionary_decode()
+        encoded = values.dictionary_encode()
+        codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+        if not ordered:
+            return codes
+        ranks = np.empty(len(encoded.dictionary), np.int64)
+        ranks[_sorted_indices(encoded.dictionary)] = np.arange(len(ranks))
+        return ranks[codes]
+
+    def moments(self, column: str) -> np.ndarray:
+        """(rows,) numbers in the order of time: float64 or, of dates, int64."""
+        values = self.complete(column)
+        if pa.types.is_temporal(values.type):
+            # Only the order matters; int64 counts of the type's own unit keep it exactly.
+            width = pa.int32() if values.type.bit_width == 32 else pa.int64()
+            return np.asarray(values.view(width).to_numpy(zero_copy_only=False), np.int64)
+        return numbers(self.name, self.table, column)
+
     def complete(self, column: str) -> Any:
         """The column as one pyarrow array, refused if a value is missing."""
         values = _flat(self.table, column)
@@ -108,35 +147,6 @@ class Encoder:
         if pa.types.is_nested(values.type):
             raise UserError(f"{self.name}: column {column} holds {values.type}, one plain value a row is needed")
         return values
-
-
-def encode_action(encoder: Encoder, names: list[str]) -> np.ndarray:
-    """(rows,) integers for one column of integers or categories, (rows, size) floats otherwise."""
-    if not names:
-        raise UserError(f"{encoder.name}: no action column is named")
-    if len(names) > 1:
-        return np.stack([numbers(encoder.name, encoder.table, column) for column in names], 1)
-    (column,) = names
-    values = encoder.complete(column)
-    if is_category(values.type):
-        codes, levels = category_codes(encoder.name, column, values)
-        encoder.extra["action_levels"] = levels
-        return codes
-    if not pa.types.is_integer(values.type):
-        return numbers(encoder.name, encoder.table, column)[:, None]
-    codes = values.to_numpy(zero_copy_only=False)
-    levels, index = np.unique(codes, return_inverse=True)
-    if levels[0] >= 0 and levels[-1] < _SPARSE * len(levels):
-        return codes
-    encoder.extra["action_levels"] = levels.tolist()
-    text = f"actions are {len(levels)} integers from {levels[0]} to {levels[-1]}"
-    encoder.warnings.append(f"{text}; they are numbered 0 .. {len(levels) - 1}")
-    return index
-
-
-def row_numbers(names: list[str]) -> list[str]:
-    """Those of `names` that a table library gives to the row numbers that it writes."""
-    return [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
 
 
 def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
@@ -151,6 +161,26 @@ def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
         row = int(np.argmax(wrong))
         raise UserError(f"{name}: column {column} {'is empty' if absent[row] else f'has {values[row]}'} in row {row}")
     return values
+
+
+def flags(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) bool of a column of truth values, or of 0 and 1."""
+    values = numbers(name, table, column)
+    wrong = (values != 0) & (values != 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, 0 or 1 is needed")
+    return values != 0
+
+
+def log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) logarithms of a column of probabilities in (0, 1]."""
+    values = numbers(name, table, column)
+    wrong = (values <= 0) | (values > 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, a probability in (0, 1] is needed")
+    return np.log(values).astype(np.float32)
 
 
 def is_category(kind: pa.DataType) -> bool:
@@ -170,13 +200,13 @@ def category_codes(name: str, column: str, values: Any, most: int | None = _MOST
         text = f"column {column} has {len(encoded.dictionary)} distinct values, at most {most} are encoded"
         raise UserError(f"{name}: {text}; leave it out")
     codes = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64)
-    order = sorted_indices(encoded.dictionary)
+    order = _sorted_indices(encoded.dictionary)
     ranks = np.append(np.empty(len(order), np.int64), -1)
     ranks[order] = np.arange(len(order))
     return ranks[codes], [encoded.dictionary[int(index)].as_py() for index in order]
 
 
-def sorted_indices(values: Any) -> np.ndarray:
+def _sorted_indices(values: Any) -> np.ndarray:
     """The positions of a pyarrow array's values in ascending order."""
     return _compute.sort_indices(values).to_numpy()
 

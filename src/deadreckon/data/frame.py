@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.data.columns import LOG_PROBS, RESERVED
-from deadreckon.data.encode import Encoder, encode_action, numbers, sorted_indices
+from deadreckon.data.encode import Encoder, flags, log_probabilities, numbers
 from deadreckon.errors import UserError, unknown
 
 PROPENSITY = re.compile(r"propensit(y|ies)|p_?scores?|(action_|behaviou?r_|logging_)?prob(s|ability)?|action_probability")
@@ -76,64 +76,58 @@ def frame_columns(
         UserError: one line with the column and the row (counted from 0, as in the table given).
     """
     table = to_arrow(frame, name)
-    rows = table.num_rows
-    if rows == 0:
+    if table.num_rows == 0:
         raise UserError(f"{name}: the table has no rows")
-    encoder = Encoder(name, table)
-    action_names = _columns_like(table, action, name)
-    ignored = set(_columns_like(table, ignore, name))
+    actions = _columns_like(table, action, name)
+    ignored = _columns_like(table, ignore, name)
     kept = _columns_like(table, keep, name)
-    single = {"reward": reward, "episode": episode, "time": time, "terminal": terminal, "timeout": timeout,
-              "propensity": propensity}  # fmt: skip
-    for column in (*action_names, *single.values()):
+    single = [reward, episode, time, terminal, timeout, propensity]
+    for column in (*actions, *single):
         if column is not None:
             check_column(table, column, name)
     if observations is None:
-        taken = {*action_names, *single.values(), *kept}
-        observation_names = [column for column in table.column_names if column not in taken | ignored]
-        observation_names = encoder.plausible(observation_names)
+        taken = {*actions, *single, *kept, *ignored}
+        seen, warnings = _plausible(table, [column for column in table.column_names if column not in taken], propensity)
     else:
-        observation_names = [column for column in _columns_like(table, observations, name) if column not in ignored]
-    for column in observation_names if observations is None else ():
-        if propensity is None and PROPENSITY.fullmatch(column.lower()):
-            encoder.warnings.append(
-                f"column {column} looks like a probability of the logged action, and is read as an observation: "
-                f"--propensity {column}, or --ignore {column}"
-            )
-        elif IDENTITY.search(column.lower()):
-            encoder.warnings.append(
-                f"column {column} looks like a name of someone or something, and is read as an observation: --keep {column} "
-                f"keeps it beside the log, --ignore {column} leaves it out"
-            )
-    if not observation_names:
+        seen, warnings = [column for column in _columns_like(table, observations, name) if column not in ignored], []
+    if not seen:
         raise UserError(f"{name}: no column is left to be an observation; name them with observations")
 
+    encoder = Encoder(name, table)
     columns: dict[str, Any] = {
-        "observations": encoder.observations(observation_names),
+        "observations": encoder.observations(seen),
         "rewards": numbers(name, table, reward),
-        "actions": encode_action(encoder, action_names),
+        "actions": encoder.actions(actions),
     }
     for key, column in (("terminals", terminal), ("timeouts", timeout)):
-        columns[key] = np.zeros(rows, bool) if column is None else _flags(name, table, column)
+        columns[key] = np.zeros(table.num_rows, bool) if column is None else flags(name, table, column)
     if propensity is not None:
         columns[LOG_PROBS] = log_probabilities(name, table, propensity)
     for column in kept:
         if column in RESERVED | columns.keys():
             raise UserError(f"{name}: a column that is kept cannot be called {column}, which means something else; rename it")
         columns[column] = encoder.kept(column)
+    moments = None if time is None else encoder.moments(time)
+    codes = None if episode is None else encoder.episodes(episode, ordered=time is not None)
+
     if episode is None and time is None and terminal is None and timeout is None:
         columns["terminals"][:] = True
-    order, ends, moments = _order(encoder, episode, time)
+    order, ends = _order(table.num_rows, codes, moments)
+    warnings += encoder.warnings
     if order is not None:
         columns = {key: column[order] for key, column in columns.items()}
-    if time is not None and moments is not None:
-        stops = ends | columns["terminals"] | columns["timeouts"]
-        encoder.warnings += _missing_steps(time, moments, stops, ends if episode is not None else None)
+    if order is not None and time is not None and moments is not None:
+        moments = moments[order]
+        if ties := int((~ends[:-1] & (moments[1:] == moments[:-1])).sum()):
+            warnings.append(f"{ties} rows have the {time} of the row before them; they stay in the table's order")
+        if not pa.types.is_temporal(table.column(time).type):
+            stops = ends | columns["terminals"] | columns["timeouts"]
+            warnings += _missing_steps(time, moments, stops, ends if episode is not None else None)
     early = int((columns["terminals"] & ~ends).sum()) if episode is not None else 0
     if early:
-        encoder.warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
+        warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
     columns["timeouts"] |= ends & ~columns["terminals"]
-    return FrameColumns(columns, encoder.extra, encoder.warnings)
+    return FrameColumns(columns, encoder.extra, warnings)
 
 
 def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
@@ -199,56 +193,62 @@ def check_column(table: pa.Table, column: str, name: str) -> None:
         raise UserError(f"{name}: {unknown('column', column, table.column_names)}")
 
 
+def row_numbers(names: Sequence[str]) -> list[str]:
+    """Those of `names` that a table library gives to the row numbers that it writes."""
+    return [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
+
+
+def _plausible(table: pa.Table, names: list[str], propensity: str | None) -> tuple[list[str], list[str]]:
+    """Those of `names` that may be observations, which row numbers and timestamps are not, and what to say of them."""
+    index = row_numbers(names)
+    moments = [column for column in names if pa.types.is_temporal(table.column(column).type)]
+    found = [column for column in names if column not in index and column not in moments]
+    warnings = []
+    if index:
+        warnings.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
+    if moments:
+        warnings.append(f"timestamps are left out of the observations: {', '.join(moments)}")
+    for column in found:
+        if propensity is None and PROPENSITY.fullmatch(column.lower()):
+            warnings.append(
+                f"column {column} looks like a probability of the logged action, and is read as an observation: "
+                f"--propensity {column}, or --ignore {column}"
+            )
+        elif IDENTITY.search(column.lower()):
+            warnings.append(
+                f"column {column} looks like a name of someone or something, and is read as an observation: --keep {column} "
+                f"keeps it beside the log, --ignore {column} leaves it out"
+            )
+    return found, warnings
+
+
 def _sequence(value: Any) -> Any:
     return pa.chunked_array(value) if hasattr(value, "__arrow_c_stream__") else pa.array(value)
 
 
-def _flags(name: str, table: pa.Table, column: str) -> np.ndarray:
-    values = numbers(name, table, column)
-    wrong = (values != 0) & (values != 1)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, 0 or 1 is needed")
-    return values != 0
-
-
-def log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
-    """(rows,) logarithms of a column of probabilities in (0, 1]."""
-    values = numbers(name, table, column)
-    wrong = (values <= 0) | (values > 1)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, a probability in (0, 1] is needed")
-    return np.log(values).astype(np.float32)
-
-
-def _order(
-    encoder: Encoder, episode: str | None, time: str | None
-) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None]:
+def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> tuple[np.ndarray | None, np.ndarray]:
     """How rows are put into episodes.
 
+    Args:
+        rows: how many.
+        codes: (rows,) index of each row's episode; None: all are one.
+        moments: (rows,) of each row; None: they are in order.
+
     Returns:
-        The order of rows (None: as they are); (rows,) whether each, in that order, is its episode's last; and (rows,) their
-        moments in that order, None where there are none or they are dates.
+        The order of rows (None: as they are), and (rows,) whether each, in that order, is its episode's last.
     """
-    rows = encoder.table.num_rows
     last = np.zeros(rows, bool)
     last[-1] = True
-    if episode is None and time is None:
-        return None, last, None
-    moments = np.zeros(rows) if time is None else _moments(encoder, time)
-    codes = np.zeros(rows, np.int64) if episode is None else _episodes(encoder, episode, ordered=time is not None)
+    if codes is None and moments is None:
+        return None, last
+    codes = np.zeros(rows, np.int64) if codes is None else codes
+    moments = np.zeros(rows) if moments is None else moments
     # Episodes follow one another by their first moment, so that a split by time is one; equal ones by their names.
     first = np.full(codes.max() + 1, np.inf)
     np.minimum.at(first, codes, moments)
     order = np.lexsort((moments, codes, first[codes]))
-    codes, moments = codes[order], moments[order]
-    same = codes[1:] == codes[:-1]
-    last[:-1] = ~same
-    if time is not None and (ties := int((same & (moments[1:] == moments[:-1])).sum())):
-        encoder.warnings.append(f"{ties} rows have the {time} of the row before them; they stay in the table's order")
-    dated = time is None or pa.types.is_temporal(encoder.complete(time).type)
-    return order, last, None if dated else moments
+    last[:-1] = codes[order][1:] != codes[order][:-1]
+    return order, last
 
 
 def _missing_steps(time: str, moments: np.ndarray, stops: np.ndarray, ends: np.ndarray | None) -> list[str]:
@@ -275,25 +275,3 @@ def _missing_steps(time: str, moments: np.ndarray, stops: np.ndarray, ends: np.n
             text = f"{late} of {len(starts)} episodes start after {time} {usual:g}, where most do"
             told.append(f"{text}; their first rows are taken as starts")
     return told
-
-
-def _episodes(encoder: Encoder, column: str, ordered: bool) -> np.ndarray:
-    values = encoder.complete(column)
-    if isinstance(values, pa.DictionaryArray):
-        values = values.dictionary_decode()
-    encoded = values.dictionary_encode()  # codes in the order of first appearance
-    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
-    if not ordered:
-        return codes
-    ranks = np.empty(len(encoded.dictionary), np.int64)
-    ranks[sorted_indices(encoded.dictionary)] = np.arange(len(ranks))
-    return ranks[codes]
-
-
-def _moments(encoder: Encoder, column: str) -> np.ndarray:
-    values = encoder.complete(column)
-    if pa.types.is_temporal(values.type):
-        # Only the order matters; int64 counts of the type's own unit keep it exactly.
-        width = pa.int32() if values.type.bit_width == 32 else pa.int64()
-        return np.asarray(values.view(width).to_numpy(zero_copy_only=False), np.int64)
-    return numbers(encoder.name, encoder.table, column)

@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from deadreckon.data.encode import numbers, row_numbers
-from deadreckon.data.frame import check_column, to_arrow
+from deadreckon.data.encode import numbers
+from deadreckon.data.frame import check_column, row_numbers, to_arrow
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 from deadreckon.mbo.coordinates import Coordinates

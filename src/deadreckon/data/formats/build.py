@@ -1,18 +1,18 @@
 """How the columns of any file become a `Dataset`, and a `Dataset` the columns of a file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deadreckon.data.columns import COLUMNS, NEEDED, renamed
+from deadreckon.data.columns import COLUMNS, NEEDED, RESERVED
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.header import Header
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError, naming
+from deadreckon.errors import UserError
 
 _ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 
@@ -28,6 +28,7 @@ def build(
     extra: Mapping[str, Any] | None = None,
     strict: bool = False,
     horizon: int | None = None,
+    warnings: Sequence[str] = (),
 ) -> Dataset:
     """Checks columns read from `path` and makes a log of them.
 
@@ -41,6 +42,7 @@ def build(
         extra: what else the file says, for the provenance of files that are not ours.
         strict: refuse actions out of bounds.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
+        warnings: of the reader, one line each.
 
     Raises:
         UserError: one line with file, column and row.
@@ -54,24 +56,34 @@ def build(
         if key in columns:
             raise UserError(f"{path}: column {key} must be called terminals (the task ended) or timeouts (a time limit)")
     about = header or Header(name or stem(path), None, Provenance(source=source, extra=dict(extra or {})))
-    name, provenance = name or about.name, about.provenance
-    with naming(path, ""):
-        given = renamed(columns)
+    provenance = replace(about.provenance, path=str(path))
+    given = renamed(path, columns)
     if horizon is not None:
         given["timeouts"] = _cut(path, given, horizon)
         provenance = replace(provenance, extra={**provenance.extra, "horizon": horizon})
-    with naming(path, name):
-        log = Dataset.from_arrays(
-            action_space=action_space or about.action_space,
-            name=name,
-            provenance=replace(provenance, path=str(path)),
-            strict=strict,
-            **given,
-        )
+    space = action_space or about.action_space
+    # Called as the file while its columns are checked, so that errors name that.
+    log = Dataset.from_arrays(**given, action_space=space, name=str(path), provenance=provenance, strict=strict)
+    found = [*warnings, *log.warnings]
     if header is None and log.lengths.max() > 1 and not _ENDS & given.keys():
         text = "no timeouts and no next_observations: time limits that are not marked would be crossed"
-        log = replace(log, warnings=(*log.warnings, f"{text} (a horizon marks them)"))
-    return log
+        found.append(f"{text} (a horizon marks them)")
+    return replace(log, name=name or about.name, warnings=tuple(found))
+
+
+def renamed(path: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """`columns`, where further ones that are called like an argument of `from_arrays` become `infos_...`.
+
+    Raises:
+        UserError: two columns would have one name.
+    """
+    given: dict[str, Any] = {}
+    for key, column in columns.items():
+        key = f"infos_{key}" if key in RESERVED and key not in COLUMNS else key
+        if key in given:
+            raise UserError(f"{path}: two columns would be called {key}; rename one")
+        given[key] = column
+    return given
 
 
 def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarray:

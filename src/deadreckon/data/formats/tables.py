@@ -2,27 +2,20 @@
 
 import gzip
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 from pyarrow import csv, parquet
 
-from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.build import build, columns_of, stem
+from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
-from deadreckon.data.formats.spread import from_table, shapes_of, to_table, told_shapes
-from deadreckon.data.frame import log_probabilities, numbered
-from deadreckon.errors import UserError, naming, reading, unknown
+from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
+from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 
 _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header as JSON
-# Any of these tells that rows follow each other, or that somebody meant to say so.
-_ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", "dones", "done", "terminations", "time"}
-MAPPING = ("episode", "time", "action", "reward", "observations", "ignore", "terminal", "timeout", "propensity", "keep")
 
 
 def read_parquet(
@@ -44,10 +37,14 @@ def read_parquet(
         table = parquet.read_table(path)
     text = (table.schema.metadata or {}).get(_HEADER)
     if text is None or any(value is not None for value in mapping.values()):
-        return _log_of(path, table, mapping, source="parquet", strict=strict, name=name, horizon=horizon)
-    header = Header.parse(path, text)
-    columns = from_table(path, table, told_shapes(path, header))
-    return build(path, columns, header, strict=strict, name=name, horizon=horizon)
+        columns, extra, warnings = from_anybody(path, table, mapping, horizon)
+        header = None
+    else:
+        header = Header.parse(path, text)
+        columns, extra, warnings = from_table(path, table, told_shapes(path, header)), {}, []
+    return build(
+        path, columns, header, source="parquet", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon
+    )
 
 
 def read_csv(
@@ -60,7 +57,8 @@ def read_csv(
         # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
         source = gzip.GzipFile(fileobj=file) if packed else file
         table = csv.read_csv(source)
-    return _log_of(path, table, mapping, source="csv", strict=strict, name=name, horizon=horizon)
+    columns, extra, warnings = from_anybody(path, table, mapping, horizon)
+    return build(path, columns, source="csv", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon)
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
@@ -82,60 +80,3 @@ def write_csv(log: Dataset, path: Path | str) -> None:
             raise UserError(f"{path}: {key} of shape {column.shape[1:]} do not fit into CSV; write .hdf5 or .parquet")
     with replacing(path) as temporary:
         csv.write_csv(to_table(log), temporary)
-
-
-def _log_of(
-    path: Path | str,
-    table: pa.Table,
-    mapping: dict[str, Any],
-    *,
-    source: str,
-    strict: bool,
-    name: str | None,
-    horizon: int | None,
-) -> Dataset:
-    """A table that is not ours as a log: its columns are what `mapping` says, or have our names."""
-    given = {key: value for key, value in mapping.items() if value is not None}
-    if not given:
-        columns = _named_ours(path, table, horizon)
-        return build(path, columns, source=source, name=name, strict=strict, horizon=horizon)
-    for key in given:
-        if key not in MAPPING:
-            raise unknown("option", key, MAPPING)
-    for key in ("action", "reward"):
-        if key not in given:
-            raise UserError(f"{path}: say which column is the {key}: --{key} COLUMN ({_listed(table.column_names)})")
-    if horizon is not None:
-        raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
-    name = name or stem(path)
-    with naming(path, name):
-        log = Dataset.from_frame(table, name=name, strict=strict, source=source, **given)
-    return replace(log, provenance=replace(log.provenance, path=str(path)))
-
-
-def _named_ours(path: Path | str, table: pa.Table, horizon: int | None) -> dict[str, np.ndarray]:
-    """The columns of a table that somebody gave our names, by `from_arrays` names."""
-    for key in ("observation", "action", "reward"):
-        if key not in table.column_names and not numbered(table.column_names, key):
-            raise UserError(
-                f"{path}: no column {key} or {key}_0; name the columns: --action COLUMN --reward COLUMN "
-                "[--observations COLUMN ...] [--episode, --time, --propensity ...]; all others become observations; "
-                "`deadreckon data convert` does that once, for commands that do not take these options "
-                f"({_listed(table.column_names)})"
-            )
-    columns = from_table(path, table)
-    if horizon is None and not ("episode" in table.column_names or _ORDERED & columns.keys()):
-        columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
-    if "propensity" in columns and LOG_PROBS not in columns:
-        columns[LOG_PROBS] = log_probabilities(str(path), table, "propensity")
-        del columns["propensity"]
-    return columns
-
-
-def _listed(names: list[str], width: int = 200) -> str:
-    """The names, as many as fit."""
-    names = [name for name in names if name]
-    shown = [*names]
-    while len(shown) > 1 and len(", ".join(shown)) > width:
-        shown.pop()
-    return f"columns: {', '.join(shown)}{', ...' if len(shown) < len(names) else ''}"
