@@ -1,40 +1,40 @@
 """The recipes of all domains, which register themselves here."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from deadreckon.collect.adroit import collect_adroit
+from deadreckon.collect.antmaze import collect_antmaze
+from deadreckon.collect.flow import collect_flow
+from deadreckon.collect.gym import collect_gym, collect_replay
+from deadreckon.collect.kitchen import collect_kitchen
+from deadreckon.collect.maze2d import collect_maze2d
 from deadreckon.collect.recipes import Maker, Recipe, register
 from deadreckon.data.catalogue import ENTRIES, entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.progress import Progress
 from deadreckon.tasks import adroit, antmaze, flow, gym_mujoco, kitchen, maze2d, registry
-from deadreckon.tasks.adroit import Adroit
-from deadreckon.tasks.antmaze import AntMaze
-from deadreckon.tasks.flow import Flow
-from deadreckon.tasks.gym_mujoco import GymMujoco
-from deadreckon.tasks.kitchen import Kitchen
 from deadreckon.tasks.maze2d import Maze2D
 from deadreckon.tasks.task import Task
+
+
+def _register(name: str, task: Task, make: Maker, summary: str, rows: int | None = None) -> None:
+    """Registers the recipe of the catalogue's log `name`, with as many rows unless `rows` says how many ours has."""
+    known = entry(name)
+    register(Recipe(known.recipe, task.name, known.rows if rows is None else rows, make, summary))
+
 
 # ---- Maze2D -----------------------------------------------------------------------------------------------------------
 
 
-def _maze2d(task: Maze2D) -> Recipe:
-    def make(
-        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
-    ) -> Dataset:
-        from deadreckon.collect.maze2d import collect_maze2d
-
-        return collect_maze2d(task, name=name, steps=steps, seed=seed, threads=threads, progress=progress)
-
-    known = entry(f"{task.name}-v1")
-    return Recipe(known.recipe, task.name, known.rows, make, "waypoints of a planner to random targets, PD control")
+def _maze2d(task: Maze2D, *, scratch: Path, **options: Any) -> Dataset:
+    return collect_maze2d(task, **options)  # made in one go, without a folder
 
 
 for _task in maze2d.TASKS:
     assert registry.task(_task.name) is _task
-    register(_maze2d(_task))
+    _register(f"{_task.name}-v1", _task, partial(_maze2d, _task), "waypoints of a planner to random targets, PD control")
 
 
 # ---- Gym-MuJoCo -------------------------------------------------------------------------------------------------------
@@ -46,55 +46,26 @@ _GYM = {
     "expert": "SAC, the best of its run",
     "medium-expert": "first medium, then expert",
     "uniform-expert": "first uniform actions, then expert",
-    "medium-replay": "all that SAC did until medium, by training again",
 }
-
-
-def _gym(task: GymMujoco, kind: str, summary: str) -> Recipe:
-    def make(
-        *, name: str, steps: int, seed: int, threads: int | None, scratch: Path, progress: Progress | None
-    ) -> Dataset:
-        from deadreckon.collect.gym import collect_gym, collect_replay
-
-        options = {"name": name, "steps": steps, "seed": seed, "threads": threads, "scratch": scratch, "progress": progress}
-        return collect_replay(task, **options) if kind == "medium-replay" else collect_gym(task, kind, **options)
-
-    known = entry(f"{task.name}-{kind}-v2")
-    # The replay buffer is as long as our own run took to get to medium, whatever the original's length.
-    ours = kind == "medium-replay" and task.name in library_tasks()
-    rows = about(task.name)["medium_replay"]["environment_steps"] if ours else known.rows
-    return Recipe(known.recipe, task.name, rows, make, summary)
-
 
 for _task in gym_mujoco.TASKS:
     for _kind, _summary in _GYM.items():
         if f"{_task.name}-{_kind}-v2" in ENTRIES:
-            register(_gym(_task, _kind, _summary))
-
-
-def _of_the_catalogue(name: str, task: Task, make: Maker, summary: str) -> Recipe:
-    """The recipe of a log that the catalogue has, with as many rows."""
-    known = entry(name)
-    return Recipe(known.recipe, task.name, known.rows, make, summary)
+            _register(f"{_task.name}-{_kind}-v2", _task, partial(collect_gym, _task, _kind), _summary)
+    if f"{_task.name}-medium-replay-v2" in ENTRIES:
+        # The replay buffer is as long as our own run took to get to medium, whatever the original's length.
+        _rows = about(_task.name)["medium_replay"]["environment_steps"] if _task.name in library_tasks() else None
+        _summary = "all that SAC did until medium, by training again"
+        _register(f"{_task.name}-medium-replay-v2", _task, partial(collect_replay, _task), _summary, _rows)
 
 
 # ---- Flow -------------------------------------------------------------------------------------------------------------
 
 _FLOW = {"random": "accelerations drawn uniformly between the bounds", "controller": "the intelligent driver model"}
 
-
-def _flow(task: Flow, kind: str, summary: str) -> Recipe:
-    def make(**options: Any) -> Dataset:
-        from deadreckon.collect.flow import collect_flow
-
-        return collect_flow(task, kind, **options)
-
-    return _of_the_catalogue(f"{task.name}-{kind}-v0", task, make, summary)
-
-
 for _task in flow.TASKS:
     for _kind, _summary in _FLOW.items():
-        register(_flow(_task, _kind, _summary))
+        _register(f"{_task.name}-{_kind}-v0", _task, partial(collect_flow, _task, _kind), _summary)
 
 
 # ---- Adroit -----------------------------------------------------------------------------------------------------------
@@ -105,19 +76,9 @@ _ADROIT = {
     "expert": "the policy that DAPG trained",
 }
 
-
-def _adroit(task: Adroit, kind: str, summary: str) -> Recipe:
-    def make(**options: Any) -> Dataset:
-        from deadreckon.collect.adroit import collect_adroit
-
-        return collect_adroit(task, kind, **options)
-
-    return _of_the_catalogue(f"{task.name}-{kind}-v1", task, make, summary)
-
-
 for _task in adroit.TASKS:
     for _kind, _summary in _ADROIT.items():
-        register(_adroit(_task, _kind, _summary))
+        _register(f"{_task.name}-{_kind}-v1", _task, partial(collect_adroit, _task, _kind), _summary)
 
 
 # ---- FrankaKitchen ----------------------------------------------------------------------------------------------------
@@ -128,18 +89,9 @@ _KITCHEN = {
     "mixed": "a scripted demonstrator: four sub-tasks of six at random, never all of the task's",
 }
 
-
-def _kitchen(task: Kitchen, summary: str) -> Recipe:
-    def make(**options: Any) -> Dataset:
-        from deadreckon.collect.kitchen import collect_kitchen
-
-        return collect_kitchen(task, **options)
-
-    return _of_the_catalogue(f"{task.name}-v0", task, make, summary)
-
-
 for _task in kitchen.TASKS:
-    register(_kitchen(_task, _KITCHEN[_task.name.removeprefix("kitchen-")]))
+    _summary = _KITCHEN[_task.name.removeprefix("kitchen-")]
+    _register(f"{_task.name}-v0", _task, partial(collect_kitchen, _task), _summary)
 
 
 # ---- AntMaze ----------------------------------------------------------------------------------------------------------
@@ -147,18 +99,8 @@ for _task in kitchen.TASKS:
 _ANTMAZE = {
     "play": "a planner's waypoints to hand-picked cells, one after the other, from anywhere; a walker with noise",
     "diverse": "a planner's waypoints to random cells, one after the other, from anywhere; a walker with noise",
+    "umaze": "a planner's waypoints from the start to the goal; a walker with noise",
 }
 
-
-def _antmaze(task: AntMaze) -> Recipe:
-    def make(**options: Any) -> Dataset:
-        from deadreckon.collect.antmaze import collect_antmaze
-
-        return collect_antmaze(task, **options)
-
-    summary = _ANTMAZE.get(task.name.rsplit("-", 1)[1], "a planner's waypoints from the start to the goal; a walker with noise")
-    return _of_the_catalogue(f"{task.name}-v2", task, make, summary)
-
-
 for _task in antmaze.TASKS:
-    register(_antmaze(_task))
+    _register(f"{_task.name}-v2", _task, partial(collect_antmaze, _task), _ANTMAZE[_task.name.rsplit("-", 1)[1]])
