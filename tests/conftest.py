@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -99,13 +100,19 @@ def browse(tmp_path_factory):
 
 
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
+EMITTERS_KNOWN_BY = "0.10."  # versions of jaxlib: one that does not know a flag of XLA ends the process
 LONGEST = ("tests/test_golden.py", "tests/agents/", "tests/ope/", "tests/mbo/", "tests/runs/", "tests/training/")
 
 
 def pytest_configure(config):
-    """Programs of fast tests run for moments: to compile them fully costs more than it saves. Slow ones run as a user's do."""
+    """Programs of fast tests run for moments: to compile them fully costs more than it saves. Slow ones run as a user's do.
+
+    XLA's emitters of fused kernels alone are half of the time that compiling takes.
+    """
     if config.option.markexpr == "not slow":
-        os.environ.setdefault(QUICK, "1")  # commands that tests start inherit it
+        os.environ.setdefault(QUICK, "1")  # commands that tests start inherit both
+        if metadata.version("jaxlib").startswith(EMITTERS_KNOWN_BY):
+            os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 
 def pytest_collection_modifyitems(items):
