@@ -59,7 +59,7 @@ def parts() -> dict[str, Callable[[], Any]]:
     """Of an update: the gradients of the models, their optimiser with the targets, and the rise of the designs."""
     x, y = protocol.synthetic_designs({"seed": 0, "rows": 5000})
     data = Designs.from_arrays(x, y, [Variable(f"x{i}") for i in range(SIZE)])
-    designer = NEMO(bins=BINS, hidden=(WIDTH,) * 2, batch_size=BATCH, pretrain=0, ratio=1, lr=0.005)
+    designer = NEMO(bins=BINS, hidden=(WIDTH,) * 2, batch_size=BATCH, pretrain=0, model_updates=1, lr=0.005)
     learner = designer.training(DesignInput(data, protocol.NEMO["designs"], [0], None, lambda *_: None))
     state = learner.init(data.coordinates, jax.random.key(0))
     batch, label = jnp.asarray(x[:BATCH], jnp.float32), quantise(jnp.asarray(y[:BATCH]), BINS)

@@ -76,7 +76,7 @@ def _nemo(options: dict[str, Any]) -> Callable[[int], int]:
     x, y = protocol.synthetic_designs(options)
     data = Designs.from_arrays(x, y, [Variable(f"x{i}") for i in range(x.shape[1])])
     fields = {"bins": protocol.NEMO["bins"], "hidden": (options["width"],) * 2, "batch_size": options["batch"]}
-    designer = NEMO(**fields, pretrain=0, ratio=1, lr=0.005)
+    designer = NEMO(**fields, pretrain=0, model_updates=1, lr=0.005)
     nothing = lambda what, step, steps: None  # noqa: E731
     learner = designer.training(DesignInput(data, protocol.NEMO["designs"], [0], None, nothing))
     settings = ", ".join(f"{k} {v}" for k, v in fields.items())

@@ -20,7 +20,7 @@ from deadreckon.bench.forms import rendered
 from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import Found, Store
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
@@ -35,19 +35,19 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def rows(job: Job, seconds: float) -> Found:
+def rows(job: Job, seconds: float) -> JobResult:
     """Results of a job that did nothing."""
     told = {"score": 1.0, "raw": 1.0, "steps": 1, "seconds": seconds, "failure": "", "versions": json.dumps({"jax": "-"})}
-    return Found([{"seed": seed} | told for seed in job.seeds], [])
+    return JobResult([{"seed": seed} | told for seed in job.seeds], [])
 
 
-def sleep(program: Program, folder: Path, watch: Callable[[int, int], None]) -> list[Found]:
+def sleep(program: Program, folder: Path, watch: Callable[[int, int], None]) -> list[JobResult]:
     """Sleeps in ten parts, and tells of each."""
     [job] = program.jobs
     for part in range(10):
-        time.sleep(job.asked["seconds"] / 10)
+        time.sleep(job.options["seconds"] / 10)
         watch(part + 1, 10)
-    return [rows(job, job.asked["seconds"])]
+    return [rows(job, job.options["seconds"])]
 
 
 def overhead(name: str, seconds: float, each: int) -> None:

@@ -47,19 +47,19 @@ def variants(group: str, problem: str, options: Options) -> list[tuple[str, Any]
     nemo: Any = sized("nemo", problem, options.budget)
     if options.settings == "own":
         own: Any = sized("nemo", None, options.budget)
-        nemo = nemo.replace(lr=own.lr, design_lr=own.design_lr, weight=own.weight)
+        nemo = nemo.replace(lr=own.lr, design_lr=own.design_lr, label_weight=own.label_weight)
     if group == "table":
         of = lambda name: nemo if name == "nemo" else sized(name, problem, options.budget)  # noqa: E731
         return [("nemo-own" if name == "nemo" and options.settings == "own" else name, of(name)) for name in options.only]
     changes: dict[str, dict[str, Any]] = {
         "nml": {"NML": {"start": "worst"}, "none": {"start": "worst", "search_lr": 0.0}},
         "architecture": {"logistic": {}, "categorical": {"architecture": "categorical"}},
-        "weight": {f"{name}, designs {rise:g}": {"lr": 0.005, "design_lr": rise, "weight": weight}
+        "weight": {f"{name}, designs {rise:g}": {"lr": 0.005, "design_lr": rise, "label_weight": weight}
                    for name, weight in WEIGHTS.items() for rise in DESIGN_RATES},
-        "ratio": {f"{ratio}:1, {lr:g}": {"ratio": ratio, "lr": lr} for lr in RATES for ratio in RATIOS},
+        "ratio": {f"{ratio}:1, {lr:g}": {"model_updates": ratio, "lr": lr} for lr in RATES for ratio in RATIOS},
     }[group]  # fmt: skip
     return [
-        (f"{label}, {rise} steps", nemo.replace(**fields, steps=rise * fields.get("ratio", 1)))
+        (f"{label}, {rise} steps", nemo.replace(**fields, steps=rise * fields.get("model_updates", 1)))
         for label, fields in changes.items()
         for rise in options.rises
     ]

@@ -15,7 +15,7 @@ import tyro
 import deadreckon as dr
 from deadreckon.agents import MBPO, MVE, PETS, PPO, SAC, SLBO, STEVE
 from deadreckon.agents.agent import Agent
-from deadreckon.agents.modelled import PRESETS
+from deadreckon.agents.model_based import PRESETS
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.online import Online

@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.collect.rollouts import played
 from deadreckon.data.dataset import Dataset
@@ -58,7 +58,8 @@ class Options:
 
 @eqx.filter_jit
 def made_up(
-    agent: ModelledOnline, ensemble: Ensemble, policy: EnvPolicy, starts: Float[Array, "n o"], key: PRNGKeyArray, horizon: int
+    agent: OnlineModelBasedAgent, ensemble: Ensemble, policy: EnvPolicy, starts: Float[Array, "n o"], key: PRNGKeyArray,
+    horizon: int,
 ) -> Float[Array, "t n"]:
     """Returns so far of episodes in the model."""
     n = len(starts)
@@ -79,7 +80,8 @@ def made_up(
 
 @eqx.filter_jit
 def fan(
-    agent: ModelledOnline, ensemble: Ensemble, start: Float[Array, "o"], actions: Float[Array, "t a"], n: int, key: PRNGKeyArray
+    agent: OnlineModelBasedAgent, ensemble: Ensemble, start: Float[Array, "o"], actions: Float[Array, "t a"], n: int,
+    key: PRNGKeyArray,
 ) -> Float[Array, "t n o"]:
     """Observations that follow the same actions, without an end; one that is not finite stays where it was."""
 
@@ -122,7 +124,7 @@ def main(options: Options) -> None:
         raise UserError(f"{options.run} has the seeds {list(job.seeds)}, not {options.seed}")
     lane = list(job.seeds).index(options.seed)
     agent, experience = job.learners[lane], job.source.experience
-    if not isinstance(agent, ModelledOnline):
+    if not isinstance(agent, OnlineModelBasedAgent):
         raise UserError(f"{options.run} is a run of {type(agent).__name__}, which has no model")
     ensemble, task = own(job.states, lane).model, experience.task
     kept = [step for step in folder.policy_steps() if step <= job.step]

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from deadreckon.agents import AGENTS, agent_class
-from deadreckon.agents.modelled import Modelled
+from deadreckon.agents.model_based import ModelBasedAgent
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.bench import identity
 from deadreckon.data.normalizer import Normalizer
@@ -173,7 +173,7 @@ def online(name: str) -> Numbers:
     """Two blocks of acting and learning."""
     kind, updates = agent_class(name), 4
     sizes = {} if name == "pets" else {"hidden": (8,), "batch_size": 16}
-    sizes |= MODEL if issubclass(kind, Modelled) else {}
+    sizes |= MODEL if issubclass(kind, ModelBasedAgent) else {}
     spec = Spec.empty(PENDULUM.observation_shape, PENDULUM.action_space, PENDULUM.name)
     made = kind(**sizes | OF_THEIR_OWN.get(name, {})).resolve(spec, updates)
     experience = experience_of(made)(PENDULUM, made, [3], updates, ONLINE, threads=1)

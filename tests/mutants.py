@@ -426,8 +426,8 @@ MUTANTS = (
     ),
     # ---- designers
     Mutant(
-        "nemo-phase", "mbo/nemo.py", "% settings.ratio == settings.ratio - 1",
-        "% settings.ratio == 0", "designs move before their models have learned",
+        "nemo-phase", "mbo/nemo.py", "% settings.model_updates == settings.model_updates - 1",
+        "% settings.model_updates == 0", "designs move before their models have learned",
         ("mbo/test_nemo.py::test_designs_move_after_every_ratio_updates_of_the_models_and_not_while_these_are_pretrained",),
     ),
     Mutant(

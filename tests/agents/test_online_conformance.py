@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deadreckon.agents import AGENTS, agent_class
-from deadreckon.agents.modelled import Modelled
+from deadreckon.agents.model_based import ModelBasedAgent
 from deadreckon.data.spec import Spec
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
@@ -21,12 +21,13 @@ OWN = {
     "pets": {"horizon": 3, "population": 10, "cem_elites": 2, "cem_iterations": 2, "particles": 2},
 }
 ONLINE = [name for name in AGENTS if agent_class(name).online]
-ONLINE = [name for name in ONLINE if not (issubclass(agent_class(name), Modelled) and agent_class(name).offline)]
+ONLINE = [name for name in ONLINE if not (issubclass(agent_class(name), ModelBasedAgent) and agent_class(name).offline)]
 
 
 def job(name, seeds, bad=None, **fields):
     kind = agent_class(name)
-    sizes = ({} if name == "pets" else {"hidden": (8,), "batch_size": 16}) | (MODEL if issubclass(kind, Modelled) else {})
+    sizes = {} if name == "pets" else {"hidden": (8,), "batch_size": 16}
+    sizes |= MODEL if issubclass(kind, ModelBasedAgent) else {}
     spec = Spec.empty(PENDULUM.observation_shape, PENDULUM.action_space, PENDULUM.name)
     agents = [kind(**sizes | OWN.get(name, {}) | fields).resolve(spec, UPDATES) for _ in seeds]
     if bad is not None:

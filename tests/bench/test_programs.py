@@ -12,7 +12,7 @@ from deadreckon.bench.identity import revisions_of
 from deadreckon.bench.jobs import programs
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import Found, Store
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
@@ -201,7 +201,7 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
     }
 
     # A longer one of as many lanes will take as long a step.
-    longer = [dataclasses.replace(job, asked=job.asked | {"steps": 600}) for job in jobs]
+    longer = [dataclasses.replace(job, options=job.options | {"steps": 600}) for job in jobs]
     [program] = programs(longer)
     seconds = together.results()["seconds"][0].as_py()
     assert forecast([program], together) == {program.name: pytest.approx(10 * seconds)}
@@ -211,7 +211,7 @@ def test_of_a_program_that_is_done_in_part_the_rest_is_run(planned, tmp_path):
     store, jobs = Store(tmp_path / "out"), planned()
     [done] = [job for job in planned(lanes=1) if (job.method, job.seeds) == ("near", (1,))]
     told = {"score": 1.0, "raw": 1.0, "steps": 60, "seconds": 1.0, "failure": "", "versions": "{}"}
-    store.keep("some", done, Found([{"seed": 1} | told], []))
+    store.keep("some", done, JobResult([{"seed": 1} | told], []))
     rest = programs(store.undone(jobs))
     assert [([job.method for job in each.jobs], each.jobs[0].seeds) for each in rest] == [
         (["plain", "fast"], (0, 1)), (["near"], (0,)),
@@ -271,6 +271,6 @@ def test_what_another_command_is_at_is_left_to_it(planned, tmp_path, capsys):
     settings = [{"alpha": 1.0}, {"alpha": 5.0}]
     asked = tuning("td3_bc", ["maze2d-umaze-v1"], settings, by="simulator", steps=100, seeds=3, rows=600)
     [program] = programs(plan(asked))
-    choose = {"by": "simulator", "store": store, "executor": Here(store.path), "told": Lines(1)}
+    choose = {"by": "simulator", "store": store, "executor": Here(store.path), "on_event": Lines(1)}
     with alone(store.folder(program)), pytest.raises(BusyError, match="2 of 2 jobs are being done by another command"):
         tune(asked, settings, **choose)

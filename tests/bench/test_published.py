@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deadreckon.agents.modelled import PRESETS
+from deadreckon.agents.model_based import PRESETS
 from deadreckon.bench.published import load, reference, scores
 from deadreckon.errors import UserError
 from deadreckon.tasks import names

@@ -20,7 +20,7 @@ from deadreckon.bench.identity import revisions_of
 from deadreckon.bench.jobs import Program, programs
 from deadreckon.bench.local import Local, shares
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import Found, Store
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
@@ -56,7 +56,7 @@ def made(job, scores, failure=""):
         {"seed": seed, "score": score, "raw": 2 * score, "steps": 60, "seconds": 30.0, "failure": failure, "versions": versions}
         for seed, score in zip(job.seeds, scores)
     ]
-    return Found(rows, [])
+    return JobResult(rows, [])
 
 
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
@@ -238,7 +238,7 @@ def test_times_come_from_jobs_that_are_done(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     assert forecast(programs(jobs), store) == {job.name: None for job in jobs}
     store.keep("small", jobs[0], made(jobs[0], (1.0, 2.0)))
-    longer = dataclasses.replace(jobs[0], asked=jobs[0].asked | {"steps": 600})
+    longer = dataclasses.replace(jobs[0], options=jobs[0].options | {"steps": 600})
     assert forecast(programs([longer, jobs[1]]), store) == {longer.name: 300.0, jobs[1].name: None}
 
 

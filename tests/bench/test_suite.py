@@ -54,7 +54,7 @@ def test_the_thesis_has_suites():
 def test_a_plan_holds_settings_presets_and_data(written):
     bc, cql = plan(read(written(SMALL)))
     assert (bc.settings["hidden"], bc.data) == ([8], "maze2d-umaze-v1@dr1-600-steps")
-    assert bc.asked == {"steps": 40, "episodes": 2, "every": 20}
+    assert bc.options == {"steps": 40, "episodes": 2, "every": 20}
     assert agent_of(bc).hidden == (8,)
     assert cql.preset == "maze2d"
     assert cql.settings["lagrange"] is True
@@ -64,7 +64,7 @@ def test_cells_are_named_by_all_that_their_numbers_depend_on(written):
     job = plan(read(written(SMALL)))[0]
     others = [
         dataclasses.replace(job, settings=job.settings | {"lr": 0.5}), dataclasses.replace(job, data="another"),
-        dataclasses.replace(job, asked=job.asked | {"steps": 41}), dataclasses.replace(job, agent="td3"),
+        dataclasses.replace(job, options=job.options | {"steps": 41}), dataclasses.replace(job, agent="td3"),
     ]  # fmt: skip
     assert len({job.cell(0), job.cell(1), *(other.cell(0) for other in others)}) == 6
     whole = plan(read(written(SMALL.replace("hidden = [8]", "hidden = [8], lr = 1"))))[0]
@@ -91,7 +91,7 @@ def test_lanes_split_seeds_into_jobs(written):
 def test_steps_may_differ_by_log(written):
     two = SMALL.replace('["maze2d-umaze-v1"]', '["maze2d-umaze-v1", "maze2d-medium-v1"]')
     jobs = plan(read(written(two.replace("steps = 40", "steps = { maze2d-umaze-v1 = 40, maze2d-medium-v1 = 60 }"))))
-    assert [job.asked["steps"] for job in jobs] == [40, 40, 60, 60]
+    assert [job.options["steps"] for job in jobs] == [40, 40, 60, 60]
 
 
 @pytest.mark.parametrize(

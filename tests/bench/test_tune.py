@@ -11,7 +11,7 @@ from deadreckon.bench import tune as module
 from deadreckon.bench.jobs import Program
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import Found, Store
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune
 from deadreckon.bench.work import perform
@@ -89,7 +89,7 @@ def given(program, folder, watch):
     for job in program.jobs:
         score = SCORES[job.settings["alpha"]]
         told = {"raw": score, "steps": 1, "seconds": 1.0, "failure": "", "versions": "{}"}
-        out.append(Found([{"seed": seed, "score": score + seed} | told for seed in job.seeds], []))
+        out.append(JobResult([{"seed": seed, "score": score + seed} | told for seed in job.seeds], []))
     return out
 
 
@@ -123,7 +123,8 @@ def diverged(program, folder, watch):
 def test_what_diverged_is_not_chosen(tmp_path):
     settings = [{"alpha": value} for value in SCORES]
     asked = suite("td3_bc", [UMAZE], settings, by="simulator", steps=10, seeds=1)
-    run = {"by": "simulator", "store": Store(tmp_path), "executor": Local(tmp_path, 1, diverged), "told": lambda event: None}
+    local = Local(tmp_path, 1, diverged)
+    run = {"by": "simulator", "store": Store(tmp_path), "executor": local, "on_event": lambda event: None}
     found = tune(asked, settings, **run)
     assert found.best.fields == {"alpha": 2.5}
     assert "alpha = 5.0  score 50.0  FAILED, not chosen: loss was not finite at update 3" in str(found)
@@ -133,7 +134,7 @@ def test_the_best_mean_over_tasks_and_seeds_is_chosen(tmp_path):
     settings = [{"alpha": value} for value in SCORES]
     asked = suite("td3_bc", [UMAZE, "maze2d-medium-v1"], settings, by="simulator", steps=10, seeds=2)
     store = Store(tmp_path)
-    found = tune(asked, settings, by="simulator", store=store, executor=Local(tmp_path, 1, given), told=lambda event: None)
+    found = tune(asked, settings, by="simulator", store=store, executor=Local(tmp_path, 1, given), on_event=lambda event: None)
     assert found.best.fields == {"alpha": 5.0}
     assert found.best.scores.tolist() == [[50.0, 51.0]] * 2
     assert json.loads((tmp_path / "tuned.json").read_text())["best"] == {"alpha": 5.0}
@@ -215,4 +216,4 @@ def test_suites_learn_from_all_of_a_log(tmp_path):
     [divided_job] = plan(replace(asked, divided=True))
     assert divided_job.cells != job.cells
     [known] = plan(replace(asked, on=(UMAZE,), steps={UMAZE: 2}, divided=True))
-    assert "divided" not in known.asked
+    assert "divided" not in known.options

@@ -114,7 +114,7 @@ def score(proposals):
     return -np.square(proposals.x - 0.5).sum(1)
 
 
-@pytest.mark.parametrize("fields", [{}, {"weight": None, "steps": 400, "design_lr": 0.02}])
+@pytest.mark.parametrize("fields", [{}, {"label_weight": None, "steps": 400, "design_lr": 0.02}])
 def test_designs_improve_and_stay_within_bounds(bowl, fields):
     found = NEMO(**{"bins": 12, "hidden": (32, 32), "pretrain": 400} | fields).propose(bowl, 16)
     assert np.median(score(found)) > bowl.y.max()
@@ -129,10 +129,10 @@ def test_designs_improve_and_stay_within_bounds(bowl, fields):
 def test_claims_make_what_is_searched_uncertain(bowl):
     """Each model is pulled towards its own claim about the designs: without that, nothing is NML."""
     small = NEMO(bins=8, hidden=(32,), steps=300, pretrain=300, lr=0.005, design_lr=0.02, loss="likelihood")
-    none, strong = (small.replace(weight=weight).propose(bowl, 16) for weight in (0.0, 1.0))
+    none, strong = (small.replace(label_weight=weight).propose(bowl, 16) for weight in (0.0, 1.0))
     assert np.median(strong.predicted_std) > 1.5 * np.median(none.predicted_std)
     # Models that stay after pretraining know no claims, whatever these weigh.
-    still = [small.replace(search_lr=0.0, weight=weight).propose(bowl, 16) for weight in (0.0, 1.0)]
+    still = [small.replace(search_lr=0.0, label_weight=weight).propose(bowl, 16) for weight in (0.0, 1.0)]
     np.testing.assert_array_equal(still[0].x, still[1].x)
     np.testing.assert_array_equal(still[0].predicted, still[1].predicted)
     assert not np.array_equal(still[0].x, none.x)
@@ -180,7 +180,8 @@ def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
     rng = np.random.default_rng(0)
     x = np.sort(rng.uniform(-1, 1, rows))
     data = Designs.from_arrays(x[:, None], x + 0.3 * rng.standard_normal(rows))
-    still = NEMO(bins=bins, hidden=(), loss="likelihood", pretrain=0, lr=0.003, design_lr=0.0, weight=None, batch_size=256)
+    sizes = {"bins": bins, "hidden": (), "batch_size": 256, "pretrain": 0}
+    still = NEMO(loss="likelihood", lr=0.003, design_lr=0.0, label_weight=None, **sizes)
     setting = DesignInput(data, 1, [0], None, lambda what, step, steps: None)
     state = setting.train(still.training(setting), 6000, "nemo")[0]
     found = np.exp(np.asarray(p_nml(joined(state.targets), state.search.x)))[0]
@@ -207,7 +208,7 @@ def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
 def test_designs_move_after_every_ratio_updates_of_the_models_and_not_while_these_are_pretrained():
     data = Designs.from_arrays(np.linspace(0, 1, 12)[:, None], np.linspace(0, 1, 12))
     setting = DesignInput(data, 2, [0], None, lambda what, step, steps: None)
-    learner = NEMO(bins=2, hidden=(), pretrain=2, ratio=3, batch_size=4).training(setting)
+    learner = NEMO(bins=2, hidden=(), pretrain=2, model_updates=3, batch_size=4).training(setting)
     view = data.coordinates
     batch = Batch(extra={"x": view.encode(data.x)[:4], "y": np.zeros(4, np.float32)})
     state = learner.init(view, jax.random.key(0))
@@ -248,15 +249,15 @@ def test_a_longer_fit_passes_over_a_broken_checkpoint(bowl, tmp_path):
 def test_functions_of_the_score_are_told_apart_by_what_they_give(bowl):
     one, other = (SMALL.replace(objective="mean", g=g) for g in (lambda y: y, lambda y: -y))
     assert str(one) == str(other)
-    assert one.asked(bowl) != other.asked(bowl)
-    assert one.asked(bowl) == SMALL.replace(objective="mean", g=lambda y: y + 0.0).asked(bowl)
+    assert one.settings_text(bowl) != other.settings_text(bowl)
+    assert one.settings_text(bowl) == SMALL.replace(objective="mean", g=lambda y: y + 0.0).settings_text(bowl)
 
 
 def test_functions_of_the_score_see_it_as_the_table_has_it():
     rng = np.random.default_rng(0)
     costs = Designs.from_frame({"a": rng.normal(size=20), "cost": np.linspace(5.0, 9.0, 20)}, "cost", minimise=True)
     seen = []
-    NEMO(bins=4, objective="mean", g=lambda y: seen.append(y) or -y).asked(costs)
+    NEMO(bins=4, objective="mean", g=lambda y: seen.append(y) or -y).settings_text(costs)
     np.testing.assert_allclose(seen[0], [8.5, 7.5, 6.5, 5.5])
 
 
@@ -276,10 +277,10 @@ def test_refusals(bowl):
         SMALL.replace(lr=1e30).propose(bowl, 2)
 
 
-def test_models_that_went_blind_are_told_of(bowl, monkeypatch):
+def test_models_with_constant_predictions_are_warned_of(bowl, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         SMALL.propose(bowl, 4)
     monkeypatch.setattr(Training, "worth", lambda self, stacks, z: 0.3 + 0.0 * z.sum(-1))
-    with pytest.warns(UserWarning, match=r"NEMO: its models say the same .*seeds \[5, 6\].* lower lr \(now 0.01\)"):
+    with pytest.warns(UserWarning, match=r"NEMO: its models predict the same .*seeds \[5, 6\].* lower lr \(now 0.01\)"):
         SMALL.propose_many(bowl, 4, seeds=[5, 6])

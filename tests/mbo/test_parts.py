@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from deadreckon.mbo.cbas import Layout
 from deadreckon.mbo.coms import COMs, Conservative
-from deadreckon.mbo.ddom import kept, sample
+from deadreckon.mbo.ddom import sample, variance_left
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import mixture
 from deadreckon.mbo.ram import Ranking
@@ -85,7 +85,7 @@ def test_the_sampler_with_an_exact_model_gives_the_datas_distribution():
         def __call__(self, seen):
             x, angle = seen[:, :1], seen[:, 1]
             t = jnp.arcsin(jnp.clip(angle, -1, 1)) / (jnp.pi / 2)  # the slowest wave is a quarter of a turn
-            left = kept(t)[:, None]
+            left = variance_left(t)[:, None]
             return jnp.sqrt(1 - left) * x / (left * s**2 + 1 - left)
 
     drawn = _sample(Exact(), 4000)

@@ -19,7 +19,7 @@ def branin():
 def test_results_are_kept(branin, tmp_path, monkeypatch):
     told = []
     asked = [("best", designer("best")), ("random", designer("random"))]
-    first = evaluate_designers(branin, asked, 16, seeds=range(4), out=tmp_path, told=told.append)
+    first = evaluate_designers(branin, asked, 16, seeds=range(4), out=tmp_path, on_result=told.append)
     assert [r.method for r in told] == ["best", "random"]
 
     def broken(self, setting):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.nets.mlp import MLP, ensemble, joined, least, q_values, softplus, split
+from deadreckon.nets.mlp import MLP, ensemble, joined, minimum, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, apply_gradients, copy, polyak_update
 from deadreckon.nets.vae import VAE
 
@@ -92,6 +92,6 @@ def test_vae_loss_equals_numpy():
 
 def test_the_least_and_its_slope():
     values = jnp.asarray([[3.0, 1.0, 2.0], [2.0, 4.0, 2.0], [5.0, 1.5, 9.0]])
-    np.testing.assert_array_equal(least(values), [2.0, 1.0, 2.0])
+    np.testing.assert_array_equal(minimum(values), [2.0, 1.0, 2.0])
     slope = jax.grad(lambda v: least(v).sum())(values)
     np.testing.assert_array_equal(slope, [[0, 1, 1], [1, 0, 0], [0, 0, 0]])  # of two that are equal, the first's

@@ -1,4 +1,4 @@
-"""Cross-fitting: each fold's policies have not seen it, what is delivered, and going on after a kill."""
+"""Cross-fitting: each fold's policies have not seen it, the policy to deploy, and resuming after a kill."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_the_mixture_is_of_all_folds_and_has_seen_everything(fitted, log):
     fits = np.array([np.isclose(acts, run.policy(X), atol=1e-6).all(1) for run in fitted.runs])
     assert fits.any(0).all()
     assert fits.sum(1).min() > 5
-    np.testing.assert_array_equal(np.sort(store.taught(fitted.delivered)), np.sort(log.episode_ids))
+    np.testing.assert_array_equal(np.sort(store.taught(fitted.policy_path)), np.sort(log.episode_ids))
     assert fitted.config["members"] == [[0, 0], [1, 0], [2, 0]]
     again = dr.load_cross_fit(fitted.path)
     assert again.config == fitted.config == read_json(fitted.path / "crossfit.json")
@@ -95,17 +95,17 @@ def test_killed_and_gone_on_with_no_fold_is_done_again(fitted, log, tmp_path):
     np.testing.assert_array_equal(again.policy(X), fitted.policy(X))
 
 
-def test_what_is_delivered_may_have_learned_from_everything(log, tmp_path):
+def test_the_policy_to_deploy_may_have_learned_from_everything(log, tmp_path):
     found = dr.cross_fit(BC, log, out=tmp_path / "c", by="user", deliver="refit", **OPTIONS)
-    assert found.delivered == tmp_path / "c" / "refit"
-    refit = dr.load_run(found.delivered)
+    assert found.policy_path == tmp_path / "c" / "refit"
+    refit = dr.load_run(found.policy_path)
     np.testing.assert_array_equal(refit.taught, log.episode_ids)
     alone = dr.train(BC, log, out=tmp_path / "alone", holdout=0, **{k: v for k, v in OPTIONS.items() if k != "folds"})
     np.testing.assert_array_equal(found.policy(X), alone.policy(X))
     users = log.extras["user"][log.starts]
     fold = found.fold_of(log)
     assert all(len(set(fold[users == user])) == 1 for user in users)
-    assert dr.load_cross_fit(found.path).delivered == found.delivered
+    assert dr.load_cross_fit(found.path).policy_path == found.policy_path
     other = dr.cross_fit(BC, log, out=tmp_path / "c", by="user", resume=True, **OPTIONS)
     assert isinstance(other.policy.inner, Mixture)
 
@@ -159,7 +159,7 @@ def test_the_command(log, tmp_path, monkeypatch, capsys):
     assert main([*given, "--holdout-by", "user"]) == 0
     shown = capsys.readouterr().out
     assert "2 folds of up to 20 of 40 episodes, each held out once" in shown
-    assert "delivered: c/mixture.npz" in shown
+    assert "policy: c/mixture.npz" in shown
     found = dr.load_cross_fit("c")
     log = dr.read("log.csv", action="arm", reward="click", keep="user")
     fold = found.fold_of(log)
@@ -172,7 +172,7 @@ def test_each_episode_of_a_mixture_is_one_of_its_members(tmp_path):
     found = dr.cross_fit(BC, known, out=tmp_path / "c", episodes=1, **OPTIONS)
     assert found.runs[0].config["task"] == "maze2d-umaze"
     alone = np.array([dr.evaluate(run.policy, "maze2d-umaze-dense", episodes=8).returns[0] for run in found.runs])
-    mixed = dr.evaluate(found.delivered, "maze2d-umaze-dense", episodes=8).returns[0]
+    mixed = dr.evaluate(found.policy_path, "maze2d-umaze-dense", episodes=8).returns[0]
     near = np.isclose(alone, mixed, rtol=1e-4)
     assert near.any(0).all()
     assert near.any(1).sum() > 1

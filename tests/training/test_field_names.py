@@ -87,6 +87,7 @@ def test_suites_and_tune_take_old_names(tmp_path):
     assert jobs["{ sharpness = 2.0 }"] == jobs["{ beta = 2.0 }"]
     assert candidates("iql", {"sharpness": [1.0, 3.0]}) == [{"beta": 3.0}, {"beta": 1.0}]
     assert designer("forward", ascent=3) == designer("forward", ascent_steps=3)
+    assert designer("nemo", weight=0.5, ratio=2) == designer("nemo", label_weight=0.5, model_updates=2)
     assert estimator("dr", target_rate=0.5) == estimator("dr", tau=0.5) == estimator("dr", fqe={"target_rate": 0.5})
 
 

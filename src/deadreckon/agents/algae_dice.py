@@ -21,7 +21,7 @@ from deadreckon.agents.agent import backup
 from deadreckon.agents.sac import SAC
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.training.hyperparameters import NonNegative, Range
 
 FRESH = 0.05  # share of the present critics in what follows
@@ -56,7 +56,7 @@ class AlgaeDICE(SAC):
         log_prob = dist.log_prob(d, pre)
         before, after = (q_values(each, batch.next_observation, jnp.tanh(pre)) for each in (state.target_critics, critics))
         bonus = -jnp.exp(state.log_temperature) * log_prob if self.entropy_backup else 0.0
-        future = (1.0 - FRESH) * least(before) + FRESH * after + bonus
+        future = (1.0 - FRESH) * minimum(before) + FRESH * after + bonus
         return backup(batch, self.discount, future) - q_values(critics, batch.observation, batch.action), log_prob
 
     def first(self, critics: MLP, actor: MLP, batch: Batch, key: Array) -> Float[Array, "k b"]:

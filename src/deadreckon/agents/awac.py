@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
@@ -56,13 +56,13 @@ class AWAC(Agent):
     def target(self, state, batch: Batch, key: PRNGKeyArray) -> Array:
         """r + discount min_j Q'_j(s', a'), a' from the present actor."""
         action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.next_observation)), key))
-        return backup(batch, self.discount, least(q_values(state.target_critics, batch.next_observation, action)))
+        return backup(batch, self.discount, minimum(q_values(state.target_critics, batch.next_observation, action)))
 
     def advantage(self, state, batch: Batch, key: PRNGKeyArray) -> Float[Array, "b"]:
         """min_j Q_j(s, a) less the mean of min_j Q_j(s, a_i) over actions of the actor."""
         drawn = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.observation)), key, (self.samples,)))
-        own = least(q_values(state.critics, batch.observation, drawn)).mean(0)
-        return least(q_values(state.critics, batch.observation, batch.action)) - own
+        own = minimum(q_values(state.critics, batch.observation, drawn)).mean(0)
+        return minimum(q_values(state.critics, batch.observation, batch.action)) - own
 
     def weights(self, advantage: Float[Array, "b"]) -> Float[Array, "b"]:
         """exp(advantage / temperature), cut above; the authors' code takes a softmax over the batch instead."""
@@ -88,4 +88,4 @@ class AWAC(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""
-        return least(q_values(state.critics, observation, action))
+        return minimum(q_values(state.critics, observation, action))

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
+from deadreckon.nets.mlp import MLP, all_q_values, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
@@ -92,7 +92,7 @@ class BCQ(Agent):
 
     def mixed(self, q: Float[Array, "k *b"]) -> Float[Array, "*b"]:
         """lambda times the least of the critics and the rest of the greatest."""
-        return self.min_weight * least(q) + (1.0 - self.min_weight) * q.max(0)
+        return self.min_weight * minimum(q) + (1.0 - self.min_weight) * q.max(0)
 
     def mover_loss(self, mover: MLP, state, batch, key) -> Array:
         """-Q_1(s, a + move), a drawn from the VAE (eq. 12)."""
@@ -130,4 +130,4 @@ class BCQ(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""
-        return least(q_values(state.critics, observation, action))
+        return minimum(q_values(state.critics, observation, action))

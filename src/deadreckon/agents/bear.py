@@ -16,7 +16,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.mmd import Kernel, mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
@@ -122,7 +122,7 @@ class BEAR(Agent):
 
     def mix(self, q: Float[Array, "k *n b"]) -> Float[Array, "*n b"]:
         """lambda min_j Q_j + (1 - lambda) max_j Q_j (Algorithm 1, line 5)."""
-        return self.min_weight * least(q) + (1.0 - self.min_weight) * q.max(0)
+        return self.min_weight * minimum(q) + (1.0 - self.min_weight) * q.max(0)
 
     def future(self, state, batch, key) -> Float[Array, "b"]:
         """The best mixed value over p actions of the target actor (Algorithm 1, lines 4-5)."""
@@ -169,7 +169,7 @@ class BEAR(Agent):
         divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
         drawn = pre[0] if self.actor_samples == 1 else pre[: self.actor_samples]
         q = q_values(state.critics, batch.observation, jnp.tanh(drawn))
-        value = (least(q) if self.actor_value == "min" else q.mean(0)).mean()
+        value = (minimum(q) if self.actor_value == "min" else q.mean(0)).mean()
         log_prob = dist.log_prob(d, drawn).mean() if self.base == "sac" else jnp.zeros(())
         objective = value - jnp.exp(state.log_temperature) * log_prob if self.base == "sac" else value
         return self.lagrangian(-objective, divergence, state, step), (divergence, log_prob, value)

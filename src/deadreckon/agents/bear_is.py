@@ -10,7 +10,7 @@ from jaxtyping import Array
 from deadreckon.agents import bear
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, static
@@ -88,7 +88,7 @@ class ISBEAR(bear.BEAR):
         log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), pre)
         ratio = jnp.exp(log_prob - jax.lax.stop_gradient(dist.log_prob(proposal, pre)))
         q = q_values(state.critics, batch.observation, jnp.tanh(pre))
-        q = least(q) if self.actor_value == "min" else q.mean(0)
+        q = minimum(q) if self.actor_value == "min" else q.mean(0)
         gain = (jnp.clip(ratio, self.ratio_min, self.ratio_max) * (q - q.mean(0))).mean()
         return jnp.where(step < self.warm_start, -log_prob.mean(), -gain)
 

@@ -18,7 +18,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.agents.bc import cloned
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.mmd import mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
@@ -85,7 +85,7 @@ class BRAC(Agent):
         """r + discount (min_j Q'_j(s', a') - penalty D(s')), without D in BRAC-p (eq. 6)."""
         k_act, k_away = jax.random.split(key)
         d = dist.gaussian_head(state.actor(batch.next_observation))
-        future = least(q_values(state.target_critics, batch.next_observation, jnp.tanh(dist.sample(d, k_act))))
+        future = minimum(q_values(state.target_critics, batch.next_observation, jnp.tanh(dist.sample(d, k_act))))
         if self.value_penalty:
             future = future - self.penalty * self.away(d, state.behavior, batch.next_observation, k_away)
         return backup(batch, self.discount, future)
@@ -94,7 +94,7 @@ class BRAC(Agent):
         """E[ penalty D(s) - min_j Q_j(s, a) ], a reparameterised; also gives the mean divergence (eq. 7)."""
         k_act, k_away = jax.random.split(key)
         d = dist.gaussian_head(actor(batch.observation))
-        q = least(q_values(state.critics, batch.observation, jnp.tanh(dist.sample(d, k_act))))
+        q = minimum(q_values(state.critics, batch.observation, jnp.tanh(dist.sample(d, k_act))))
         away = self.away(d, state.behavior, batch.observation, k_away)
         return (self.penalty * away - q).mean(), away.mean()
 
@@ -117,4 +117,4 @@ class BRAC(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics; in the value form it holds what is paid later."""
-        return least(q_values(state.critics, observation, action))
+        return minimum(q_values(state.critics, observation, action))

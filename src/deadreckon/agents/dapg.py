@@ -31,11 +31,11 @@ from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Si
 LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall
 PASSES, MINIBATCH = 2, 64  # of the critic over a block, and rows
 CLONED = 32  # batch size of the cloning
-TOLD = "kl", "improvement", "demonstrations", "deviation", "reward"  # of a block's step
+STEP_METRICS = "kl", "improvement", "demonstrations", "deviation", "reward"  # metrics of a natural gradient step
 
 
 class State(NamedTuple):
-    """Networks, the critic's optimiser, what observations and returns have been like, and what the last step was like."""
+    """Networks, the critic's optimiser, statistics of observations and returns, and the last step's metrics."""
 
     actor: Actor
     critic: MLP
@@ -43,7 +43,7 @@ class State(NamedTuple):
     observations: Moments
     returns: Moments
     steps: Array  # along natural gradients so far
-    told: dict[str, Array]
+    told: dict[str, Array]  # metrics of the last natural gradient step; checkpoints have this name
 
 
 class DAPG(Agent):
@@ -89,7 +89,7 @@ class DAPG(Agent):
         ka, kc = jax.random.split(key)
         actor = Actor(policy_network(spec, self.hidden, ka), jnp.zeros(spec.action_size))
         critic = MLP.create(spec.observation_size, self.critic_hidden, 1, kc)
-        told: dict[str, Array] = {name: jnp.zeros(()) for name in TOLD}
+        told: dict[str, Array] = {name: jnp.zeros(()) for name in STEP_METRICS}
         seen = Moments.none(spec.observation_size)
         return State(actor, critic, init_opt(critic), seen, Moments.none(), jnp.float32(0.0), told)
 
@@ -145,11 +145,12 @@ class DAPG(Agent):
         apart, counted = dist.kl(old.at(observation), actor.at(observation)).mean(), 0.0 if shown is None else 1.0
         numbers = apart, gain(actor) - gain(old), counted * weight, jnp.exp(actor.log_std).mean(), rows["reward"].mean()
         seen_returns = state.returns.seeing(returns.reshape(-1))
-        new = state._replace(actor=actor, returns=seen_returns, steps=state.steps + 1.0, told=dict(zip(TOLD, numbers)))
+        metrics = dict(zip(STEP_METRICS, numbers))
+        new = state._replace(actor=actor, returns=seen_returns, steps=state.steps + 1.0, told=metrics)
         return new, {"observation": rows["observation"], "return_to_go": returns}
 
     def update(self, state, batch, *, step, key):
-        """The critic alone; what the block's step was like is told with it."""
+        """An update of the critic alone; the metrics of the block's natural gradient step are reported with it."""
 
         def loss(critic: MLP) -> Array:
             error = self.value(state._replace(critic=critic), batch.observation) - batch.return_to_go

@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Sizes, UnitInterval, static
@@ -71,7 +71,7 @@ class IQL(Agent):
 
     def update(self, state, batch, *, step, key):
         """Values, actor, critics, targets, each by what those before it have become."""
-        q = least(q_values(state.target_critics, batch.observation, batch.action))
+        q = minimum(q_values(state.target_critics, batch.observation, batch.action))
         value_loss, grads = jax.value_and_grad(self.value_loss)(state.value, batch, q)
         value, value_opt = apply_gradients(state.value, grads, state.value_opt, self.critic_lr)
 
@@ -92,4 +92,4 @@ class IQL(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""
-        return least(q_values(state.critics, observation, action))
+        return minimum(q_values(state.critics, observation, action))

@@ -6,12 +6,12 @@ far, and rollouts of a few steps branch off from real states.
 
 from typing import ClassVar
 
-from deadreckon.agents.modelled import ModelledSAC
+from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import Count, Sizes, UnitInterval, static
 
 
-class MBPO(ModelledSAC):
+class MBPO(ModelBasedSAC):
     """SAC on branched rollouts of an ensemble."""
 
     revision: ClassVar[int] = 1

@@ -19,7 +19,7 @@ from deadreckon.data.batch import Batch
 from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, static
 
 
@@ -59,7 +59,7 @@ class MOBILE(OfflineMBRL):
         following = (rows.observation + change).reshape(-1, change.shape[-1])
         assert isinstance(state.actor, MLP)  # its actions are continuous
         action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(following)), k_policy))
-        value = least(q_values(state.target_critics, following, action))
+        value = minimum(q_values(state.target_critics, following, action))
         return value.reshape(self.samples, self.elites, -1).mean(0).std(0, ddof=1)
 
     def target(self, state, batch, key):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import bellman_loss
-from deadreckon.agents.modelled import ModelledSAC
+from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.dynamics import transition
 from deadreckon.training.hyperparameters import CountOrZero, static
 
@@ -29,7 +29,7 @@ class Expansion(NamedTuple):
     weight: Float[Array, "t b"]
 
 
-class MVE(ModelledSAC):
+class MVE(ModelBasedSAC):
     """SAC whose critics learn from H-step targets in an ensemble."""
 
     revision: ClassVar[int] = 1

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from deadreckon.agents.modelled import Modelled
+from deadreckon.agents.model_based import ModelBasedAgent
 from deadreckon.agents.sac import SAC, State
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.dynamics import Branch, Ensemble, branches, packed
@@ -28,7 +28,7 @@ class ModelBuffer(NamedTuple):
     turns: Array
 
 
-class OfflineMBRL(Modelled, SAC):
+class OfflineMBRL(ModelBasedAgent, SAC):
     """SAC on logged and made-up rows."""
 
     revision: ClassVar[int] = 1

@@ -7,7 +7,7 @@ where the next step begins to plan. The reward is the ensemble's, as in MBPO, wh
 
 from typing import Any, ClassVar, NamedTuple, Self
 
-from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.data.batch import BatchSpec
 from deadreckon.data.spec import Spec
 from deadreckon.dynamics import Ensemble
@@ -22,7 +22,7 @@ class State(NamedTuple):
     model: Ensemble
 
 
-class PETS(ModelledOnline):
+class PETS(OnlineModelBasedAgent):
     """Planning with trajectory sampling; its settings are those published for HalfCheetah."""
 
     revision: ClassVar[int] = 1

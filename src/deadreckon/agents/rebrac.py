@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from deadreckon.agents.agent import backup
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import least, q_values
+from deadreckon.nets.mlp import minimum, q_values
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
@@ -35,12 +35,12 @@ class ReBRAC(TD3):
         action = self.next_action(state, batch, key)
         # Where a recording ends it is not known what the log did next.
         penalty = batch.follows * jnp.square(action - batch.next_action).sum(-1)
-        future = least(q_values(state.target_critics, batch.next_observation, action)) - self.critic_penalty * penalty
+        future = minimum(q_values(state.target_critics, batch.next_observation, action)) - self.critic_penalty * penalty
         return backup(batch, self.discount, future)
 
     def actor_loss(self, actor, state, batch):
         """E[ actor_penalty |pi(s) - a|^2 - min_j Q_j(s, pi(s)) / mean |Q| ], no gradient through the division (eq. 4)."""
         action = jnp.tanh(actor(batch.observation))
-        q = least(q_values(state.critics, batch.observation, action))
+        q = minimum(q_values(state.critics, batch.observation, action))
         scale = 1.0 / (jax.lax.stop_gradient(jnp.abs(q).mean()) + 1e-8)
         return (self.actor_penalty * jnp.square(action - batch.action).sum(-1) - scale * q).mean()

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, all_q_values, least, q_values
+from deadreckon.nets.mlp import MLP, all_q_values, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, UnitInterval, static
@@ -27,11 +27,11 @@ class State(NamedTuple):
     actor_opt: optax.OptState
     critics_opt: optax.OptState
     temperature_opt: optax.OptState
-    model: Any = None  # of agents that learn one; others keep there what they have beside SAC
+    model: Any = None  # the model of model-based agents; other subclasses keep their additional state here
 
 
 class SAC(Agent):
-    """Several critics, tanh-Gaussian actor, entropy held at a target."""
+    """Soft actor-critic with several critics, a tanh-Gaussian actor and a target entropy."""
 
     revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
@@ -55,7 +55,7 @@ class SAC(Agent):
         agent = super().resolve(spec, steps)
         if self.target_entropy is not None:
             return agent
-        # Of discrete actions a tenth of what choosing blindly has: near to the best one.
+        # For discrete actions a tenth of the maximum entropy, so that the policy is nearly greedy.
         return agent.replace(target_entropy=0.1 * math.log(spec.action_size) if spec.discrete else -float(spec.action_size))
 
     def needs(self, spec):
@@ -72,24 +72,24 @@ class SAC(Agent):
         return State(actor, critics, copy(critics), log_temperature, *opts)
 
     def min_q(self, values):
-        """What of the critics' values counts: the least."""
-        return least(values)
+        """Minimum over the critics' values (k, *b)."""
+        return minimum(values)
 
     def target_q(self, values):
-        """What of the target critics' values backups look forward to."""
+        """Value of the next state from the target critics' values (k, *b)."""
         return self.min_q(values)
 
     @property
     def entropy_target(self):
-        """What the temperature holds the mean of -log pi at."""
+        """The entropy that the temperature is tuned to, in nats."""
         return self.target_entropy
 
     def entropy_cost(self, state, d, pre, observation):
-        """What costs the temperature's worth, of actions `pre` before the tanh: their log-probability."""
+        """The quantity that the temperature multiplies: log-probability of the actions (`pre` before the tanh)."""
         return dist.log_prob(d, pre)
 
     def act(self, state, observation, noise):
-        """Actions of the present actor by standard normal `noise`, and the entropy bonus for them that values hold."""
+        """Actions sampled from the present actor with standard normal `noise`, and their entropy bonus in the values."""
         d = dist.gaussian_head(state.actor(observation))
         pre = d.mean + jnp.exp(d.log_std) * noise
         if not self.entropy_backup:
@@ -97,15 +97,15 @@ class SAC(Agent):
         return jnp.tanh(pre), -jnp.exp(state.log_temperature) * self.entropy_cost(state, d, pre, observation)
 
     def value(self, state, observation, noise):
-        """min_j Q'_j(s, a) - temperature log pi(a|s), a from the present actor; of discrete actions the mean over all."""
+        """min_j Q'_j(s, a) - temperature log pi(a|s), a from the actor; for discrete actions the expectation over all."""
         if isinstance(state.actor, Categorical):
             q = self.target_q(all_q_values(state.target_critics, observation))
-            return self.over_choices(state.actor, q, observation, state.log_temperature)
+            return self.expected_value(state.actor, q, observation, state.log_temperature)
         action, bonus = self.act(state, observation, noise)
         return self.target_q(q_values(state.target_critics, observation, action)) + bonus
 
-    def over_choices(self, actor: Categorical, q: Array, observation: Array, log_temperature: Array) -> Array:
-        """sum_a pi(a|s) (Q(s, a) - temperature log pi(a|s)) of values (..., b, n), the bonus only where targets hold it."""
+    def expected_value(self, actor: Categorical, q: Array, observation: Array, log_temperature: Array) -> Array:
+        """sum_a pi(a|s) (Q(s, a) - temperature log pi(a|s)) for values (..., b, n); without the bonus if not entropy_backup."""
         log_prob = actor.log_probs(observation)
         bonus = -jnp.exp(log_temperature) * log_prob if self.entropy_backup else 0.0
         return (jnp.exp(log_prob) * (q + bonus)).sum(-1)
@@ -120,9 +120,9 @@ class SAC(Agent):
         return bellman_loss(critics, batch, target)
 
     def actor_loss(self, actor, state, batch, key):
-        """temperature log pi(a|s) - min_j Q_j(s, a), a reparameterised; also gives the mean log-probability.
+        """temperature log pi(a|s) - min_j Q_j(s, a), a reparameterised; also returns the mean log-probability.
 
-        Of discrete actions it is the mean over all, by their probabilities.
+        For discrete actions it is the expectation over all actions.
         """
         if isinstance(actor, Categorical):
             log_prob = actor.log_probs(batch.observation)
@@ -146,7 +146,7 @@ class SAC(Agent):
         (loss, log_prob), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
 
-        # Falls where the policy is more random than asked for: d/dlog T of -log T (log pi + target entropy).
+        # The temperature falls while the entropy exceeds its target: d/dlog T of -log T (log pi + target entropy).
         slope = -(log_prob + self.entropy_target)
         log_temperature, temperature_opt = apply_gradients(
             state.log_temperature, slope, state.temperature_opt, self.temperature_lr
@@ -158,9 +158,9 @@ class SAC(Agent):
         return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}
 
     def policy(self, state):
-        """The actor; greedy is its mean, or its likeliest action."""
+        """The actor; greedy actions are its mean, or the most probable action."""
         return stochastic(state.actor)
 
     def q_value(self, state, observation, action):
-        """What the critics are believed to say; it holds the entropy bonus too."""
+        """Minimum over the critics; includes the entropy bonus of later steps."""
         return self.min_q(q_values(state.critics, observation, action))

@@ -8,13 +8,13 @@ of a norm over two. `online.model_rollouts` makes the episodes.
 import dataclasses
 from typing import Any, ClassVar
 
-from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.agents.ppo import PPO
 from deadreckon.dynamics import Gaussian
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
 
 
-class SLBO(ModelledOnline, PPO):
+class SLBO(OnlineModelBasedAgent, PPO):
     """PPO on episodes in a deterministic model."""
 
     revision: ClassVar[int] = 1

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from deadreckon.agents.modelled import ModelledSAC
+from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.dynamics import ended
 from deadreckon.nets.mlp import q_values
 from deadreckon.training.hyperparameters import Count, CountOrZero, static
@@ -29,7 +29,7 @@ class Target(NamedTuple):
     horizon: Float[Array, "b"]
 
 
-class STEVE(ModelledSAC):
+class STEVE(ModelBasedSAC):
     """SAC whose targets weigh all horizons of an ensemble's rollouts."""
 
     revision: ClassVar[int] = 1

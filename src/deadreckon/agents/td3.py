@@ -8,7 +8,7 @@ import optax
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import MLP, least, q_values
+from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
@@ -62,7 +62,7 @@ class TD3(Agent):
     def target(self, state, batch, key):
         """r + discount min_j Q'_j(s', a') (TD3 eq. 15)."""
         action = self.next_action(state, batch, key)
-        return backup(batch, self.discount, least(q_values(state.target_critics, batch.next_observation, action)))
+        return backup(batch, self.discount, minimum(q_values(state.target_critics, batch.next_observation, action)))
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors of both critics."""
@@ -98,4 +98,4 @@ class TD3(Agent):
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""
-        return least(q_values(state.critics, observation, action))
+        return minimum(q_values(state.critics, observation, action))

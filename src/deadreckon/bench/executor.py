@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from deadreckon.bench.jobs import Job, Program, programs
-from deadreckon.bench.store import Found, Store
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
 from deadreckon.progress import Progress
@@ -23,12 +23,12 @@ class Event(NamedTuple):
 
     what: str
     program: Program
-    told: Any = None
+    payload: Any = None
 
 
-Told = Callable[[Event], None]
+OnEvent = Callable[[Event], None]
 # `bench.work.perform`, which finds something of each job; a module's function, so that it travels.
-Work = Callable[[Program, Path, Progress], list[Found]]
+Work = Callable[[Program, Path, Progress], list[JobResult]]
 
 
 class Executor(Protocol):
@@ -62,7 +62,7 @@ class Executor(Protocol):
         ...
 
 
-def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Executor) -> None:
+def run(suite: str, jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor) -> None:
     """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
 
     What another command is doing in the same folder is told and left to it.
@@ -71,7 +71,7 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
         suite: name of the suite.
         jobs: all of it.
         store: where results lie.
-        told: called with what happens.
+        on_event: called with every event.
         executor: who does it; closed at the end.
     """
     with closing(executor):
@@ -82,23 +82,23 @@ def run(suite: str, jobs: Sequence[Job], store: Store, told: Told, executor: Exe
                 running += 1
             event = executor.wait()
             if event.what in ("begun", "progress"):
-                told(event)
+                on_event(event)
                 continue
             running -= 1
             event = _judged(event, lost)
             if event.what == "failed" and len(event.program.jobs) > 1:
                 # Settings that are refused, or too many for the memory, must not take the others with them.
                 waiting.extend(Program((job,)) for job in event.program.jobs)
-                event = Event("split", event.program, event.told[0])
+                event = Event("split", event.program, event.payload[0])
             elif event.what == "died":
                 waiting.appendleft(event.program)
             elif event.what == "failed":
                 for job in event.program.jobs:
-                    store.fail(job, *event.told)
+                    store.fail(job, *event.payload)
             elif event.what == "done":
-                for job, found in zip(event.program.jobs, event.told, strict=True):
+                for job, found in zip(event.program.jobs, event.payload, strict=True):
                     store.keep(suite, job, found, event.program.run(job))
-            told(event)
+            on_event(event)
 
 
 def _judged(event: Event, lost: Counter[str]) -> Event:
@@ -106,7 +106,7 @@ def _judged(event: Event, lost: Counter[str]) -> Event:
     if event.what == "died":
         lost[event.program.name] += 1
         if lost[event.program.name] >= TRIES:
-            return Event("failed", event.program, (f"its process died {TRIES} times, the last with {event.told}", ""))
+            return Event("failed", event.program, (f"its process died {TRIES} times, the last with {event.payload}", ""))
     return event
 
 

@@ -20,7 +20,7 @@ class Job:
         preset: name of the published settings that it began from, or "".
         on: name of the log, task or problem.
         data: what tells the data from other data: a log's own name, or the fingerprint of a file.
-        asked: what else decides the numbers: steps, episodes, ...
+        options: what else decides the numbers: steps, episodes, ...
         seeds: one cell each.
         rows: of a log that is collected; None: all. `data` tells it too.
         revisions: of all code that decides the numbers; see `identity.revisions_of`.
@@ -34,7 +34,7 @@ class Job:
     preset: str
     on: str
     data: str
-    asked: dict[str, Any]
+    options: dict[str, Any]
     seeds: tuple[int, ...]
     rows: int | None = None
     revisions: dict[str, Any] = field(default_factory=dict)
@@ -49,7 +49,7 @@ class Job:
         return digest(self._content(seed), 10)
 
     def _content(self, seed: int) -> list[Any]:
-        return [self.kind, self.agent, self.settings, self.data, self.asked, seed]
+        return [self.kind, self.agent, self.settings, self.data, self.options, seed]
 
     @property
     def cells(self) -> list[str]:
@@ -131,14 +131,14 @@ def designer_of(job: Job) -> Any:
     """The designer of a job, as its suite says."""
     from deadreckon.mbo.registry import sized
 
-    changes = {name: tuples(value) for name, value in job.asked["fields"].items()}
-    return sized(job.agent, job.on, job.asked["budget"], **changes)
+    changes = {name: tuples(value) for name, value in job.options["fields"].items()}
+    return sized(job.agent, job.on, job.options["budget"], **changes)
 
 
 def estimator_of(job: Job) -> Any:
     """The estimator of a job, as its suite says."""
     from deadreckon.ope.registry import CPU_BUDGET, estimator
 
-    changes = {name: tuples(value) for name, value in job.asked["fields"].items()}
+    changes = {name: tuples(value) for name, value in job.options["fields"].items()}
     changes = with_field_names(type(estimator(job.agent)), changes)
-    return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.asked["budget"] == "cpu" else {}) | changes)
+    return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.options["budget"] == "cpu" else {}) | changes)

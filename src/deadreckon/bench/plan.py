@@ -70,7 +70,7 @@ def _shape(job: Job) -> str | None:
     # A number left to the agent (None) may leave a term out, so it is not the same program as one that is given.
     given = [(f, job.settings[f.name]) for f in dataclasses.fields(agent)]
     fixed = {f.name: value for f, value in given if f.metadata.get("static") or value is None}
-    return json.dumps([job.agent, fixed, job.on, job.data, job.asked, job.seeds])
+    return json.dumps([job.agent, fixed, job.on, job.data, job.options, job.seeds])
 
 
 def _fields(made: Any) -> dict[str, Any]:
@@ -91,12 +91,12 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     if not (kind.online if suite.kind == "online" else kind.offline):
         raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} does not learn {_WAYS[suite.kind]}")
     known = {f.name for f in dataclasses.fields(kind)}
-    asked = with_field_names(kind, method.fields)
-    for name in asked:
+    options = with_field_names(kind, method.fields)
+    for name in options:
         if name not in known:
             raise UserError(f"{suite.name}, method {method.name!r}: {unknown(f'field of {method.agent}', name, known)}")
     published = preset_for(method.agent, on) if method.preset else None
-    given = {name: tuples(value) for name, value in asked.items()}
+    given = {name: tuples(value) for name, value in options.items()}
     return _fields(kind(**(preset(method.agent, published) if published else {}) | given)), published or ""
 
 
@@ -110,9 +110,9 @@ def _run(suite: Suite, on: str) -> dict[str, Any]:
     from deadreckon.tasks.registry import of_log
 
     steps = suite.steps[on]
-    asked = {"steps": steps, "episodes": suite.episodes, "every": steps // suite.evaluations}
+    options = {"steps": steps, "episodes": suite.episodes, "every": steps // suite.evaluations}
     # Only where it says something: names of cells depend on it.
-    return asked | {"divided": True} if suite.divided and of_log(on) is None else asked
+    return options | {"divided": True} if suite.divided and of_log(on) is None else options
 
 
 def _online(suite: Suite, method: Method, on: str) -> Job:
@@ -129,8 +129,8 @@ def _design(suite: Suite, method: Method, on: str) -> Job:
 
     if on not in PROBLEMS:
         raise unknown("problem", on, PROBLEMS)
-    asked = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
-    job = Job("design", method.name, method.agent, {}, "", on, problem_identity(on, PROBLEMS[on].file), asked, (0,))
+    options = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
+    job = Job("design", method.name, method.agent, {}, "", on, problem_identity(on, PROBLEMS[on].file), options, (0,))
     made = designer_of(job)
     settings = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}, default=repr))
     return dataclasses.replace(job, settings=settings)
@@ -144,6 +144,6 @@ def _ope(suite: Suite, method: Method, on: str) -> Job:
     if task is None:
         raise UserError(f"{on} is of no task, so nobody knows what policies are worth there")
     library(task.name)  # refuses a task without policies of known value
-    asked = {"budget": suite.budget, "fields": method.fields}
-    job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), asked, (0,), suite.rows)
+    options = {"budget": suite.budget, "fields": method.fields}
+    job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), options, (0,), suite.rows)
     return dataclasses.replace(job, settings={"estimator": str(estimator_of(job))})

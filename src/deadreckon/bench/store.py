@@ -54,8 +54,8 @@ CURVE = pa.schema(
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a job brought: its rows and its curves, as columns."""
+class JobResult:
+    """The results of a job: its rows and its learning curves."""
 
     rows: list[dict[str, Any]]
     curves: list[dict[str, Any]]
@@ -87,7 +87,7 @@ class Store:
                 waiting.append(dataclasses.replace(job, seeds=tuple(missing[start:end])))
         return waiting
 
-    def keep(self, suite: str, job: Job, found: Found, run: str | None = None) -> None:
+    def keep(self, suite: str, job: Job, found: JobResult, run: str | None = None) -> None:
         """Writes a job's results; the rows come last, as they say that it is done.
 
         Args:
@@ -98,7 +98,7 @@ class Store:
         """
         common = {
             "suite": suite, "kind": job.kind, "method": job.method, "agent": job.agent, "settings": json.dumps(job.settings),
-            "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.asked), "job": run or job.name,
+            "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.options), "job": run or job.name,
             "revisions": json.dumps(job.revisions),
         }  # fmt: skip
         rows = [
@@ -150,8 +150,9 @@ class Store:
 
 
 def _with_present_names(rows: pa.Table) -> pa.Table:
-    """Rows whose `content` is what it would be today: fields of agents may have had other names when they were written."""
+    """Rows with `content` recomputed under the present names of fields, of which some were written under other names."""
     from deadreckon.agents import agent_class
+    from deadreckon.mbo.registry import designer
     from deadreckon.training.field_names import with_field_names
 
     contents = []
@@ -159,8 +160,10 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
         settings = json.loads(row["settings"])
         if row["kind"] in ("learn", "online"):
             settings = with_field_names(agent_class(row["agent"]), settings)
+        elif row["kind"] == "design":
+            settings = with_field_names(type(designer(row["agent"])), settings)
         job = Job(**{name: row[name] for name in ("kind", "method", "agent", "preset", "on", "data")}, settings=settings,
-                  asked=json.loads(row["asked"]), seeds=(row["seed"],))  # fmt: skip
+                  options=json.loads(row["asked"]), seeds=(row["seed"],))  # fmt: skip
         contents.append(job.content(row["seed"]))
     return rows.set_column(rows.schema.get_field_index("content"), "content", pa.array(contents, pa.string()))
 

@@ -28,6 +28,6 @@ def forecast(waiting: Sequence[Program], store: Store) -> dict[str, float | None
         job = program.jobs[0]
         like = job.kind, job.agent, program.lanes
         known = same.get((*like, job.on)) or same.get((*like, ""))
-        out[program.name] = None if not known else statistics.median(known) * max(job.asked.get("steps", 1), 1)
+        out[program.name] = None if not known else statistics.median(known) * max(job.options.get("steps", 1), 1)
     return out
 

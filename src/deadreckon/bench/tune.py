@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deadreckon.agents import agent_class, space
-from deadreckon.bench.executor import Executor, Told, run
+from deadreckon.bench.executor import Executor, OnEvent, run
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
@@ -186,19 +186,19 @@ def suite(
 
 
 def tune(
-    asked: Suite, settings: Sequence[Mapping[str, Any]], *, by: By, store: Store, executor: Executor, told: Told,
+    search: Suite, settings: Sequence[Mapping[str, Any]], *, by: By, store: Store, executor: Executor, on_event: OnEvent,
     estimators: Sequence[Any] = ("fqe",), model: BehaviorModel = MODEL, discount: float = 0.99,
     watch: Watcher = unwatched,
 ) -> Tuned:  # fmt: skip
     """Runs what is not done yet, and chooses.
 
     Args:
-        asked: from `suite`.
+        search: from `suite`.
         settings: that it was made of.
         by: what chooses.
         store: where results lie, and `tuned.json` will.
         executor: where jobs run; closed at the end.
-        told: called with what happens.
+        on_event: called with every event of a job.
         estimators: the first chooses, by the mean over seeds.
         model: how the behaviour policy is learned, to see what of the policies' actions the log covers.
         discount: of estimated returns.
@@ -210,8 +210,8 @@ def tune(
     """
     if not 0.0 <= discount < 1.0:
         raise UserError(f"discount must be in [0, 1), got {discount}")
-    jobs = plan(asked, executor.lanes)
-    run(asked.name, jobs, store, told, executor)
+    jobs = plan(search, executor.lanes)
+    run(search.name, jobs, store, on_event, executor)
     failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
     if failures:
         job, failure = failures[0]
@@ -221,8 +221,8 @@ def tune(
     rows = {row["cell"]: row for row in store.of(jobs).to_pylist()}
     values = _estimated(jobs, store, rows, estimators, model, discount, watch) if by == "ope" else {}
     trials = []
-    for method, fields in zip(asked.methods, settings):
-        own = [[rows[c] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells] for on in asked.on]
+    for method, fields in zip(search.methods, settings):
+        own = [[rows[c] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells] for on in search.on]
         failure = next((row["failure"] for log in own for row in log if row["failure"]), "")
         scores = np.array([[row["score"] for row in log] for log in own], float)
         trials.append(Trial(dict(fields), scores, np.array(values.get(method.name, [])), failure))
@@ -234,8 +234,8 @@ def tune(
     known = bool(np.isfinite(means).all()) and by == "ope"
     truth = compare(standing, means) if known and len(trials) > 1 and np.isfinite(standing).all() else None
     lost = float(means.max() - means[best]) if known else None
-    found = Tuned(asked.methods[0].agent, by, tuple(trials), trials[best], truth, lost)
-    write_json(store.path / "tuned.json", _json(found, asked))
+    found = Tuned(search.methods[0].agent, by, tuple(trials), trials[best], truth, lost)
+    write_json(store.path / "tuned.json", _json(found, search))
     return found
 
 
@@ -252,7 +252,7 @@ def _estimated(
 
     folders = {store.path / "runs" / rows[cell]["job"]: job.method for job in jobs for cell in job.cells}
     log, out = catalogue.load(source(jobs[0])), store.path / "estimates"
-    if jobs[0].asked.get("divided"):
+    if jobs[0].options.get("divided"):
         log = trial_parts(log)[1]
     options = {"discount": discount, "greedy": True, "model": model, "watch": watch}
     # These episodes choose settings, and no card rests on them: nobody counts the looks at them.
@@ -264,9 +264,9 @@ def _estimated(
     return values
 
 
-def _json(found: Tuned, asked: Suite) -> dict[str, Any]:
+def _json(found: Tuned, search: Suite) -> dict[str, Any]:
     trials = [{"fields": t.fields, "scores": _finite(t.scores), "values": t.values.tolist()} for t in found.trials]
-    said = {"agent": found.agent, "by": found.by, "logs": asked.on, "steps": asked.steps, "seeds": asked.seeds}
+    said = {"agent": found.agent, "by": found.by, "logs": search.on, "steps": search.steps, "seeds": search.seeds}
     return json.loads(json.dumps({**said, "best": found.best.fields, "lost": found.lost, "trials": trials}))
 
 

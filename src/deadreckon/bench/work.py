@@ -9,14 +9,14 @@ import numpy as np
 
 from deadreckon.bench.identity import of_fits, revisions_of
 from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, turns
-from deadreckon.bench.store import Found
+from deadreckon.bench.store import JobResult
 from deadreckon.errors import UserError
 from deadreckon.files import alone, digest
 from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
 
-def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list[Found]:
+def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list[JobResult]:
     """Does a program, or the rest of it.
 
     Args:
@@ -59,50 +59,50 @@ def _log(job: Job) -> Any:
     # The plan may be from another machine.
     if job.on not in recipe_names() and job.data != f"{log.name} {log.fingerprint}":
         raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
-    return trial_parts(log)[0] if job.asked.get("divided") else log
+    return trial_parts(log)[0] if job.options.get("divided") else log
 
 
-def _learn(job: Job, folder: Path, watch: Progress) -> Found:
+def _learn(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.runs.train import train
 
     began = time.perf_counter()
-    run = train(agent_of(job), _log(job), out=folder, **_asked(job, watch))
-    return _found(job, run, time.perf_counter() - began)
+    run = train(agent_of(job), _log(job), out=folder, **_options(job, watch))
+    return _result(job, run, time.perf_counter() - began)
 
 
-def _learn_together(program: Program, folder: Path, watch: Progress) -> list[Found]:
+def _learn_together(program: Program, folder: Path, watch: Progress) -> list[JobResult]:
     from deadreckon.runs.train import train_together
 
     began, first = time.perf_counter(), program.jobs[0]
     agents = {job.name: agent_of(job) for job in program.jobs}
-    runs = train_together(agents, _log(first), out=folder, **_asked(first, watch))
+    runs = train_together(agents, _log(first), out=folder, **_options(first, watch))
     took = time.perf_counter() - began
-    return [_found(job, runs[job.name], took) for job in program.jobs]
+    return [_result(job, runs[job.name], took) for job in program.jobs]
 
 
-def _asked(job: Job, watch: Progress) -> dict[str, Any]:
+def _options(job: Job, watch: Progress) -> dict[str, Any]:
     """Options of a run on a log."""
-    every = job.asked["every"]
+    every = job.options["every"]
     return {
-        "steps": job.asked["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
-        "episodes": job.asked["episodes"], "chunk": min(1000, every), "resume": True,
+        "steps": job.options["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
+        "episodes": job.options["episodes"], "chunk": min(1000, every), "resume": True,
         "holdout": 0, "watch": lambda progress, steps: watch(progress.step, steps),
     }  # fmt: skip
 
 
-def _online(job: Job, folder: Path, watch: Progress) -> Found:
+def _online(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.runs.online import train_online
 
-    asked, began = job.asked, time.perf_counter()
+    options, began = job.options, time.perf_counter()
     run = train_online(
-        agent_of(job), job.on, steps=asked["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
-        settings=turns(job), evaluate_every=asked["every"], episodes=asked["episodes"], resume=True,
+        agent_of(job), job.on, steps=options["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
+        settings=turns(job), evaluate_every=options["every"], episodes=options["episodes"], resume=True,
         watch=lambda progress, steps: watch(progress.step, steps),
     )  # fmt: skip
-    return _found(job, run, time.perf_counter() - began)
+    return _result(job, run, time.perf_counter() - began)
 
 
-def _found(job: Job, run: Any, seconds: float) -> Found:
+def _result(job: Job, run: Any, seconds: float) -> JobResult:
     """Rows and curves of a run: means over the episodes of its evaluations."""
     told = run.evaluations.to_pydict()
     judged = "score" in told
@@ -117,7 +117,7 @@ def _found(job: Job, run: Any, seconds: float) -> Found:
             point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
             curves.append({"cell": job.cell(number), "spread": spread} | point)
         last = curves[-1]
-        steps = last["step"] if failure and job.kind == "learn" else job.asked["steps"]
+        steps = last["step"] if failure and job.kind == "learn" else job.options["steps"]
         rows.append(
             {
                 "seed": number, "score": last["score"], "raw": last["raw"], "steps": steps, "seconds": seconds,
@@ -125,17 +125,17 @@ def _found(job: Job, run: Any, seconds: float) -> Found:
                 "versions": json.dumps(run.config["versions"]),
             }
         )  # fmt: skip
-    return Found(rows, curves)
+    return JobResult(rows, curves)
 
 
-def _design(job: Job, folder: Path, watch: Progress) -> Found:
+def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.mbo import problem
     from deadreckon.mbo.protocol import evaluate_designers
     from deadreckon.versions import versions
 
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
     [result] = evaluate_designers(
-        problem(job.on), [(job.method, designer_of(job))], job.asked["designs"], seeds=list(job.seeds), out=folder, watch=told
+        problem(job.on), [(job.method, designer_of(job))], job.options["designs"], seeds=list(job.seeds), out=folder, watch=told
     )
     rows = []
     for i, seed in enumerate(job.seeds):
@@ -148,10 +148,10 @@ def _design(job: Job, folder: Path, watch: Progress) -> Found:
                 "versions": json.dumps(versions()),
             }
         )  # fmt: skip
-    return Found(rows, [])
+    return JobResult(rows, [])
 
 
-def _ope(job: Job, folder: Path, watch: Progress) -> Found:
+def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.ope.dope import METRICS, evaluate_log, to_json
     from deadreckon.tasks.registry import of_log
     from deadreckon.versions import versions
@@ -172,4 +172,4 @@ def _ope(job: Job, folder: Path, watch: Progress) -> Found:
                 "failure": "" if sound else " ".join(result.warnings) or "its estimates are not finite",
             }
         )  # fmt: skip
-    return Found(rows, [])
+    return JobResult(rows, [])

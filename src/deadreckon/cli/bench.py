@@ -15,7 +15,7 @@ from deadreckon.errors import UserError
 
 @dataclass
 class Bench:
-    """Run what is missing of a suite: one of the package by name, or your own TOML file. See also bench list, bench show."""
+    """Run the missing cells of a suite: one of the package, by name, or your TOML file. See also bench list, bench show."""
 
     suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
     out: str = "runs/bench"  # folder of results of any number of suites; existing results are not computed again
@@ -29,7 +29,7 @@ class Bench:
 
 @dataclass
 class Show:
-    """A suite's results as a table, as far as they are there."""
+    """Show a suite's available results as a table."""
 
     suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
     out: str = "runs/bench"  # folder of the results
@@ -141,17 +141,17 @@ class Lines:
         """Tells an event."""
         if event.what == "done":
             self.done += 1
-            seconds = event.told[0].rows[0]["seconds"]
+            seconds = event.payload[0].rows[0]["seconds"]
             print(f"{self.done} of {self.total}: {event.program}, {seconds:,.0f} s", flush=True)
         elif event.what == "failed":
-            print(f"FAILED: {event.program}: {event.told[0]}", flush=True)
+            print(f"FAILED: {event.program}: {event.payload[0]}", flush=True)
         elif event.what == "elsewhere":
             print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
         elif event.what == "split":
             self.total += len(event.program.jobs) - 1
-            print(f"{event.program}: {event.told}; its settings go on one by one", flush=True)
+            print(f"{event.program}: {event.payload}; its settings go on one by one", flush=True)
         elif event.what == "died":
-            print(f"{event.program}: its process ended ({event.told}); it is begun again where it was", flush=True)
+            print(f"{event.program}: its process ended ({event.payload}); it is begun again where it was", flush=True)
 
 
 def _page(suite, jobs, store):

@@ -16,7 +16,7 @@ from deadreckon.errors import UserError, unknown
 
 @dataclass
 class List:
-    """The logs that the package knows, and which of them are at hand."""
+    """List the known logs and which of them are available locally."""
 
 
 _COLUMN = tyro.conf.arg(metavar="COLUMN")
@@ -25,7 +25,7 @@ _COLUMNS = tyro.conf.arg(metavar="COLUMN [COLUMN ...]")
 
 @dataclass
 class Collect:
-    """Make a known log again, offline, from its recipe."""
+    """Collect a known log offline, from its recipe."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as maze2d-umaze-v1
     steps: int | None = None  # number of rows; None: the full log
@@ -38,7 +38,7 @@ class Collect:
 
 @dataclass
 class Get:
-    """Download a known log, the original or its Minari twin, with checksum and resume."""
+    """Download a known log, the original or its Minari version, with resume and checksum."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as hopper-medium-v2
     source: Literal["d4rl", "minari"] = "d4rl"
@@ -69,7 +69,7 @@ class Mapping:
 
 @dataclass
 class Info:
-    """What is inside a log, with warnings worth having before anything is learned from it."""
+    """Describe a log, and warn of problems before anything is learned from it."""
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
@@ -78,7 +78,7 @@ class Info:
 
 @dataclass
 class Convert:
-    """A log in another format, told by the target's ending: .hdf5 .parquet .csv .npz, a folder, minari:ID."""
+    """Convert a log to another format, chosen by the target's extension: .hdf5 .parquet .csv .npz, a folder, minari:ID."""
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder to read
     target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID to write

@@ -16,7 +16,7 @@ EPISODES = 400  # of each policy in the simulator; as training goes on, half as 
 
 @dataclass
 class Demo:
-    """Log a battery's operator, learn from it five ways, decide from held-out days alone, and check that. Again: reuses all."""
+    """Collect a battery operator's log, train five agents on it, decide on held-out days and check; results are reused."""
 
     out: str = "runs/demo"  # folder of the log, the runs and report.html
     seed: int = 0  # random seed of the log, and first seed of each agent

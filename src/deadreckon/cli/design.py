@@ -42,7 +42,7 @@ class Design:
 
 @dataclass
 class Bench:
-    """Judge methods on problems: the best and the median of their designs, over seeds, beside the thesis's tables."""
+    """Evaluate methods on problems: the best and the median of their designs over seeds, with the thesis's values."""
 
     problems: Annotated[str, _NAMES] = "branin,hartmann6,ackley,nk"  # names of problems with commas (see `design problems`)
     methods: Annotated[str, _NAMES] = "best,random,forward,ensemble,coms,ram,nemo"
@@ -186,7 +186,7 @@ def methods(args: Sequence[str]) -> None:
 
 @dataclass
 class Nothing:
-    """A list; no options."""
+    """List the problems."""
 
 
 def bench(args: Sequence[str]) -> None:
@@ -209,7 +209,7 @@ def bench(args: Sequence[str]) -> None:
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
         asked = {"seeds": seeds, "together": options.together, "out": options.out}
         with Watch() as watch:
-            results += evaluate_designers(problem, designers[name], options.n, **asked, watch=watch, told=told)
+            results += evaluate_designers(problem, designers[name], options.n, **asked, watch=watch, on_result=told)
     print(f"\n{tables(results)}")
 
 

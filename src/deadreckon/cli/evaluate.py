@@ -20,7 +20,7 @@ class Evaluate:
     episodes: int = 100  # number of episodes per policy
     seed: int = 0  # random seed of starts and sampled actions
     sample: bool = False  # whether to sample actions instead of taking the deterministic (greedy) ones
-    out: str | None = None  # Parquet file to write too, one row per episode
+    out: str | None = None  # Parquet file to write as well, with one row per episode
 
 
 def evaluate(args: Sequence[str]) -> None:

@@ -15,24 +15,24 @@ from deadreckon.errors import UserError, unknown
 
 # name: (module, function, one line)
 COMMANDS = {
-    "demo": ("demo", "demo", "an end-to-end demo in minutes: collect a log, learn five ways, decide, report"),
+    "demo": ("demo", "demo", "an end-to-end demo in minutes: collect a log, train five agents, decide, report"),
     "tasks": ("show", "tasks", "the simulators that policies are evaluated in; logs and policies made in them, with scores"),
-    "agents": ("show", "agents", "the learning algorithms, and where they come from"),
+    "agents": ("show", "agents", "the learning algorithms and their sources"),
     "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),
     "train": ("train", "train", "learn a policy from a log, or online in a simulator; several seeds as one program"),
     "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench compares the estimators"),
-    "tune": ("tune", "tune", "settings of an agent: chosen from a log alone by estimates, or on training tasks"),
-    "recommend": ("recommend", "recommend", "from a log and so much time to a decision card: agents, settings, estimates"),
+    "tune": ("tune", "tune", "choose an agent's settings by estimates from a log alone, or on training tasks"),
+    "recommend": ("recommend", "recommend", "a decision card from a log within a time budget: agents, settings, estimates"),
     "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
-    "bench": ("bench", "bench", "run a whole declared table and show it beside published numbers; bench list, bench show"),
-    "theory": ("theory", "theory", "the arguments of the thesis in small exact worlds, drawn: gridworld, mmd, bounds, cnml"),
+    "bench": ("bench", "bench", "run a benchmark suite and show its table with published numbers; bench list, bench show"),
+    "theory": ("theory", "theory", "experiments for the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),
     "report": ("report", "report", "one self-contained HTML page from run folders"),
 }
 
 HELP = """usage: deadreckon COMMAND [OPTIONS]
 
-Logged data into decisions: learn policies from a fixed log, estimate what they are worth, and decide.
+From logged data to decisions: learn policies from a fixed log, estimate their values, and decide.
 
 commands:
 {commands}

@@ -33,7 +33,7 @@ class Fits:
 
 @dataclass
 class Ope:
-    """Estimate policies from a log alone, with confidence intervals, on episodes that taught none of them; --select decides.
+    """Estimate policies from a log alone, with confidence intervals, on episodes held out from training; --select decides.
 
     See also `ope bench`.
     """

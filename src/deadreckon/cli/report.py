@@ -17,7 +17,7 @@ class Report:
     runs: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders of one task
     out: str = "report.html"  # HTML file to write
     title: str | None = None  # heading of the page
-    estimates: str | None = None  # folder of `deadreckon ope --select --out`, to show what the log alone says
+    estimates: str | None = None  # folder of `deadreckon ope --select --out`, to show the off-policy estimates and the decision
 
 
 def report(args: Sequence[str]) -> None:

@@ -9,14 +9,14 @@ from deadreckon.errors import unknown
 
 @dataclass
 class Tasks:
-    """The simulators that policies are evaluated in."""
+    """List the simulators that policies are evaluated in."""
 
     domain: str | None = None  # domain to show, such as maze2d; None: all
 
 
 @dataclass
 class Agents:
-    """The learning algorithms."""
+    """List the learning algorithms."""
 
 
 def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:

@@ -13,7 +13,7 @@ from deadreckon.errors import unknown
 
 @dataclass
 class Theory:
-    """The thesis's arguments in small exact worlds: pictures (SVG) and their numbers (CSV). Without a name: what there is."""
+    """Experiments for the thesis's theory in small exact MDPs: figures (SVG) and their numbers (CSV). Without a name: list."""
 
     name: Annotated[str | None, tyro.conf.Positional] = None  # name of the experiment: gridworld, mmd, bounds or cnml
     seed: int = 0  # random seed of the experiment

@@ -33,13 +33,13 @@ class TrainOnline:
     """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
 
     task: str  # simulator to learn in (see `deadreckon tasks`)
-    steps: int = 1_000_000  # environment steps per seed, including the uniform ones at the beginning
+    steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
     seed: int = 0  # first random seed
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online
     copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8
     explore: int | None = None  # environment steps with uniform actions before the first update; None: the agent's, or 10,000
-    updates_per_step: float | None = None  # updates per environment step after that; None: the agent's own number, or 1
+    updates_per_step: float | None = None  # updates per environment step after the random ones; None: the agent's, or 1
     block: int | None = None  # environment steps between two blocks of updates; None: the agent's own number, or 64
     settings: Annotated[_Online, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Online)
 
@@ -53,7 +53,7 @@ class Train:
 
     data: str  # log to learn from: a known name, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
-    horizon: int | None = None  # steps after which an episode was cut, for logs that do not mark it
+    horizon: int | None = None  # steps after which an episode was cut, for logs that do not mark time limits
     steps: int = 100_000  # number of updates per seed
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
     seed: int = 0  # first random seed

@@ -18,7 +18,7 @@ from deadreckon.errors import UserError
 class Tune:
     """Try settings of an agent and choose: from the log alone by estimates, or in the simulators of training tasks.
 
-    Of a log of your own, the episodes that `deadreckon train` holds out are not looked at.
+    The episodes of your own log that `deadreckon train` holds out are not used.
     """
 
     agent: str  # agent to tune, among `deadreckon agents`
@@ -66,7 +66,7 @@ def tune(args: Sequence[str]) -> None:
         return
     with Watch() as watch:
         result = found.tune(
-            asked, settings, by=options.by, store=store, executor=executor, told=Lines(len(waiting)),
+            asked, settings, by=options.by, store=store, executor=executor, on_event=Lines(len(waiting)),
             estimators=estimators(options.estimators, options.fit), model=with_fields(MODEL, options.fit.given),
             discount=options.discount, watch=watch,
         )  # fmt: skip

@@ -16,7 +16,7 @@ from deadreckon.training.hyperparameters import Count, static
 class AutoRegressive(Model):
     """An ensemble of auto-regressive networks."""
 
-    asked: Count = static(4)  # numbers of a row that are learned in an update, drawn at random
+    outputs: Count = static(4)  # outputs of a row, drawn at random, that an update fits
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance), others for the end, and bounds of the log-variances."""
@@ -43,8 +43,8 @@ class AutoRegressive(Model):
     def losses(self, params, inputs, target, terminal, key):
         """See `Model`; of the numbers that were drawn, as if for all."""
         numbers = target.shape[-1]
-        which = jax.random.randint(key, (*terminal.shape, self.asked), 0, numbers)
-        wide = lambda x: jnp.broadcast_to(x[:, None], (len(x), self.asked, x.shape[-1]))  # noqa: E731
+        which = jax.random.randint(key, (*terminal.shape, self.outputs), 0, numbers)
+        wide = lambda x: jnp.broadcast_to(x[:, None], (len(x), self.outputs, x.shape[-1]))  # noqa: E731
 
         def one(net, end, bounds, inputs, target, terminal, which):
             mean, log_variance = self._number(net, bounds, wide(inputs), wide(target), which)

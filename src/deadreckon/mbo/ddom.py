@@ -25,7 +25,7 @@ WAVES = 8  # pairs of a sine and a cosine that tell the time
 BETA = 0.1, 20.0  # of the variance-preserving diffusion (Song et al. 2021)
 
 
-def kept(t: Array) -> Array:
+def variance_left(t: Array) -> Array:
     """a_t, the share of a design's variance that is left at time t of 0 .. 1."""
     return jnp.exp(-t * BETA[0] - 0.5 * jnp.square(t) * (BETA[1] - BETA[0]))
 
@@ -53,7 +53,7 @@ class Denoiser(Surrogate):
         kt, ke, kd = jax.random.split(key, 3)
         t, noise = jax.random.uniform(kt, (len(x),), minval=1e-3), jax.random.normal(ke, x.shape)
         told = (jax.random.uniform(kd, (len(x),)) >= self.dropped).astype(x.dtype)
-        left = kept(t)[:, None]
+        left = variance_left(t)[:, None]
         noisy = jnp.sqrt(left) * x + jnp.sqrt(1 - left) * noise
         error = jnp.square(net(inputs(noisy, t, y, told)) - noise).mean(-1)
         return (weight * error).mean(), {"error": error.mean()}
@@ -72,7 +72,7 @@ def sample(
         t, after = jnp.maximum(t, 1e-3), jnp.maximum(after, 0.0)
         given, free = (net(inputs(x, t * one, scores, told)) for told in (one, 0 * one))
         noise = (1 + guidance) * given - guidance * free
-        left, then = kept(t), kept(after)
+        left, then = variance_left(t), variance_left(after)
         clean = jnp.clip((x - jnp.sqrt(1 - left) * noise) / jnp.sqrt(left), low, high)
         noise = (x - jnp.sqrt(left) * clean) / jnp.sqrt(1 - left)  # what is left of it within bounds
         return jnp.sqrt(then) * clean + jnp.sqrt(1 - then) * noise

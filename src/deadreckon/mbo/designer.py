@@ -107,7 +107,7 @@ class Designer(eqx.Module):
 
     revision: ClassVar[int] = 1
 
-    def asked(self, data: Designs) -> str:
+    def settings_text(self, data: Designs) -> str:
         """All settings that proposals for some data depend on, as text."""
         return described(self)
 

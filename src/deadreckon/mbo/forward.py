@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from deadreckon.data.batch import redrawn
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import Surrogate, climb
-from deadreckon.nets.mlp import MLP, least
+from deadreckon.nets.mlp import MLP, minimum
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 LOG_STD = -5.0, 2.0  # bounds of the predicted log-deviation, in deviations of the score
@@ -42,7 +42,7 @@ def mean_of(nets: MLP, x: Array) -> Array:
 
 def least_of(nets: MLP, x: Array) -> Array:
     """Of what the members believe."""
-    return least(jax.vmap(lambda net: believed(net, x)[0])(nets))
+    return minimum(jax.vmap(lambda net: believed(net, x)[0])(nets))
 
 
 @jax.jit
@@ -53,7 +53,7 @@ def mixture(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
 
 
 class Forward(Designer):
-    """A model of the score and gradient ascent on its mean; with several members an ensemble on redrawn designs."""
+    """A model of the score and gradient ascent on its mean; several members form an ensemble, fitted on bootstrap resamples."""
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}

@@ -1,7 +1,7 @@
 """MINs: model inversion networks (Kumar and Levine 2020).
 
 The inverse of the score, a design from a score and noise, x = G(z, y), is learned as a conditional Wasserstein GAN with
-gradient penalty, high scores counting more. Designs are asked for with a score beyond the data's, as far as a forward model
+gradient penalty, high scores counting more. Designs are generated for a score beyond the data's, as far as a forward model
 agrees: by ascent on
 
     y - l (f(G(z, y)) - y)^2 + log p(z) / size(z)      over z and y
@@ -124,26 +124,26 @@ class MINs(Designer):
         found = []
         for seed, pair, (nets, _) in zip(setting.seeds, pairs, models):
             z = jax.random.normal(jax.random.fold_in(jax.random.key(seed), 3), (setting.n, self.latent_size))
-            x = _ask(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent_steps)
+            x = _ascend(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent_steps)
             found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (mean_of(nets, x), None)))
         return found
 
 
 @partial(jax.jit, static_argnames="steps")
-def _ask(
+def _ascend(
     generator: MLP, nets: MLP, z: Array, best: Array, agreement: Array, lr: Array, low: Array, high: Array, *, steps: int
 ) -> Float[Array, "n z"]:
     """Designs."""
 
-    def loss(asked: tuple[Array, Array]) -> Array:
-        z, y = asked
+    def loss(point: tuple[Array, Array]) -> Array:
+        z, y = point
         x = jnp.clip(made(generator, z, y), low, high)
         gap = jnp.square(mean_of(nets, x) - y)
         return -(y - agreement * gap - 0.5 * jnp.square(z).mean(-1)).sum()
 
     def step(_: Any, carry: Any) -> Any:
-        asked, opt = carry
-        return apply_gradients(asked, jax.grad(loss)(asked), opt, lr)
+        point, opt = carry
+        return apply_gradients(point, jax.grad(loss)(point), opt, lr)
 
     first = z, jnp.full(len(z), best)
     (z, y), _ = jax.lax.fori_loop(0, steps, step, (first, init_opt(first)))

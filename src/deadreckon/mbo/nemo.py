@@ -35,7 +35,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Sizes, UnitInterval, host, static
 
 STACKS = 4  # of models, see `split`
-SAMPLE = 1000  # rows of the data on which models are asked whether they tell designs apart
+SAMPLE = 1000  # rows of the data on which it is checked that the models predict different scores for different designs
 
 
 class State(NamedTuple):
@@ -66,7 +66,7 @@ class Fixed:
 class Training(eqx.Module):
     """What `fit` trains: the models alone at first, then models and designs by turns (Algorithm 6)."""
 
-    settings: "NEMO"  # resolved: its rates and its weight are numbers
+    settings: "NEMO"  # resolved: its learning rates and label weight are numbers
     designs: int = eqx.field(static=True)  # under search
     scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
     low: Fixed = eqx.field(static=True)  # bounds of the coordinates
@@ -86,23 +86,23 @@ class Training(eqx.Module):
         return State(nets, copy(nets), init_opt(nets), search)
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of all models; after pretraining, and every `ratio` of them, one of all designs."""
+        """One step of all models; after pretraining, and every `model_updates` of them, one of all designs."""
         assert batch.extra is not None
         settings, x, y = self.settings, batch.extra["x"], batch.extra["y"]
         assert settings.search_lr is not None  # resolved, as is
-        assert settings.weight is not None
+        assert settings.label_weight is not None
         low, high = self.scale
         label = quantise((y - low) / (high - low), settings.bins)
         # One design, the same for all models, and for each model the claim that it falls into the model's bin.
         which = jax.random.randint(key, (), 0, len(state.search.x))
-        weight = jnp.where(step < settings.pretrain, 0.0, settings.weight)
+        weight = jnp.where(step < settings.pretrain, 0.0, settings.label_weight)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
         lr = jnp.where(step < settings.pretrain, settings.lr, settings.search_lr)
         nets, opt = apply_gradients(state.nets, grads, state.opt, lr)
         # Targets do not lag behind pretraining: they are copies where it ends.
         rate = jnp.where(step < settings.pretrain, 1.0, settings.tau)
         targets = polyak_update(state.targets, nets, rate)
-        turn = (step >= settings.pretrain) & ((step - settings.pretrain) % settings.ratio == settings.ratio - 1)
+        turn = (step >= settings.pretrain) & ((step - settings.pretrain) % settings.model_updates == settings.model_updates - 1)
         rise = lambda search: search.ascend(lambda z: self.worth(targets, z), settings.design_lr, *self.bounds)  # noqa: E731
         search = jax.lax.cond(turn, rise, lambda search: search, state.search)
         return State(nets, targets, opt, search), metrics
@@ -126,7 +126,7 @@ class Training(eqx.Module):
         return (data + weight * claims).sum(), {"loss": data.mean(), "claim": claims.mean()}
 
     def worth(self, stacks: tuple[Net, ...], z: Float[Array, "m z"]) -> Float[Array, "m"]:
-        """What designs ascend."""
+        """The objective that the designs ascend."""
         if self.settings.objective == "internal":
             return jnp.concatenate([jax.vmap(lambda net: net.internal(z))(nets) for nets in stacks]).mean(0)
         probs = jnp.exp(p_nml(joined(stacks), z))
@@ -139,6 +139,7 @@ class NEMO(Designer):
     """Normalised maximum likelihood for offline model-based optimisation."""
 
     revision: ClassVar[int] = 1
+    other_names: ClassVar[dict[str, str]] = {"weight": "label_weight", "ratio": "model_updates"}
 
     bins: Annotated[int, Range(ge=2)] = static(40)  # bins of the score, and models (K)
     hidden: Sizes = static((256, 256))  # width of each hidden layer
@@ -153,14 +154,14 @@ class NEMO(Designer):
     confidence: UnitInterval = 0.9  # probability of exceeding the score that objective="confidence" raises
     steps: Count = host(100)  # updates of the models after pretraining; each moves the designs by about design_lr
     pretrain: CountOrZero = static(2000)  # updates of the models before the designs move
-    ratio: Count = static(1)  # model updates per design update
+    model_updates: Count = static(1)  # model updates per design update
     batch_size: Count = static(128)  # batch size (designs of the data per update; missing in Algorithm 6)
     lr: NonNegative = 0.005  # learning rate of the models (alpha_theta); 0.05 of some presets is too large for wide networks
     search_lr: NonNegative | None = None  # learning rate of the models while designs move; None: lr; 0: the models stay fixed
     design_lr: NonNegative | None = None
     """step size of the standardised designs (alpha_x); None: 0.01, or 0.1 for discrete designs"""
     tau: UnitInterval = 0.05  # Polyak rate of the target models, per update
-    weight: NonNegative | None = 1.0
+    label_weight: NonNegative | None = 1.0
     """weight of the hypothetical label relative to the mean over the data; None: 1 / rows, as printed"""
     start: Literal["best", "worst"] = static("best")  # designs of the data to start from
 
@@ -177,7 +178,7 @@ class NEMO(Designer):
         resolved = self.replace(
             search_lr=self.lr if self.search_lr is None else self.search_lr,
             design_lr=self.design_lr if self.design_lr is not None else 0.1 if view.discrete else 0.01,
-            weight=1.0 / len(data) if self.weight is None else self.weight,
+            label_weight=1.0 / len(data) if self.label_weight is None else self.label_weight,
             g=None,  # a function has no name that lasts; `worths` are what it makes of the bins
         )
         scale = float(y.min()), float(y.max())
@@ -188,39 +189,39 @@ class NEMO(Designer):
         assert self.g is not None
         return np.asarray(self.g(data.shown(data.y.min() + np.ptp(data.y) * np.asarray(middles(self.bins)))), np.float64)
 
-    def asked(self, data: Designs) -> str:
+    def settings_text(self, data: Designs) -> str:
         """See `Designer`; a function is known by what it makes of the scores."""
         if self.g is None:
-            return super().asked(data)
-        return f"{self.replace(g=None).asked(data)}, g {self._worths(data).tolist()}"
+            return super().settings_text(data)
+        return f"{self.replace(g=None).settings_text(data)}, g {self._worths(data).tolist()}"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """The designs at the end of their search, with mean and deviation under p_NML of the target models."""
         learner = self.training(setting)
         states = setting.train(learner, self.pretrain + self.steps, "nemo")
         low, high = learner.scale
-        self._warn_of_blindness(learner, states, setting)
+        self._warn_if_constant(learner, states, setting)
         found = []
         for seed, state in zip(setting.seeds, states):
             middle = low + (high - low) * (np.arange(self.bins) + 0.5) / self.bins
 
             nets = joined(state.targets)
 
-            def believed(x: Array, nets: Net = nets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
+            def predicted(x: Array, nets: Net = nets, middle: np.ndarray = middle) -> tuple[np.ndarray, np.ndarray]:
                 probs = np.exp(np.asarray(jax.jit(p_nml)(nets, x), np.float64))
                 mean = probs @ middle
                 return mean, np.sqrt(np.maximum(probs @ np.square(middle) - np.square(mean), 0.0))
 
-            found.append(self.decoded(setting, seed, state.search.x, believed))
+            found.append(self.decoded(setting, seed, state.search.x, predicted))
         return found
 
-    def _warn_of_blindness(self, learner: Training, states: list[State], setting: DesignInput) -> None:
-        """Tells where models say the same of all data: a large learning rate can leave them no unit that still answers."""
+    def _warn_if_constant(self, learner: Training, states: list[State], setting: DesignInput) -> None:
+        """Warns if the models predict the same for all data: a large learning rate can leave them without active units."""
         data = setting.data
         some = np.linspace(0, len(data) - 1, min(len(data), SAMPLE)).astype(int)
         z = jnp.asarray(data.coordinates.encode(data.x[some]))
         worths = [np.asarray(learner.worth(state.targets, z), np.float64) for state in states]
-        blind = [seed for seed, worth in zip(setting.seeds, worths) if np.ptp(worth) <= 1e-6 * np.abs(worth).max()]
-        if blind:
-            text = f"NEMO: its models say the same of every design (seeds {blind}), so no search led anywhere; lower lr"
+        constant = [seed for seed, worth in zip(setting.seeds, worths) if np.ptp(worth) <= 1e-6 * np.abs(worth).max()]
+        if constant:
+            text = f"NEMO: its models predict the same for every design (seeds {constant}), so the search is void; lower lr"
             warnings.warn(f"{text} (now {self.lr:g})", stacklevel=4)

@@ -93,7 +93,7 @@ def evaluate_designers(
     together: int | None = None,
     out: Path | str | None = None,
     watch: Watcher = unwatched,
-    told: Callable[[Result], None] = lambda result: None,
+    on_result: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Lets designers propose, and scores what they propose by the oracle.
 
@@ -105,14 +105,14 @@ def evaluate_designers(
         together: seeds of one program; None: all. Fewer take less memory.
         out: folder for results and checkpoints; results that are there are not computed again.
         watch: called while something is fitted.
-        told: called with every result.
+        on_result: called with every result.
     """
     visible = problem.visible
     known = visible.x.tobytes() + visible.y.tobytes() + repr(visible.variables).encode()
     data = hashlib.blake2b(known, digest_size=8).hexdigest()
     results = []
     for name, designer in designers:
-        settings = designer.asked(visible)
+        settings = designer.settings_text(visible)
         asked = {"name": name, "settings": settings, "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
         folder = None if out is None else Path(out) / file_part(problem.name)
         path = None if folder is None else folder / f"{file_part(name)}-{digest(asked, 4)}.json"
@@ -135,7 +135,7 @@ def evaluate_designers(
             if path is not None:
                 write_json(path, {"asked": asked, "result": _to_json(result)})
         results.append(result)
-        told(result)
+        on_result(result)
     return results
 
 

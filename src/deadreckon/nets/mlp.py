@@ -137,7 +137,7 @@ def all_q_values(critics: MLP, observation: Float[Array, "b o"]) -> Float[Array,
     return jax.vmap(lambda net: net(observation))(critics)
 
 
-def least(values: Float[Array, "k *b"]) -> Float[Array, "*b"]:
+def minimum(values: Float[Array, "k *b"]) -> Float[Array, "*b"]:
     """The smallest along the first axis, with a slope that is always one of theirs.
 
     The slope of `values.min(0)` divides by how many of `values` equal the smallest. XLA may compute them once more for it, a

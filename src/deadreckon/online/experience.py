@@ -3,7 +3,7 @@
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.dapg import DAPG
 from deadreckon.agents.mbpo import MBPO
-from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.agents.ppo import PPO
 from deadreckon.agents.slbo import SLBO
 from deadreckon.online.branched_rollouts import BranchedRollouts
@@ -14,7 +14,7 @@ from deadreckon.online.model_rollouts import ModelRollouts
 from deadreckon.online.on_policy import OnPolicy
 
 _KINDS: dict[type[Agent], type[Exploration]] = {
-    MBPO: BranchedRollouts, SLBO: ModelRollouts, ModelledOnline: ModelLearning, PPO: OnPolicy, DAPG: Demonstrated,
+    MBPO: BranchedRollouts, SLBO: ModelRollouts, OnlineModelBasedAgent: ModelLearning, PPO: OnPolicy, DAPG: Demonstrated,
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from deadreckon.agents.modelled import ModelledOnline
+from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.dynamics import Report
 from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
@@ -24,7 +24,7 @@ class ModelLearning(Exploration):
 
     revision: ClassVar[int] = 1
 
-    def _begin(self, agent: ModelledOnline) -> None:
+    def _begin(self, agent: OnlineModelBasedAgent) -> None:
         block = self.settings.block
         if self.settings.explore < FEWEST:
             raise UserError(f"explore must be {FEWEST} or more, what a model is first fitted to, got {self.settings.explore}")

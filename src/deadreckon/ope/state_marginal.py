@@ -90,7 +90,7 @@ class StateMarginal(Estimator):
             )
             values.append(found.value)
             influence.append(episodes.means(found.scores)[1])
-            ess.append(episodes.least(found.ess))
+            ess.append(episodes.quartile(found.ess))
             tails.append(row)  # of single steps: these are what is averaged
             lost.append(found.lost)
         ess = np.asarray(ess)

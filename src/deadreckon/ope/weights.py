@@ -167,10 +167,10 @@ class Episodes:
         numerators = np.bincount(cell, rho * x * self.discount**self.time, size).reshape(shape)
         plain = np.bincount(self.time, relative, self.steps) + np.exp(kept_plain - top)
         squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)
-        return Sums(numerators, denominators, self.least(_ratios(np.square(plain), squares)))
+        return Sums(numerators, denominators, self.quartile(_ratios(np.square(plain), squares)))
 
-    def least(self, ess: np.ndarray) -> float:
-        """Of (steps,) effective sample sizes, the one that a quarter of the discounted time does not exceed."""
+    def quartile(self, ess: np.ndarray) -> float:
+        """Lower quartile of (steps,) effective sample sizes, weighted by the discount."""
         fade = self.discount ** np.arange(self.steps)
         order = np.argsort(ess)
         share = np.cumsum(fade[order]) / fade.sum()

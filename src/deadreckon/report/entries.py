@@ -206,7 +206,7 @@ def _config(path: Path) -> dict[str, Any]:
     config = Folder(path).config
     if not config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
-    found = Folder(path).asked()
+    found = Folder(path).read_config()
     if not isinstance(found, dict) or not {"agent", "data", "task", "seeds", "steps"} <= found.keys():
         raise UserError(f"{config} is not the record of a run")
     return found

@@ -55,20 +55,20 @@ class CrossFit:
         return fold
 
     @property
-    def delivered(self) -> Path:
-        """What is to be deployed: the mixture's file, or the folder of the run on everything."""
+    def policy_path(self) -> Path:
+        """Path of the policy to deploy: the mixture's file, or the folder of the run on all episodes."""
         return self.path / (MIXTURE if self.config["deliver"] == "mixture" else REFIT)
 
     @property
     def policy(self) -> EnvPolicy:
-        """What is to be deployed."""
-        return store.load(self.delivered) if self.config["deliver"] == "mixture" else load(self.delivered).policy
+        """The policy to deploy."""
+        return store.load(self.policy_path) if self.config["deliver"] == "mixture" else load(self.policy_path).policy
 
     def __str__(self) -> str:
         held = [run.config["data"]["holdout"]["held"] for run in self.runs]
         count, most = (f"{n:,}" for n in (sum(held), max(held)))
         told = f"{len(self.runs)} folds of up to {most} of {count} episodes, each held out once"
-        return f"{told}\ndelivered: {self.delivered}\ncross-fit folder: {self.path}"
+        return f"{told}\npolicy: {self.policy_path}\ncross-fit folder: {self.path}"
 
 
 def cross_fit(
@@ -153,7 +153,7 @@ def load_cross_fit(path: Path | str) -> CrossFit:
         raise UserError(f"{path / NAME} is not a cross-fit's: it misses folds, by, seed, data or deliver")
     missing = [each for each in range(config["folds"]) if not (path / f"fold{each}" / "run.json").exists()]
     found = CrossFit(path, config, [] if missing else [load(path / f"fold{each}") for each in range(config["folds"])])
-    if missing or not found.delivered.exists():
+    if missing or not found.policy_path.exists():
         again = f"deadreckon train ... --cross-fit {config['folds']} --out {path} --resume"
         raise UserError(f"{path} is not finished; `{again}` goes on with it")
     return found

@@ -111,8 +111,8 @@ class Folder:
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()
 
-    def asked(self) -> Any:
-        """What was asked for, from run.json; hyperparameters under the names that their fields have now."""
+    def read_config(self) -> Any:
+        """The configuration in run.json, with hyperparameters under the present names of their fields."""
         config = read_json(self.config)
         if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
             return config
@@ -124,7 +124,7 @@ class Folder:
 
     def period(self, resume: bool) -> int | None:
         """Updates between the evaluations of the run that is gone on with, which it keeps where nobody names others."""
-        before = self.asked() if resume and self.config.exists() else {}
+        before = self.read_config() if resume and self.config.exists() else {}
         return before.get("evaluation", {}).get("every")
 
     def check(self, config: dict[str, Any], *, resume: bool) -> list[str]:
@@ -143,7 +143,7 @@ class Folder:
             return []
         if not resume:
             raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
-        before = self.asked()
+        before = self.read_config()
         longer = before.get("steps", 0) < config["steps"]
         asked = config | {"steps": before.get("steps")} if longer else config
         kept = ("together", "agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")

@@ -61,7 +61,7 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            known = cross.path.name, cross.config["by"], cross.delivered
+            known = cross.path.name, cross.config["by"], cross.policy_path
             found += [Gathered((cross, seed), known[0], seed, None, *known[1:]) for seed in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
@@ -146,6 +146,6 @@ def for_case(g: Gathered, data: Dataset) -> Any:
     if not isinstance(g.policy, tuple):
         return g.policy
     cross, seed = g.policy
-    if (fold := cross.fold_of(data)).max() < 0:  # another log: what was delivered is judged, not its parts
+    if (fold := cross.fold_of(data)).max() < 0:  # another log: the policy to deploy is evaluated, not those of the folds
         return cross.policy
     return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)

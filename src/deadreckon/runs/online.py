@@ -136,7 +136,7 @@ def reopened(path: Path | str) -> Fit:
         UserError: `path` is no online run, or its checkpoint cannot be read.
     """
     folder = Folder(Path(path))
-    config = folder.asked() if folder.config.exists() else {}
+    config = folder.read_config() if folder.config.exists() else {}
     if "online" not in config:
         raise UserError(f"{path} is not the folder of an online run")
     lanes = agents_of(config)

@@ -54,7 +54,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         UserError: no run of seed 0 alone, no medium of a run on a log, or no policy was kept after those updates.
     """
     folder = Folder(Path(options.run))
-    config = folder.asked()
+    config = folder.read_config()
     # The recipe of medium-replay calls the run with seed 0 the one that the policies come from.
     if config["seeds"] != [0]:
         raise UserError(f"{options.run}: a run of seed 0 alone is needed")

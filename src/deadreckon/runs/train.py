@@ -175,7 +175,7 @@ def _train(
     judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
     folders, resume = [Folder(path) for path in asked], settings.resume
-    before = folders[0].asked() if resume and folders[0].config.exists() else None
+    before = folders[0].read_config() if resume and folders[0].config.exists() else None
     part = divided(log, settings.holdout, judge, before)
     lanes = [lane.resolve(part.learning.spec, steps) for each in asked.values() for lane in each]
     seeds = len(lanes) // len(folders)
@@ -238,7 +238,7 @@ def load(path: Path | str) -> Run:
     folder = Folder(Path(path))
     if not folder.config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
-    config = folder.asked()
+    config = folder.read_config()
     if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
         raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
     missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]

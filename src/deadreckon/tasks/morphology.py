@@ -89,7 +89,7 @@ class Morphology(Task):
         """(n,) what is seen of the robot, whose last action was `last`."""
         raise NotImplementedError
 
-    def judge(self, data: Any, before: np.ndarray, action: np.ndarray) -> tuple[float, bool]:
+    def reward(self, data: Any, before: np.ndarray, action: np.ndarray) -> tuple[float, bool]:
         """Reward of a step from torso position `before`, and whether the episode ends."""
         raise NotImplementedError
 
@@ -151,7 +151,7 @@ class MorphologySimulator:
             self._mujoco.mj_forward(model, data)
             self._mujoco.mj_rnePostConstraint(model, data)  # contact forces
             self._last[i] = action
-            rewards[i], terminals[i] = (self.task.broken, True) if bad else self.task.judge(data, before, action)
+            rewards[i], terminals[i] = (self.task.broken, True) if bad else self.task.reward(data, before, action)
 
         self._map(advance, running)
         self._age[running] += 1
@@ -298,7 +298,7 @@ class AntMorphology(Morphology):
         """(35,) height, rotation and joints, then their velocities."""
         return np.concatenate([data.qpos[2:], data.qvel])
 
-    def judge(self, data, before, action):
+    def reward(self, data, before, action):
         """Speed along x and 1, less what actions and contacts cost."""
         contact = 0.5e-3 * np.square(np.clip(data.cfrc_ext, -1, 1)).sum()
         speed = (data.xpos[1, 0] - before[0]) / self.timestep
@@ -345,7 +345,7 @@ class KittyMorphology(Morphology):
         upright, heading, way = self._stance(data)
         return np.concatenate([data.qpos, data.qvel, last, [upright, heading], way])
 
-    def judge(self, data, before, action):
+    def reward(self, data, before, action):
         """Nearness of the goal, heading and standing upright; -500 and the end where it falls."""
         upright, heading, way = self._stance(data)
         distance = float(np.hypot(*way))

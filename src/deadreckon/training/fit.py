@@ -227,20 +227,20 @@ class Fit:
             path.unlink()
 
 
-def complete(job: Fit, what: str, told: Callable[[Chunk], None]) -> None:
+def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
     """Takes a fit to its end, from its checkpoints where it has some.
 
     Args:
         job: not yet begun.
         what: is fitted, for the error.
-        told: called after every chunk.
+        on_chunk: called after every chunk.
 
     Raises:
         DivergedError: a lane diverged.
     """
     job.resume()
     for progress in job.chunks():
-        told(progress)
+        on_chunk(progress)
     for seed, failure in zip(job.seeds, job.failures):
         if failure is not None:
             whose = f" with seed {seed}" if len(job.seeds) > 1 else ""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.problems.oracle import Kept, kept, split
+from deadreckon.mbo.problems.oracle import Arrays, kept, split
 from deadreckon.ope.metrics import rank_correlation
 
 
@@ -60,7 +60,7 @@ def forest(name: str, features: np.ndarray, y: np.ndarray, *, trees: int = 100, 
     return Forest(**arrays, **known)
 
 
-def _train(name: str, features: np.ndarray, y: np.ndarray, trees: int, max_features: float) -> Kept:
+def _train(name: str, features: np.ndarray, y: np.ndarray, trees: int, max_features: float) -> Arrays:
     try:
         from sklearn.ensemble import RandomForestRegressor
     except ImportError:

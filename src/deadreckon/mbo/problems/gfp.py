@@ -18,7 +18,7 @@ from pyarrow import csv
 
 from deadreckon.errors import UserError, reading
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.problems.oracle import Kept, kept, split
+from deadreckon.mbo.problems.oracle import Arrays, kept, split
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP, ensemble
@@ -130,7 +130,7 @@ class Epistasis(NamedTuple):
         """Trained where it is not known yet; a tenth of the rows, always the same, is held out."""
         like = ensemble(Traits.create, MEMBERS, jax.random.key(0))
 
-        def train() -> Kept:
+        def train() -> Arrays:
             out, rest = split(len(y))
             mean, std = float(y[rest].mean()), float(y[rest].std())
             models = _fit(like, jnp.asarray(x[rest]), jnp.asarray((y[rest] - mean) / std, jnp.float32))

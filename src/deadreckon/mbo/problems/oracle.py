@@ -11,7 +11,7 @@ from deadreckon.training.checkpoint import load_arrays, save_arrays
 
 HELD_OUT = 0.1  # share of the data that tells how good an oracle is
 
-Kept = tuple[dict[str, np.ndarray], dict[str, Any]]  # arrays, and JSON values
+Arrays = tuple[dict[str, np.ndarray], dict[str, Any]]  # arrays, and JSON values
 
 
 def split(rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -20,7 +20,7 @@ def split(rows: int) -> tuple[np.ndarray, np.ndarray]:
     return out, rest
 
 
-def kept(name: str, x: np.ndarray, y: np.ndarray, settings: tuple[Any, ...], train: Callable[[], Kept]) -> Kept:
+def kept(name: str, x: np.ndarray, y: np.ndarray, settings: tuple[Any, ...], train: Callable[[], Arrays]) -> Arrays:
     """What `train` makes of data and settings; it is called where that is not known yet.
 
     Args:

@@ -20,7 +20,7 @@ from deadreckon.mbo.problems.tfbind8 import FILE as TFBIND8_FILE
 from deadreckon.mbo.problems.tfbind8 import tfbind8
 
 
-class Known(NamedTuple):
+class Entry(NamedTuple):
     """How a problem is made, one line about it, the file that it reads, if any, and the revision of its designs and its judge,
     which is raised where their numbers change (see bench/identity.py)."""
 
@@ -30,18 +30,18 @@ class Known(NamedTuple):
     revision: int = 1
 
 
-PROBLEMS: dict[str, Known] = {
-    "hopper-controller": Known(hopper_controller, "5,126 weights of a controller, scored in MuJoCo (thesis 6.5)"),
-    "ant-morphology": Known(partial(morphology, "ant-morphology"), "60 numbers of an ant's legs; MuJoCo (thesis 6.5)"),
-    "dkitty-morphology": Known(partial(morphology, "dkitty-morphology"), "56 numbers of a kitty's legs, scored in MuJoCo"),
-    "superconductor": Known(
+PROBLEMS: dict[str, Entry] = {
+    "hopper-controller": Entry(hopper_controller, "5,126 weights of a controller, scored in MuJoCo (thesis 6.5)"),
+    "ant-morphology": Entry(partial(morphology, "ant-morphology"), "60 numbers of an ant's legs; MuJoCo (thesis 6.5)"),
+    "dkitty-morphology": Entry(partial(morphology, "dkitty-morphology"), "56 numbers of a kitty's legs, scored in MuJoCo"),
+    "superconductor": Entry(
         superconductor, "81 statistics of a material; critical temperature by a random forest", SUPERCONDUCTOR_FILE
     ),
-    "gfp": Known(gfp, "237 amino acids; brightness by a learned oracle", GFP_FILE),
-    "molecule": Known(molecule, "1,024 substructures; activity by a random forest", MOLECULE_FILE),
-    "tfbind8": Known(tfbind8, "8 bases of DNA; every design's score is known", TFBIND8_FILE),
-    "nk": Known(nk, "8 sites of 4 letters with neighbours' influence; every design's score is known"),
-    **{name: Known(partial(synthetic, name), f"{f.dimensions} numbers; a test function") for name, f in FUNCTIONS.items()},
+    "gfp": Entry(gfp, "237 amino acids; brightness by a learned oracle", GFP_FILE),
+    "molecule": Entry(molecule, "1,024 substructures; activity by a random forest", MOLECULE_FILE),
+    "tfbind8": Entry(tfbind8, "8 bases of DNA; every design's score is known", TFBIND8_FILE),
+    "nk": Entry(nk, "8 sites of 4 letters with neighbours' influence; every design's score is known"),
+    **{name: Entry(partial(synthetic, name), f"{f.dimensions} numbers; a test function") for name, f in FUNCTIONS.items()},
 }
 
 

@@ -1,4 +1,4 @@
-"""What agents with a learned model share: an ensemble's settings, and how it is known in it when episodes end."""
+"""What model-based agents share: the settings of the ensemble, and the rule that ends episodes in the model."""
 
 from typing import Any, ClassVar
 
@@ -30,8 +30,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 _OTHERS = {"rollout_length": (1, 1, 1, 2), "retain_steps": 1000, "model_hidden": (200, 200, 200, 200)}
 
 
-class Modelled(Agent):
-    """An agent with an ensemble. Fields that are None come from the task: see `PRESETS`."""
+class ModelBasedAgent(Agent):
+    """An agent with an ensemble of dynamics models. Fields that are None come from the task: see `PRESETS`."""
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"model_decay": "model_weight_decay", "ends": "termination"}
@@ -50,21 +50,21 @@ class Modelled(Agent):
     """task whose rule ends episodes in the model, or "learned"; None: this task's, if observations show it"""
 
     def resolve(self, spec: Spec, steps: int):
-        """Fills in what a task's preset has, and when episodes end."""
+        """Fills in the task's preset and the rule that ends episodes."""
         known = _OTHERS | PRESETS.get(spec.name, {})
         missing = {name: value for name, value in known.items() if getattr(self, name, 0) is None}
         own = terminations.of_spec(spec)
         ends = self.termination or (LEARNED if own is None else own.name)
         if ends != LEARNED and (shape := terminations.termination(ends).observation_shape) != spec.observation_shape:
             raise UserError(f"termination={ends!r}: its observations are {shape}, {spec.name} has {spec.observation_shape}")
-        agent = super(Modelled, self.replace(**missing, termination=ends)).resolve(spec, steps)
+        agent = super(ModelBasedAgent, self.replace(**missing, termination=ends)).resolve(spec, steps)
         assert agent.model_hidden is not None
         check_sizes(type(self).__name__, agent.members, agent.elites, agent.model_hidden, agent.model_weight_decay)
         return agent
 
     @property
     def model(self) -> Gaussian:
-        """What the ensemble consists of."""
+        """The networks of the ensemble."""
         assert self.model_hidden is not None  # resolved
         return Gaussian(
             self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_weight_decay, as_mbpo=True
@@ -72,22 +72,22 @@ class Modelled(Agent):
 
     @property
     def trainer(self) -> Trainer:
-        """How it is fitted."""
+        """How the ensemble is fitted."""
         return Trainer(elites=self.elites, patience=self.model_patience, most_epochs=self.model_epochs)
 
     @property
     def over(self) -> Ends | None:
-        """Tells of observations whether episodes end there; None leaves it to the model."""
+        """Whether episodes end at given observations; None: the model predicts it."""
         assert self.termination is not None  # resolved
         return None if self.termination == LEARNED else terminations.termination(self.termination).ends
 
     def unfitted(self, spec: Spec, key: PRNGKeyArray) -> Ensemble:
-        """Where the ensemble begins."""
+        """The ensemble with initial parameters."""
         return Ensemble.unfitted(self.model, spec, self.elites, key)
 
 
-class ModelledOnline(Modelled):
-    """A modelled agent that learns by acting. `online.model_learning` fits the ensemble in its state, `model`, anew."""
+class OnlineModelBasedAgent(ModelBasedAgent):
+    """A model-based agent that learns online. `online.model_learning` refits the ensemble in its state (`model`)."""
 
     revision: ClassVar[int] = 1
     offline: ClassVar[bool] = False
@@ -102,11 +102,11 @@ class ModelledOnline(Modelled):
         return {"copies": 5, "explore": 5000, "updates_per_step": updates, "block": 25}
 
     def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
-        """The state of the agent that it is without a model, and the ensemble."""
+        """The state of the underlying model-free agent, and the ensemble."""
         return super().init(spec, key)._replace(model=self.unfitted(spec, key))
 
 
-class ModelledSAC(ModelledOnline, SAC):
-    """SAC, online, with an ensemble in its state."""
+class ModelBasedSAC(OnlineModelBasedAgent, SAC):
+    """Online SAC with an ensemble in its state."""
 
     revision: ClassVar[int] = 1
