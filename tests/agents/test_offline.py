@@ -343,7 +343,7 @@ def test_sac_n_believes_the_least_of_all_its_critics(batch):
 def test_the_least_of_many_is_that_of_few_with_a_slope_of_one_of_them():
     values = jnp.asarray(np.random.default_rng(0).normal(size=(300, 7)), jnp.float32)
     np.testing.assert_array_equal(minimum(values), values.min(0))
-    slope = jax.grad(lambda v: (least(v) * jnp.arange(1.0, 8.0)).sum())(jnp.zeros((300, 7)))  # all are the least
+    slope = jax.grad(lambda v: (minimum(v) * jnp.arange(1.0, 8.0)).sum())(jnp.zeros((300, 7)))  # all are the least
     np.testing.assert_array_equal(slope.sum(0), np.arange(1.0, 8.0))
     assert ((slope != 0).sum(0) == 1).all()
 

@@ -93,5 +93,5 @@ def test_vae_loss_equals_numpy():
 def test_the_least_and_its_slope():
     values = jnp.asarray([[3.0, 1.0, 2.0], [2.0, 4.0, 2.0], [5.0, 1.5, 9.0]])
     np.testing.assert_array_equal(minimum(values), [2.0, 1.0, 2.0])
-    slope = jax.grad(lambda v: least(v).sum())(values)
+    slope = jax.grad(lambda v: minimum(v).sum())(values)
     np.testing.assert_array_equal(slope, [[0, 1, 1], [1, 0, 0], [0, 0, 0]])  # of two that are equal, the first's
