@@ -20,7 +20,7 @@ define uv_sync
 endef
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fast test-slow lint docs bench lock clean
+.PHONY: help setup demo test fast test-slow lint docs bench evidence lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,9 @@ docs: $(DOCS_STAMP) ## the site in site/
 
 bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, into docs/results/speed.md
 	$(BIN)/python benchmarks/report.py
+
+evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
+	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle $(if $(FOR),--for $(FOR))
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
 	uv lock

@@ -46,6 +46,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 from speed import cpu_model, table
 
+from deadreckon.bench.idle import measuring
 from deadreckon.collect import generate, recipe
 from deadreckon.tasks import task
 from deadreckon.tasks.gym_mujoco import TASKS as ROBOTS
@@ -342,4 +343,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with measuring():
+        main()

@@ -20,6 +20,8 @@ from importlib import metadata
 
 import numpy as np
 
+from deadreckon.bench.idle import measuring
+
 COPIES = 64  # as many as a collection has side by side
 
 
@@ -96,4 +98,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with measuring():
+        main()

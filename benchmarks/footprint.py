@@ -18,6 +18,8 @@ from pathlib import Path
 import peers
 import protocol
 
+from deadreckon.bench.idle import measuring
+
 ROWS, UPDATES, LIMIT = 1_000_000, 60, 2.0
 
 
@@ -86,4 +88,5 @@ def report(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with measuring():
+        sys.exit(main())

@@ -23,6 +23,8 @@ from typing import Any
 
 import protocol
 
+from deadreckon.bench.idle import measuring
+
 HERE = Path(__file__).resolve().parent
 
 
@@ -172,4 +174,5 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(protocol.told(lambda: compare(parse())))
+    with measuring():
+        sys.exit(protocol.told(lambda: compare(parse())))

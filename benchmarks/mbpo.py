@@ -21,6 +21,8 @@ import flops
 import peers
 import protocol
 
+from deadreckon.bench.idle import measuring
+
 ROWS, HELD, MADE_UP, OBSERVATION, ACTION = 20_000, 4_000, 100_000, 11, 3
 EPOCHS, FITS, UPDATES, SLICE = 10, 4, 20_000, 500
 PARTS = {"fit": FITS * EPOCHS, "rollout": FITS, "update": UPDATES}  # units of each in 1,000 environment steps
@@ -174,4 +176,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with measuring():
+        sys.exit(main())

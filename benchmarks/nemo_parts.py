@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import protocol
 
+from deadreckon.bench.idle import measuring
 from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nemo import NEMO, STACKS
@@ -120,4 +121,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with measuring():
+        main()

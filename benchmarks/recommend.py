@@ -20,6 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.bench.idle import measuring
+
 ROWS, BUDGETS = (1_000, 10_000, 50_000, 100_000, 200_000), (2, 3, 5)  # minutes
 LATEST, NEEDED = 1.1, 0.9
 LENGTH, OBSERVED, ACTIONS = 20, 8, 4  # steps of an episode, numbers of an observation, discrete actions
@@ -149,4 +151,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with measuring():
+        sys.exit(main())

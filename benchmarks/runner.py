@@ -17,6 +17,7 @@ import numpy as np
 from deadreckon.bench.cluster import Cluster
 from deadreckon.bench.executor import run
 from deadreckon.bench.forms import rendered
+from deadreckon.bench.idle import measuring
 from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
@@ -57,7 +58,7 @@ def overhead(name: str, seconds: float, each: int) -> None:
         executor = {"local": Local, "ray": Cluster}[name](store.path, work=sleep)
         workers = executor.workers
         jobs = [Job("sleep", "sleep", "", {}, "", "", str(i), {"seconds": seconds}, (0,)) for i in range(each * workers)]
-        run("sleep", jobs, store, lambda event: None, executor)
+        run(jobs, store, lambda event: None, executor)
         took = time.perf_counter() - began
         assert len(store.results()) == len(jobs)
     more = took / (each * seconds) - 1
@@ -84,7 +85,7 @@ def planning(cells: int) -> None:
         suite = timed("read the suite", lambda: read(path))
         jobs = timed("plan", lambda: plan(suite))
         timed("find what is missing in an empty folder", lambda: store.undone(jobs))
-        timed("write all results", lambda: [store.keep("many", job, rows(job, 1.0)) for job in jobs])
+        timed("write all results", lambda: [store.keep(job, rows(job, 1.0)) for job in jobs])
         assert timed("find what is missing in a full one", lambda: store.undone(jobs)) == []
         timed("forecast of what is missing (all results are read)", lambda: forecast(programs(jobs[:1]), store))
         timed("make the table", lambda: rendered(tables(suite, jobs, store), "csv"))
@@ -95,8 +96,9 @@ def planning(cells: int) -> None:
 
 if __name__ == "__main__":
     options = parse()
-    for executor in options.executors:
-        overhead(executor, options.seconds, options.each)
-    if options.cells:
-        np.seterr(all="ignore")  # scores that are all the same have no spread
-        planning(options.cells)
+    with measuring():
+        for executor in options.executors:
+            overhead(executor, options.seconds, options.each)
+        if options.cells:
+            np.seterr(all="ignore")  # scores that are all the same have no spread
+            planning(options.cells)

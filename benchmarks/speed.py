@@ -26,6 +26,8 @@ import peers
 import protocol
 from protocol import BenchError, Worker
 
+from deadreckon.bench.idle import measuring
+
 HERE = Path(__file__).resolve().parent
 RATIO, SHARE = 2.5, 0.6  # what we promise: this many times d3rlpy, or this part of the machine's rate
 FQE_RATIO = 3.0  # of many policies at once; the rate is no way out there
@@ -451,4 +453,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with measuring():
+        sys.exit(main())

@@ -124,8 +124,8 @@ def test_morphologies_are_made(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_nemo_sine_measures_and_draws(tmp_path, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    import nemo_sine as example
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.nml_sine as example
 
     options = example.Options(
         queries=16, bins=8, points=80, hidden=(8,), steps=200, lr=0.02, seeds=1, picture=str(tmp_path / "sine.svg")

@@ -85,7 +85,7 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     store = Store(tmp_path / "ray")
     cluster = Cluster(store.path, nodes.address)
     assert cluster.workers == 2
-    run("small", jobs, store, told, cluster)
+    run(jobs, store, told, cluster)
     whats = [event.what for event in events]
     assert killed
     assert whats.count("died") == len(killed)
@@ -94,7 +94,7 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     assert sorted(done) == sorted(job.name for job in jobs)  # each once
 
     here = Store(tmp_path / "local")
-    run("small", jobs, here, lambda event: None, Local(here.path, workers=2))
+    run(jobs, here, lambda event: None, Local(here.path, workers=2))
     for kind in ("results", "curves"):
         tables = [getattr(each, kind)().drop_columns(["seconds"] if kind == "results" else []) for each in (store, here)]
         by = [("cell", "ascending"), ("seed" if kind == "results" else "step", "ascending")]

@@ -67,7 +67,7 @@ class Here:
     def begin(self, program):
         self.program = program
 
-    def wait(self):
+    def wait(self, timeout=None):
         program, self.program = self.program, None
         what, told = attempt(program, self.path, perform, lambda done, total: self.watch(program, done))
         return Event(what, program, told)
@@ -142,7 +142,7 @@ def test_settings_that_are_tuned_share_a_program():
 def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
     apart, together = Store(tmp_path / "apart"), Store(tmp_path / "together")
     told = lambda event: None  # noqa: E731
-    run("some", planned(lanes=2), apart, told, Here(apart.path))
+    run(planned(lanes=2), apart, told, Here(apart.path))
     jobs = planned()
 
     class Killed(BaseException):
@@ -154,10 +154,10 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
             raise Killed
 
     with pytest.raises(Killed):
-        run("some", jobs, together, told, Here(together.path, interrupt))
+        run(jobs, together, told, Here(together.path, interrupt))
     assert together.undone(jobs) == jobs
     steps = []
-    run("some", jobs, together, told, Here(together.path, lambda program, done: steps.append(done)))
+    run(jobs, together, told, Here(together.path, lambda program, done: steps.append(done)))
     assert steps == [60]  # the half that was done is not done again
     assert together.undone(jobs) == together.undone(planned(lanes=1)) == []
 
@@ -211,7 +211,7 @@ def test_of_a_program_that_is_done_in_part_the_rest_is_run(planned, tmp_path):
     store, jobs = Store(tmp_path / "out"), planned()
     [done] = [job for job in planned(lanes=1) if (job.method, job.seeds) == ("near", (1,))]
     told = {"score": 1.0, "raw": 1.0, "steps": 60, "seconds": 1.0, "failure": "", "versions": "{}"}
-    store.keep("some", done, JobResult([{"seed": 1} | told], []))
+    store.keep(done, JobResult([{"seed": 1} | told], []))
     rest = programs(store.undone(jobs))
     assert [([job.method for job in each.jobs], each.jobs[0].seeds) for each in rest] == [
         (["plain", "fast"], (0, 1)), (["near"], (0,)),
@@ -233,7 +233,7 @@ def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
     """
     store, jobs = Store(tmp_path / "out"), planned(text)
     assert len(programs(jobs)) == 1
-    run("some", jobs, store, Lines(1), Here(store.path))
+    run(jobs, store, Lines(1), Here(store.path))
     assert [job.method for job in store.undone(jobs)] == ["wrong"]
     assert "leave out target_entropy" in store.failure(jobs[1], 0)["error"]
     assert "its settings go on one by one\n1 of 2: right on maze2d-umaze-v1, seed 0" in capsys.readouterr().out
@@ -244,7 +244,7 @@ def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):
     lost = [dataclasses.replace(job, on="no-such-log", data="no-such-log") for job in jobs]
     lost = [dataclasses.replace(job, revisions=revisions_of(job)) for job in lost]
     events = []
-    run("some", lost, store, events.append, Here(store.path))
+    run(lost, store, events.append, Here(store.path))
     first, *others = events
     assert str(first.program) == "plain and 2 other settings of td3_bc on no-such-log, seeds 0 to 1"
     assert [(event.what, len(event.program.jobs)) for event in events] == [("split", 3), *[("failed", 1)] * 3]
@@ -263,7 +263,7 @@ def test_what_another_command_is_at_is_left_to_it(planned, tmp_path, capsys):
     store, jobs = Store(tmp_path / "out"), planned()
     [program] = programs(jobs)
     with alone(store.folder(program)):
-        run("some", jobs, store, Lines(1), Here(store.path))
+        run(jobs, store, Lines(1), Here(store.path))
     assert "seeds 0 to 1: another command is at it, and it is left to that one" in capsys.readouterr().out
     assert store.undone(jobs) == jobs
     assert store.failure(jobs[0], 0) is None

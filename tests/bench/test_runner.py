@@ -71,7 +71,7 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
             [child] = multiprocessing.active_children()
             os.kill(child.pid, signal.SIGKILL)
 
-    run("small", [*jobs, lost], store, told, Local(store.path, workers=1))
+    run([*jobs, lost], store, told, Local(store.path, workers=1))
     whats = [event for event in events if event[0] != "progress"]
     assert whats == [("begun", "BC"), ("died", "BC"), ("begun", "BC"), ("done", "BC"), ("begun", "lost"), ("failed", "lost")]
     assert "no-such-log" in store.failure(lost, 0)["error"]
@@ -81,7 +81,7 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
     assert len(store.curves()) == 2 * 2  # evaluations, seeds
 
     events.clear()
-    run("small", jobs, store, told, Local(store.path, workers=1))
+    run(jobs, store, told, Local(store.path, workers=1))
     assert events == []  # nothing is done twice
 
     # The numbers are those of the same job in this process, which has other threads.
@@ -100,7 +100,7 @@ def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
                 os.kill(child.pid, signal.SIGKILL)
             deaths.append(event)
 
-    run("small", jobs[:1], store, told, Local(store.path, workers=1))
+    run(jobs[:1], store, told, Local(store.path, workers=1))
     assert len(deaths) == 3
     assert "died 3 times" in store.failure(jobs[0], 1)["error"]
 
@@ -108,7 +108,7 @@ def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
 def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     store.fail(jobs[1], "out of luck", "")
-    store.keep("small", jobs[0], made(jobs[0], (10.0, 12.0)))
+    store.keep(jobs[0], made(jobs[0], (10.0, 12.0)))
     [shown] = tables(suite, jobs, store)
     assert str(shown.cells["BC"]["maze2d-umaze-v1"].estimate) == "11 [-1.706, 23.71]"  # 11 -+ 12.706 * 1
     plain = rendered([shown])
@@ -118,7 +118,7 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     assert "3.8" in plain  # the thesis's BC
     assert not shown.cells["TD3"]["maze2d-umaze-v1"].bold
 
-    store.keep("small", jobs[1], made(jobs[1], (50.0, 50.1), "critic_loss was not finite at update 7"))
+    store.keep(jobs[1], made(jobs[1], (50.0, 50.1), "critic_loss was not finite at update 7"))
     [shown] = tables(suite, jobs, store)
     # What went bad is not best, whatever it scored.
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [True, False]
@@ -128,7 +128,7 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
 
     newer = made(jobs[1], (50.0, 50.1))
     newer.rows[1]["versions"] = json.dumps({"deadreckon": "7", "jax": "1.5", "mujoco": "2", "threads": 3})
-    store.keep("small", jobs[1], newer)
+    store.keep(jobs[1], newer)
     [shown] = tables(suite, jobs, store)
     assert "made with deadreckon 7, jax 1 and 1.5, mujoco 2\n" in rendered([shown]) + "\n"
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
@@ -147,7 +147,7 @@ def test_results_of_other_revisions_are_shown_when_asked_for_and_told(suite, tmp
 
     for revision, scores in ((1, (1.0, 2.0)), (4, (3.0, 4.0)), (3, (5.0, 6.0))):
         job = at(revision)[0]
-        store.keep("small", job, made(job, scores))
+        store.keep(job, made(job, scores))
     jobs = at(2)
     assert len(store.of(jobs)) == 0
     assert len(store.of(jobs, any_revision=True)) == 6
@@ -164,7 +164,7 @@ def test_results_of_other_revisions_are_shown_when_asked_for_and_told(suite, tmp
 def test_results_from_when_the_source_was_hashed_are_other_revisions(suite, tmp_path):
     """They hold a digest of the source in place of revisions, which was part of their cells' names, and fields' older names."""
     store, job = Store(tmp_path), plan(suite)[1]
-    store.keep("small", job, made(job, (1.0, 2.0)))
+    store.keep(job, made(job, (1.0, 2.0)))
     [part] = (tmp_path / "results").iterdir()
     rows = pq.read_table(part).to_pylist()
     for row in rows:
@@ -183,7 +183,7 @@ def test_jobs_that_are_the_same_by_content_are_done_once(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     twin = dataclasses.replace(jobs[0], method="cloning")
     assert store.undone([*jobs, twin]) == jobs
-    store.keep("small", twin, made(twin, (1.0, 2.0)))
+    store.keep(twin, made(twin, (1.0, 2.0)))
     assert store.undone([*jobs, twin]) == [jobs[1]]
     assert "1.5" in rendered(tables(suite, jobs, store))
 
@@ -191,7 +191,7 @@ def test_jobs_that_are_the_same_by_content_are_done_once(suite, tmp_path):
 def test_a_log_without_a_simulator_has_no_scores_and_says_so(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     for job in jobs:
-        store.keep("small", job, made(job, (np.nan, np.nan)))
+        store.keep(job, made(job, (np.nan, np.nan)))
     assert "no simulator to judge in, so no scores: maze2d-umaze-v1" in rendered(tables(suite, jobs, store))
     assert "nan" not in rendered(tables(suite, jobs, store))
 
@@ -203,7 +203,7 @@ def test_a_design_suite_runs_through(tmp_path):
     store = Store(tmp_path / "out")
     jobs = plan(read(path))
     for program in programs(jobs):
-        store.keep("d", program.jobs[0], *perform(program, store.folder(program)))
+        store.keep(program.jobs[0], *perform(program, store.folder(program)))
     found = store.of(jobs).to_pylist()
     assert len(found) == 4
     more = [json.loads(row["more"]) for row in found]
@@ -237,7 +237,7 @@ def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
 def test_times_come_from_jobs_that_are_done(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     assert forecast(programs(jobs), store) == {job.name: None for job in jobs}
-    store.keep("small", jobs[0], made(jobs[0], (1.0, 2.0)))
+    store.keep(jobs[0], made(jobs[0], (1.0, 2.0)))
     longer = dataclasses.replace(jobs[0], options=jobs[0].options | {"steps": 600})
     assert forecast(programs([longer, jobs[1]]), store) == {longer.name: 300.0, jobs[1].name: None}
 
@@ -259,12 +259,12 @@ def test_what_is_missing_of_a_job_is_done_once_and_packed_as_it_may_be(suite, tm
     alone = plan(suite, lanes=1)
     assert [job.seeds for job in alone] == [(0,), (1,)] * 2
     assert [cell for job in alone for cell in job.cells] == [cell for job in whole for cell in job.cells]
-    store.keep("small", alone[0], made(alone[0], (1.0,)))
+    store.keep(alone[0], made(alone[0], (1.0,)))
     assert [(job.method, job.seeds) for job in store.undone(whole)] == [("BC", (1,)), ("TD3", (0, 1))]
     gap = dataclasses.replace(whole[0], seeds=(0, 1, 2, 3))
-    store.keep("small", one := dataclasses.replace(gap, seeds=(2,)), made(one, (1.0,)))
+    store.keep(one := dataclasses.replace(gap, seeds=(2,)), made(one, (1.0,)))
     assert [job.seeds for job in store.undone([gap])] == [(1,), (3,)]
-    store.keep("small", whole[0], made(whole[0], (5.0, 6.0)))  # another command has done seed 0 once more
+    store.keep(whole[0], made(whole[0], (5.0, 6.0)))  # another command has done seed 0 once more
     assert sorted(store.of(whole)["score"].to_pylist()) == [5.0, 6.0]
     store.fail(alone[2], "out of luck", "")
     assert "FAILED: TD3 on maze2d-umaze-v1: out of luck" in rendered(tables(suite, whole, store))

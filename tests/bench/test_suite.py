@@ -103,7 +103,7 @@ def test_steps_may_differ_by_log(written):
         ("steps = 40", "steps = { maze2d-medium-v1 = 40 }", "steps must be one number, or name each of maze2d-umaze-v1"),
         ("evaluations = 2", "evaluations = 50", "50 evaluations are more than its 40 steps"),
         ("steps = 40\nevaluations = 2", "steps = 5", "10 evaluations are more than its 5 steps"),
-        ('kind = "learn"', 'kind = "lern"', "kind must be one of learn, online, design, ope, got 'lern'"),
+        ('kind = "learn"', 'kind = "lern"', "kind must be one of learn, online, design, ope, study, got 'lern'"),
         ('logs = ["maze2d-umaze-v1"]', "logs = []", "logs must be a list of different names"),
         ('agent = "bc", ', "", "method 'BC' must say its agent"),
         ('agent = "bc", ', 'agent = "bc", preset = 1, ', "preset of method 'BC' must be a bool, got 1"),

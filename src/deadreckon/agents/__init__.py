@@ -8,12 +8,11 @@ import importlib
 import importlib.metadata
 import importlib.resources
 import json
-import os
 import re
-import sys
 from typing import TYPE_CHECKING, Any
 
 from deadreckon.errors import UserError, unknown
+from deadreckon.imports import imported
 
 if TYPE_CHECKING:
     from deadreckon.agents.agent import Agent
@@ -167,15 +166,9 @@ def plugins() -> dict[str, str]:
 
 
 def _imported(path: str) -> "type[Agent]":
-    module, _, attribute = path.partition(":")
-    if (here := os.getcwd()) not in sys.path:
-        sys.path.append(here)  # a command that pip installs does not look there
-    try:
-        found = importlib.import_module(module)
-    except ImportError as error:
-        raise UserError(f"agent {path}: {error}; an agent of your own is named module:Class") from error
-    kind = getattr(found, attribute, None)
+    kind = imported(path, "agent", "Class")
     if not isinstance(kind, type) or not issubclass(kind, importlib.import_module("deadreckon.agents.agent").Agent):
+        module, _, attribute = path.partition(":")
         raise UserError(f"agent {path}: {module} has no class {attribute} that is a deadreckon.agents.Agent")
     return kind
 

@@ -1,7 +1,9 @@
 """Programs on a Ray cluster: tasks that hold cores of their own, and are given to another process where theirs is lost."""
 
+import math
 import os
 import tempfile
+import time
 from collections import deque
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -82,11 +84,14 @@ class Cluster:
         self._running[self._task.remote(*given)] = program
         self._names[program.name] = program
 
-    def wait(self) -> Event:
-        """What tasks tell as they go, or the end of one."""
+    def wait(self, timeout: float | None = None) -> Event | None:
+        """What tasks tell as they go, or the end of one; None where nothing happens for so many seconds."""
+        end = math.inf if timeout is None else time.monotonic() + timeout
         while True:
             if self._news:
                 return self._news.popleft()
+            if time.monotonic() >= end:
+                return None
             ended, _ = self._ray.wait(list(self._running), timeout=POLL)
             self._news.extend(self._told())
             for task in ended:

@@ -1,5 +1,6 @@
 """Jobs until all are done, wherever they run: what an executor is, and what becomes of a program that fails or is lost."""
 
+import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
 from deadreckon.progress import Progress
 
+POLL = 1.0  # seconds after which a run looks at the clock
 TRIES = 3  # of a program whose process dies; what went on until then is on disk and is not done again
 
 
@@ -53,8 +55,12 @@ class Executor(Protocol):
         """Takes a program; returns at once."""
         ...
 
-    def wait(self) -> Event:
-        """The next thing that happens to a program that it has taken: `done` tells what was found."""
+    def wait(self, timeout: float | None = None) -> Event | None:
+        """The next thing that happens to a program that it has taken: `done` tells what was found.
+
+        Args:
+            timeout: seconds after which it is None where nothing happens; None: it waits.
+        """
         ...
 
     def close(self) -> None:
@@ -62,25 +68,28 @@ class Executor(Protocol):
         ...
 
 
-def run(suite: str, jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor) -> None:
+def run(jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor, seconds: float | None = None) -> None:
     """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
 
     What another command is doing in the same folder is told and left to it.
 
     Args:
-        suite: name of the suite.
-        jobs: all of it.
+        jobs: of a suite or several, in the order in which they are begun.
         store: where results lie.
         on_event: called with every event.
         executor: who does it; closed at the end.
+        seconds: after which it ends; programs that are not done then go on from their last checkpoint another time.
     """
+    end = None if seconds is None else time.monotonic() + seconds
     with closing(executor):
         waiting, lost, running = deque(programs(store.undone(jobs))), Counter[str](), 0
-        while waiting or running:
+        while (waiting or running) and (end is None or time.monotonic() < end):
             while waiting and executor.room:
                 executor.begin(waiting.popleft())
                 running += 1
-            event = executor.wait()
+            event = executor.wait(None if end is None else min(POLL, max(end - time.monotonic(), 0.0)))
+            if event is None:
+                continue
             if event.what in ("begun", "progress"):
                 on_event(event)
                 continue
@@ -97,7 +106,7 @@ def run(suite: str, jobs: Sequence[Job], store: Store, on_event: OnEvent, execut
                     store.fail(job, *event.payload)
             elif event.what == "done":
                 for job, found in zip(event.program.jobs, event.payload, strict=True):
-                    store.keep(suite, job, found, event.program.run(job))
+                    store.keep(job, found, event.program.run(job))
             on_event(event)
 
 

@@ -9,7 +9,7 @@ import hashlib
 from functools import cache
 from typing import Any
 
-from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of
+from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of
 from deadreckon.errors import UserError
 from deadreckon.files import home
 
@@ -41,7 +41,7 @@ def of_evaluation(task: Any) -> dict[str, Any]:
 
 def revisions_of(job: Job) -> dict[str, Any]:
     """All that a job's numbers depend on, by what they are of."""
-    return of_learning() | {"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job)
+    return of_learning() | {"learn": _learn, "online": _online, "design": _design, "ope": _ope, "study": _study}[job.kind](job)
 
 
 def _learn(job: Job) -> dict[str, Any]:
@@ -71,6 +71,10 @@ def _ope(job: Job) -> dict[str, Any]:
     from deadreckon.stats import interval
 
     return {"method": revisions(estimator_of(job)), "intervals": interval.REVISION, "protocol": dope.REVISION}
+
+
+def _study(job: Job) -> dict[str, Any]:
+    return {"study": getattr(study_of(job), "revision", 1)}
 
 
 def of_fits() -> list[Any]:

@@ -1,10 +1,12 @@
 """Jobs, which are cells of one run, programs of such jobs, and the methods that jobs name."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
+from deadreckon.errors import UserError
 from deadreckon.files import digest
+from deadreckon.imports import imported
 from deadreckon.training.field_names import with_field_names
 
 
@@ -25,6 +27,7 @@ class Job:
         rows: of a log that is collected; None: all. `data` tells it too.
         revisions: of all code that decides the numbers; see `identity.revisions_of`.
         program: number of the program in its plan that it is a part of; None: of its own.
+        suite: name of the suite that asks for it, which is no part of a cell's name.
     """
 
     kind: str
@@ -39,6 +42,7 @@ class Job:
     rows: int | None = None
     revisions: dict[str, Any] = field(default_factory=dict)
     program: int | None = None
+    suite: str = ""
 
     def cell(self, seed: int) -> str:
         """The name of the cell with that seed, at the revisions of the present code."""
@@ -133,6 +137,18 @@ def designer_of(job: Job) -> Any:
 
     changes = {name: tuples(value) for name, value in job.options["fields"].items()}
     return sized(job.agent, job.on, job.options["budget"], **changes)
+
+
+def study_of(job: Job) -> Callable[..., dict[str, float]]:
+    """The function of a job of kind `study`.
+
+    Raises:
+        UserError: there is none.
+    """
+    study = imported(job.agent, "study", "function")
+    if not callable(study):
+        raise UserError(f"study {job.agent} is no function; a study of your own is named module:function")
+    return cast(Callable[..., dict[str, float]], study)
 
 
 def estimator_of(job: Job) -> Any:

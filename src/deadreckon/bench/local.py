@@ -1,14 +1,17 @@
 """Programs on this machine: processes that stay, each on cores of its own, and another one where one dies."""
 
 import contextlib
+import math
 import multiprocessing
 import os
+import time
 import warnings
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
-from deadreckon.bench.executor import Event, Work, attempt
+from deadreckon.bench.executor import POLL, Event, Work, attempt
+from deadreckon.bench.idle import give_way, is_measured, stand_still
 from deadreckon.bench.jobs import Program
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
@@ -35,19 +38,21 @@ class Local:
         path: the store's folder.
         workers: processes; None: one per core, or one for a GPU.
         work: does a program.
+        idle: take only the time that other processes leave, and stand still while one measures (`bench.idle`).
 
     Raises:
         UserError: fewer than one worker.
     """
 
-    def __init__(self, path: Path, workers: int | None = None, work: Work = perform):
+    def __init__(self, path: Path, workers: int | None = None, work: Work = perform, idle: bool = False):
         import jax
 
         if workers is not None and workers < 1:
             raise UserError(f"workers must be 1 or more, got {workers}")
         accelerator = jax.default_backend() != "cpu"
         self.lanes = None if accelerator else 1
-        self._team = [_Worker(cores, path, work) for cores in shares(workers, accelerator)]
+        self._idle, self._still = idle, False
+        self._team = [_Worker(cores, path, work, idle) for cores in shares(workers, accelerator)]
 
     @property
     def workers(self) -> int:
@@ -63,10 +68,24 @@ class Local:
         """Gives the program to an idle worker."""
         next(worker for worker in self._team if worker.program is None).begin(program)
 
-    def wait(self) -> Event:
-        """Hears what a worker says, or that it has died."""
+    def wait(self, timeout: float | None = None) -> Event | None:
+        """Hears what a worker says, or that it has died; None where nobody says anything for so many seconds."""
+        end = math.inf if timeout is None else time.monotonic() + timeout
         busy = {worker.pipe: worker for worker in self._team if worker.program is not None}
-        return busy[wait(list(busy))[0]].hear()  # type: ignore[index]
+        while True:
+            self._make_room()
+            left = min(end - time.monotonic(), POLL if self._idle else math.inf)
+            if heard := wait(list(busy), None if left == math.inf else max(left, 0.0)):
+                return busy[heard[0]].hear()  # type: ignore[index]
+            if time.monotonic() >= end:
+                return None
+
+    def _make_room(self) -> None:
+        """Stops the processes while another one measures, and lets them go on afterwards."""
+        if self._idle and ((still := is_measured()) or self._still):
+            pids = [worker.process.pid for worker in self._team if worker.process is not None]
+            stand_still([pid for pid in pids if pid is not None], still)
+            self._still = still
 
     def close(self) -> None:
         """Ends them: idle ones by themselves, others by a kill."""
@@ -77,8 +96,8 @@ class Local:
 class _Worker:
     """A process that does one program after the other."""
 
-    def __init__(self, cores: list[int], path: Path, work: Work):
-        self.given = cores, path, work
+    def __init__(self, cores: list[int], path: Path, work: Work, idle: bool):
+        self.given = cores, path, work, idle
         self.program: Program | None = None
         self.process: SpawnProcess | None = None
 
@@ -116,8 +135,10 @@ class _Worker:
             self.process.join()
 
 
-def _serve(pipe: Connection, cores: list[int], path: Path, work: Work) -> None:
+def _serve(pipe: Connection, cores: list[int], path: Path, work: Work, idle: bool) -> None:
     """The process: on its cores, one program after the other until the pipe is closed."""
+    if idle:
+        give_way()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)  # before anything starts threads
     warnings.formatwarning = lambda message, *_, **__: f"deadreckon: warning: {message}\n"  # as the command shows its own

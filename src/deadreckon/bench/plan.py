@@ -5,12 +5,13 @@ others is in `identity.py`. Which cells share a job or a program depends on wher
 """
 
 import dataclasses
+import inspect
 import json
 from collections.abc import Sequence
 from typing import Any
 
 from deadreckon.bench.identity import log_identity, problem_identity, revisions_of
-from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, tuples, turns
+from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of, tuples, turns
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.errors import UserError, unknown
 from deadreckon.training.field_names import with_field_names
@@ -28,15 +29,24 @@ def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
     Raises:
         UserError: an unknown method, log, task or problem, or a setting that a method does not have.
     """
-    describe = {"learn": _learn, "online": _online, "design": _design, "ope": _ope}[suite.kind]
+    describe = {"learn": _learn, "online": _online, "design": _design, "ope": _ope, "study": _study}[suite.kind]
     together, jobs = suite.lanes or lanes or MOST, []
     for on in suite.on:
         for method in suite.methods:
             one = describe(suite, method, on)
-            one = dataclasses.replace(one, revisions=revisions_of(one))
+            one = dataclasses.replace(one, revisions=revisions_of(one), suite=suite.name)
             for first in range(0, suite.seeds, together):
                 jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + together, suite.seeds)))))
     return _packed(jobs, together)
+
+
+def plan_all(suites: Sequence[Suite], lanes: int | None = None) -> list[Job]:
+    """All jobs of suites that are run together, one suite after the other; see `plan`."""
+    jobs: list[Job] = []
+    for suite in suites:
+        first = len(jobs)  # numbers of programs are those of one plan
+        jobs += [dataclasses.replace(job, program=first + (job.program or 0)) for job in plan(suite, lanes)]
+    return jobs
 
 
 def _packed(jobs: Sequence[Job], lanes: int) -> list[Job]:
@@ -147,3 +157,12 @@ def _ope(suite: Suite, method: Method, on: str) -> Job:
     options = {"budget": suite.budget, "fields": method.fields}
     job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), options, (0,), suite.rows)
     return dataclasses.replace(job, settings={"estimator": str(estimator_of(job))})
+
+
+def _study(suite: Suite, method: Method, on: str) -> Job:
+    job = Job("study", method.name, method.agent, dict(method.fields), "", on, on, {}, (0,))
+    try:
+        inspect.signature(study_of(job)).bind(on, seed=0, **job.settings)
+    except TypeError as error:
+        raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} cannot be called so: {error}") from error
+    return job

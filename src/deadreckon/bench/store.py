@@ -12,6 +12,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,12 +40,15 @@ RESULT = pa.schema(
         ("seed", pa.int64()),
         ("score", pa.float64()),  # normalised; of designs the best
         ("raw", pa.float64()),  # undiscounted return, or the best design's score by the oracle
-        ("more", pa.string()),  # JSON: further numbers by name
+        ("more", pa.string()),  # JSON: further numbers by name; of runs the metrics of their last chunk
+        ("episodes", pa.list_(pa.float64())),  # the scores of the last evaluation, which `score` is the mean of
+        ("log", pa.string()),  # fingerprint of the log that was learned from
         ("failure", pa.string()),  # of this seed: which metric was not finite, and when
-        ("seconds", pa.float64()),  # of the whole program, since it was last begun
+        ("seconds", pa.float64()),  # of a processor, and of the whole program, however often it was taken up again
         ("steps", pa.int64()),
         ("revisions", pa.string()),  # JSON; missing where the source was hashed instead, which is no revision of today's
         ("versions", pa.string()),  # JSON
+        ("finished", pa.string()),  # date and time, UTC
         ("job", pa.string()),  # its run folder in `runs`
     ]
 )
@@ -67,6 +71,11 @@ class Store:
 
     path: Path
 
+    @property
+    def place(self) -> Path:
+        """Where results lie."""
+        return self.path
+
     def folder(self, program: Program) -> Path:
         """What its runs are in, or its only run's folder."""
         return self.path / "runs" / program.name
@@ -87,29 +96,22 @@ class Store:
                 waiting.append(dataclasses.replace(job, seeds=tuple(missing[start:end])))
         return waiting
 
-    def keep(self, suite: str, job: Job, found: JobResult, run: str | None = None) -> None:
+    def keep(self, job: Job, found: JobResult, run: str | None = None) -> None:
         """Writes a job's results; the rows come last, as they say that it is done.
 
         Args:
-            suite: its name.
             job: the job.
             found: its results.
             run: its run folder in `runs`, where that is not of its name.
         """
-        common = {
-            "suite": suite, "kind": job.kind, "method": job.method, "agent": job.agent, "settings": json.dumps(job.settings),
-            "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.options), "job": run or job.name,
-            "revisions": json.dumps(job.revisions),
-        }  # fmt: skip
-        rows = [
-            common | {"cell": job.cell(row["seed"]), "content": job.content(row["seed"])} | row
-            for row in found.rows
-        ]
-        for kind, schema, table in (("curves", CURVE, found.curves), ("results", RESULT, rows)):
-            with replacing(self._part(kind, job)) as temporary:
-                pq.write_table(pa.Table.from_pylist(table, schema=schema), temporary)
+        self._write(job, rows_of(job, found, run), found.curves)
         for seed in job.seeds:
             self._failed(job, seed).unlink(missing_ok=True)
+
+    def _write(self, job: Job, rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> None:
+        for kind, schema, table in (("curves", CURVE, curves), ("results", RESULT, rows)):
+            with replacing(self._part(kind, job)) as temporary:
+                pq.write_table(pa.Table.from_pylist(table, schema=schema), temporary)
 
     def fail(self, job: Job, error: str, trace: str) -> None:
         """Takes note of why a job ended without results."""
@@ -147,6 +149,17 @@ class Store:
         # Two commands that pack seeds otherwise may have done a cell both; the newer counts.
         last = {cell: i for i, cell in enumerate(found["cell"].to_pylist())}
         return found.take(pa.array(sorted(last.values()), pa.int64()))
+
+
+def rows_of(job: Job, found: JobResult, run: str | None = None) -> list[dict[str, Any]]:
+    """Whole rows: what a job found, and what it was asked; `run` is its run folder, where that is not of its name."""
+    common = {
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"), "suite": job.suite,
+        "kind": job.kind, "method": job.method, "agent": job.agent, "settings": json.dumps(job.settings),
+        "preset": job.preset, "on": job.on, "data": job.data, "asked": json.dumps(job.options), "job": run or job.name,
+        "revisions": json.dumps(job.revisions),
+    }  # fmt: skip
+    return [common | {"cell": job.cell(row["seed"]), "content": job.content(row["seed"])} | row for row in found.rows]
 
 
 def _with_present_names(rows: pa.Table) -> pa.Table:

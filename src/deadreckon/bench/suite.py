@@ -1,7 +1,7 @@
 """A benchmark, declared: which methods, on what, with which settings and seeds. One TOML file per suite.
 
     about = "One line."
-    kind = "learn"                    # from logs; or "online" in simulators, "design", or "ope" (estimators as methods)
+    kind = "learn"                    # from logs; or "online" in simulators, "design", "ope" (estimators as methods) or "study"
     seeds = 3
     steps = 10_000                    # updates (learn) or environment steps (online); or { NAME = ... } for each of these
     logs = ["hopper-medium-v2"]       # or tasks = [...] (online), or problems = [...] (design)
@@ -11,24 +11,31 @@
     BC = { agent = "bc" }
     BEAR = { agent = "bear", fields = { kernel = "gaussian" } }
     ReBRAC = { agent = "rebrac", preset = true }      # with the settings published for the log, where there are any
+
+    [full]                            # what differs at full size, with `--full`
+    steps = 500_000
+
+A file that has `suites = ["a.toml", ...]` instead is a queue: its suites in the order in which they are run.
 """
 
 import tomllib
 from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from deadreckon.errors import UserError, unknown
 
-Kind = Literal["learn", "online", "design", "ope"]
-PLACES = {"learn": "logs", "online": "tasks", "design": "problems", "ope": "logs"}  # what a suite of a kind lists
+Kind = Literal["learn", "online", "design", "ope", "study"]
+# What a suite of a kind lists.
+PLACES = {"learn": "logs", "online": "tasks", "design": "problems", "ope": "logs", "study": "cases"}
 # Options that not all kinds have.
 OWN = {
     "learn": ("rows", "steps", "episodes", "evaluations"), "online": ("steps", "episodes", "evaluations"),
-    "design": ("designs", "budget"), "ope": ("rows", "budget"),
+    "design": ("designs", "budget"), "ope": ("rows", "budget"), "study": ("metrics",),
 }  # fmt: skip
 BUDGETS = ("full", "cpu")
+SIZES = {"seeds", "steps", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
 STEPS = 100_000  # where a suite says nothing
 
 
@@ -39,7 +46,8 @@ class Method:
     Attributes:
         name: in tables.
         agent: its name in `deadreckon agents`, or of a designer in `deadreckon design methods`, or of an estimator in
-            `deadreckon ope --list`.
+            `deadreckon ope --list`; or `module:function` of a study, which is called with a case, `seed=` and the fields, and
+            returns numbers by name.
         fields: settings that differ from the defaults, or from the preset.
         preset: whether it begins from the settings published for what it is run on, where there are any.
     """
@@ -48,6 +56,24 @@ class Method:
     agent: str
     fields: dict[str, Any] = field(default_factory=dict)
     preset: bool = False
+
+
+class Metric(NamedTuple):
+    """A number of which a suite has a table.
+
+    Attributes:
+        column: of the store's rows, or a name in their `more`.
+        words: what it is.
+        higher: whether more is better.
+        digits: that are shown.
+        joint: whether numbers of different logs or problems are on one scale.
+    """
+
+    column: str
+    words: str
+    higher: bool = True
+    digits: int = 1
+    joint: bool = True
 
 
 @dataclass(frozen=True)
@@ -68,6 +94,9 @@ class Suite:
         budget: sizes of what designers or estimators fit: `full`, or `cpu`.
         lanes: cells of one program at most, which differ in their seeds or in float settings; None: the executor says.
         about: one line.
+        metrics: of a study; other kinds have their own.
+        full: whether the file says what differs at full size.
+        ledger: folder of one file per finished cell, see `bench.ledger`; None: results lie where the command says.
         divided: whether estimates choose among its cells: of a log that no simulator judges they learn from a part alone, see
             `runs.holdout.trial_parts`. No key of a file: `bench.tune` sets it.
     """
@@ -85,6 +114,9 @@ class Suite:
     budget: str = "full"
     lanes: int | None = None
     about: str = ""
+    metrics: tuple[Metric, ...] = ()
+    full: bool = False
+    ledger: Path | None = None
     divided: bool = False
 
 
@@ -93,12 +125,44 @@ def names() -> list[str]:
     return sorted(path.name.removesuffix(".toml") for path in _shipped().iterdir() if path.name.endswith(".toml"))
 
 
-def read(name: Path | str) -> Suite:
+def read(name: Path | str, full: bool = False) -> Suite:
     """A suite of the package by name, or one of your own by its file.
+
+    Args:
+        name: of the suite, or its file.
+        full: at full size, which the file says under `[full]`.
 
     Raises:
         UserError: there is no such suite; it is no TOML; or it says something that cannot be: one line says what.
     """
+    path, where, found = _toml(name)
+    return _suite(path, where, found, full)
+
+
+def queue(name: Path | str, full: bool = False) -> list[Suite]:
+    """The suites of a queue, a file that has `suites = ["a.toml", ...]`, in their order; of another file its one suite.
+
+    Args:
+        name: of a suite, or a file.
+        full: at full size: of suites that say what that is.
+
+    Raises:
+        UserError: as `read` does; or a queue has no suites.
+    """
+    path, where, found = _toml(name)
+    if "suites" not in found:
+        return [_suite(path, where, found, full)]
+    listed = found.pop("suites")
+    if found:
+        raise UserError(f"{where}: a queue has the key suites alone, got {', '.join(found)} too")
+    if not isinstance(listed, list) or not listed or not all(isinstance(one, str) for one in listed):
+        raise UserError(f"{where}: suites must be a list of files or names of suites, got {listed!r}")
+    each = [_toml(path.parent / one if one.endswith(".toml") else one) for one in listed]
+    return [_suite(*parts, full) for parts in each if not full or "full" in parts[2]]
+
+
+def _toml(name: Path | str) -> tuple[Path, str, dict[str, Any]]:
+    """A file's path, what it is called in errors, and what it says."""
     path = Path(name)
     if path.suffix != ".toml":
         if str(name) not in names():
@@ -110,44 +174,69 @@ def read(name: Path | str) -> Suite:
         except (OSError, UnicodeDecodeError) as error:
             raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
     try:
-        told = tomllib.loads(text)
+        return path, where, tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{where} is not TOML: {error}") from error
-    return _suite(path.stem, where, told)
 
 
 def _shipped() -> Any:
     return files("deadreckon.bench").joinpath("suites")
 
 
-def _suite(name: str, where: str, told: dict[str, Any]) -> Suite:
-    kind = told.get("kind", "learn")
+def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suite:
+    changes, document = document.get("full", {}), {key: value for key, value in document.items() if key != "full"}
+    if not isinstance(changes, dict) or not set(changes) <= SIZES:
+        raise UserError(f"{where}: [full] may change {', '.join(sorted(SIZES))}, got {changes!r}")
+    if full:
+        if not changes:
+            raise UserError(f"{where} does not say what differs at full size: give it a section [full]")
+        document |= changes
+    kind = document.get("kind", "learn")
     if kind not in get_args(Kind):
         raise UserError(f"{where}: kind must be one of {', '.join(get_args(Kind))}, got {kind!r}")
     foreign = {option for options in OWN.values() for option in options} - set(OWN[kind])
-    known = {f.name for f in fields(Suite)} - {"name", "on", "divided"} - foreign | {PLACES[kind]}
-    for key in told:
+    name = path.stem
+    known = {f.name for f in fields(Suite)} - {"name", "on", "full", "divided"} - foreign | {PLACES[kind]}
+    for key in document:
         if key not in known:
             raise UserError(f"{where}: {unknown(f'key of a suite of kind {kind}', key, known)}")
-    on = told.get(PLACES[kind])
+    on = document.get(PLACES[kind])
     if not isinstance(on, list) or not on or not all(isinstance(one, str) for one in on) or len(set(on)) < len(on):
         raise UserError(f"{where}: {PLACES[kind]} must be a list of different names, got {on!r}")
-    methods = told.get("methods")
+    methods = document.get("methods")
     if not isinstance(methods, dict) or not methods:
         raise UserError(f"{where}: [methods] must name at least one, such as BC = {{ agent = 'bc' }}")
     whole = "seeds", "episodes", "evaluations", "rows", "designs", "lanes"
-    counts = {key: told[key] for key in whole if key in told}
+    counts = {key: document[key] for key in whole if key in document}
     for key, value in counts.items():
         _check_count(where, key, value)
-    if told.get("budget", "full") not in BUDGETS:
-        raise UserError(f"{where}: budget must be one of {', '.join(BUDGETS)}, got {told['budget']!r}")
-    steps = _steps(where, told.get("steps", STEPS), on)
-    rest = {key: told[key] for key in ("budget", "about") if key in told}
+    if document.get("budget", "full") not in BUDGETS:
+        raise UserError(f"{where}: budget must be one of {', '.join(BUDGETS)}, got {document['budget']!r}")
+    steps = _steps(where, document.get("steps", STEPS), on)
+    rest: dict[str, Any] = {key: document[key] for key in ("budget", "about") if key in document}
+    rest |= _metrics(where, kind, document.get("metrics"))
+    if "ledger" in document:
+        if not isinstance(document["ledger"], str):
+            raise UserError(f"{where}: ledger must be a folder's name, got {document['ledger']!r}")
+        rest["ledger"] = path.parent / document["ledger"]
     ways = tuple(_method(where, *each) for each in methods.items())
-    suite = Suite(name, kind, tuple(on), ways, steps=steps, **counts, **rest)
+    suite = Suite(name, kind, tuple(on), ways, steps=steps, full=bool(changes), **counts, **rest)
     if "steps" in OWN[kind] and suite.evaluations > min(steps.values()):
         raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
     return suite
+
+
+def _metrics(where: str, kind: str, document: Any) -> dict[str, tuple[Metric, ...]]:
+    """Of a study, from `[metrics]`: NAME = { words = "...", higher = false, digits = 2 }."""
+    if kind != "study":
+        return {}
+    kinds = {"words": str, "higher": bool, "digits": int}
+    if not isinstance(document, dict) or not document:
+        raise UserError(f"{where}: a study must say its [metrics], such as error = {{ words = 'mean error', higher = false }}")
+    for name, one in document.items():
+        if not isinstance(one, dict) or "words" not in one or any(not isinstance(one[k], kinds.get(k, ())) for k in one):
+            raise UserError(f"{where}: metric {name!r} must say its words, and may say higher (true or false) and digits")
+    return {"metrics": tuple(Metric(name, joint=False, **one) for name, one in document.items())}
 
 
 def _check_count(where: str, what: str, value: Any) -> None:
@@ -155,9 +244,9 @@ def _check_count(where: str, what: str, value: Any) -> None:
         raise UserError(f"{where}: {what} must be a whole number of 1 or more, got {value!r}")
 
 
-def _steps(where: str, told: Any, on: list[str]) -> dict[str, int]:
+def _steps(where: str, document: Any, on: list[str]) -> dict[str, int]:
     """Of each of `on`, from one number for all or one each."""
-    each: dict[str, Any] = told if isinstance(told, dict) else dict.fromkeys(on, told)
+    each: dict[str, Any] = document if isinstance(document, dict) else dict.fromkeys(on, document)
     if set(each) != set(on):
         raise UserError(f"{where}: steps must be one number, or name each of {', '.join(on)}; it names {', '.join(each)}")
     for name, value in each.items():
@@ -165,17 +254,17 @@ def _steps(where: str, told: Any, on: list[str]) -> dict[str, int]:
     return {name: each[name] for name in on}
 
 
-def _method(where: str, name: str, told: Any) -> Method:
+def _method(where: str, name: str, document: Any) -> Method:
     kinds = {"agent": str, "fields": dict, "preset": bool}
-    if not isinstance(told, dict) or "agent" not in told:
+    if not isinstance(document, dict) or "agent" not in document:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
-    for key in told:
+    for key in document:
         if key not in kinds:
             raise UserError(f"{where}: {unknown(f'key of method {name!r}', key, kinds)}")
-    for key, value in told.items():
+    for key, value in document.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
-    for key, value in told.get("fields", {}).items():
+    for key, value in document.get("fields", {}).items():
         if not isinstance(value, bool | int | float | str | list):
             raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
-    return Method(name, **told)
+    return Method(name, **document)

@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from deadreckon.agents import agent_class
 from deadreckon.bench import published
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
-from deadreckon.bench.suite import Suite
+from deadreckon.bench.suite import Metric, Suite
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
@@ -32,24 +32,6 @@ SOURCES = {
 SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
 # Agents in the thesis's Table 7.1; BRAC has a name for each form.
 THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
-
-
-class Metric(NamedTuple):
-    """A number of which a suite has a table.
-
-    Attributes:
-        column: of the store's rows, or a name in their `more`.
-        words: what it is.
-        higher: whether more is better.
-        digits: that are shown.
-        joint: whether numbers of different logs or problems are on one scale.
-    """
-
-    column: str
-    words: str
-    higher: bool = True
-    digits: int = 1
-    joint: bool = True
 
 
 _SCORE = Metric("score", "normalised score")
@@ -115,7 +97,7 @@ def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool =
         store: where results lie.
         any_revision: take results that other revisions of a method or the protocol made, too, where the present ones have none.
     """
-    return [_table(suite, metric, jobs, store, any_revision) for metric in METRICS[suite.kind]]
+    return [_table(suite, metric, jobs, store, any_revision) for metric in suite.metrics or METRICS[suite.kind]]
 
 
 def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_revision: bool) -> Table:
@@ -133,7 +115,7 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
         own = [by_cell[name] | {"method": job.method, "on": job.on} for name in names if name in by_cell]
         shown += own
         before = cells.setdefault(job.method, {}).get(job.on, Cell(np.zeros(0), 0, 0))
-        scores = np.concatenate([before.scores, np.array([_number(row, metric.column) for row in own], float)])
+        scores = np.concatenate([before.scores, np.array([number(row, metric.column) for row in own], float)])
         failed = before.failed + sum(row["failure"] != "" for row in own)
         cells[job.method][job.on] = Cell(scores, before.missing + len(names) - len(own), failed)
     for on in suite.on:
@@ -151,7 +133,8 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
 
 
-def _number(row: dict[str, Any], column: str) -> float:
+def number(row: dict[str, Any], column: str) -> float:
+    """What a row of results has under a name, in a column or in its `more`; NaN where it has nothing."""
     found = row[column] if column in row else json.loads(row["more"] or "{}").get(column)
     return np.nan if found is None else float(found)
 

@@ -211,7 +211,7 @@ def tune(
     if not 0.0 <= discount < 1.0:
         raise UserError(f"discount must be in [0, 1), got {discount}")
     jobs = plan(search, executor.lanes)
-    run(search.name, jobs, store, on_event, executor)
+    run(jobs, store, on_event, executor)
     failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
     if failures:
         job, failure = failures[0]

@@ -1,17 +1,20 @@
 """What a program does: runs that go on where they were stopped, and their numbers as rows."""
 
+import contextlib
 import json
+import math
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deadreckon.bench.identity import of_fits, revisions_of
-from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, turns
+from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, study_of, turns
 from deadreckon.bench.store import JobResult
 from deadreckon.errors import UserError
-from deadreckon.files import alone, digest
+from deadreckon.files import alone, digest, read_json, write_json
 from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
@@ -35,9 +38,43 @@ def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list
         if (here := revisions_of(each)) != each.revisions:
             planned = f"{each.method} on {each.on} was planned at revisions {each.revisions}, where it would run are {here}"
             raise UserError(f"{planned}; install the same package there, or run the command again")
-    if others:
-        return _learn_together(program, folder, watch)
-    return [{"learn": _learn, "online": _online, "design": _design, "ope": _ope}[job.kind](job, folder, watch)]
+    with _stopwatch(folder) as spent:
+
+        def noted(done: int, total: int | None) -> None:
+            spent.keep()
+            watch(done, total)
+
+        results = _learn_together(program, folder, noted) if others else [_PERFORM[job.kind](job, folder, noted)]
+        for row in (row for found in results for row in found.rows):
+            row["seconds"] = spent.seconds
+        return results
+
+
+class _Spent:
+    """Seconds that a program has taken so far, kept in a file, so that those before a kill count."""
+
+    def __init__(self, path: Path):
+        import jax
+
+        # Of the processor, which does not count what others take or a pause; one that waits for a GPU is not at work.
+        self.clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
+        self.path, self.began = path, self.clock()
+        self.before = read_json(path)["seconds"] if path.exists() else 0.0
+
+    @property
+    def seconds(self) -> float:
+        return self.before + self.clock() - self.began
+
+    def keep(self) -> None:
+        write_json(self.path, {"seconds": self.seconds})
+
+
+@contextlib.contextmanager
+def _stopwatch(folder: Path) -> Iterator[_Spent]:
+    """What a program takes, kept beside its folder until it is done."""
+    spent = _Spent(folder.with_name(f"{folder.name}.seconds"))
+    yield spent
+    spent.path.unlink(missing_ok=True)
 
 
 def source(job: Job) -> Path | str:
@@ -65,19 +102,16 @@ def _log(job: Job) -> Any:
 def _learn(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.runs.train import train
 
-    began = time.perf_counter()
-    run = train(agent_of(job), _log(job), out=folder, **_options(job, watch))
-    return _result(job, run, time.perf_counter() - began)
+    return _result(job, train(agent_of(job), _log(job), out=folder, **_options(job, watch)))
 
 
 def _learn_together(program: Program, folder: Path, watch: Progress) -> list[JobResult]:
     from deadreckon.runs.train import train_together
 
-    began, first = time.perf_counter(), program.jobs[0]
+    first = program.jobs[0]
     agents = {job.name: agent_of(job) for job in program.jobs}
     runs = train_together(agents, _log(first), out=folder, **_options(first, watch))
-    took = time.perf_counter() - began
-    return [_result(job, runs[job.name], took) for job in program.jobs]
+    return [_result(job, runs[job.name]) for job in program.jobs]
 
 
 def _options(job: Job, watch: Progress) -> dict[str, Any]:
@@ -93,39 +127,56 @@ def _options(job: Job, watch: Progress) -> dict[str, Any]:
 def _online(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.runs.online import train_online
 
-    options, began = job.options, time.perf_counter()
+    options = job.options
     run = train_online(
         agent_of(job), job.on, steps=options["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
         settings=turns(job), evaluate_every=options["every"], episodes=options["episodes"], resume=True,
         watch=lambda progress, steps: watch(progress.step, steps),
     )  # fmt: skip
-    return _result(job, run, time.perf_counter() - began)
+    return _result(job, run)
 
 
-def _result(job: Job, run: Any, seconds: float) -> JobResult:
-    """Rows and curves of a run: means over the episodes of its evaluations."""
-    told = run.evaluations.to_pydict()
-    judged = "score" in told
-    step, seed = np.asarray(told["step"]), np.asarray(told["seed"])
+def _result(job: Job, run: Any) -> JobResult:
+    """Rows and curves of a run: means over the episodes of its evaluations, and what else its last one and last chunk say."""
+    table = {name: np.asarray(column) for name, column in run.evaluations.to_pydict().items()}
+    metrics = {name: np.asarray(column) for name, column in run.metrics.to_pydict().items()}
+    judged = "score" in table
+    step, seed = table["step"], table["seed"]
     rows, curves = [], []
     for number, failure in zip(run.seeds, run.failures):
         own = seed == number
         for at in np.unique(step[own]):
             here = own & (step == at)
-            score, raw = (np.asarray(told[name])[here] if judged else np.array([np.nan]) for name in ("score", "return"))
+            score, raw = (table[name][here] if judged else np.array([np.nan]) for name in ("score", "return"))
             spread = float(score.std(ddof=1)) if len(score) > 1 else None
             point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
             curves.append({"cell": job.cell(number), "spread": spread} | point)
         last = curves[-1]
+        final = own & (step == last["step"])
+        more = _last(metrics, metrics["seed"] == number) | {
+            name: float(column[final].mean()) for name, column in table.items() if name not in ("step", "seed", "episode")
+        }
+        if {"estimated_value", "discounted_return"} <= set(more):
+            more["overestimate"] = more["estimated_value"] - more["discounted_return"]
         steps = last["step"] if failure and job.kind == "learn" else job.options["steps"]
         rows.append(
             {
-                "seed": number, "score": last["score"], "raw": last["raw"], "steps": steps, "seconds": seconds,
+                "seed": number, "score": last["score"], "raw": last["raw"], "steps": steps,
+                "more": json.dumps({name: value for name, value in more.items() if math.isfinite(value)}),
+                "episodes": [float(score) for score in table["score"][final]] if judged else [],
+                "log": run.config["data"]["fingerprint"],
                 "failure": "" if failure is None else f"{failure.metric} was not finite at update {failure.step}",
                 "versions": json.dumps(run.config["versions"]),
             }
         )  # fmt: skip
     return JobResult(rows, curves)
+
+
+def _last(metrics: dict[str, np.ndarray], own: np.ndarray) -> dict[str, float]:
+    """Of the last chunk of a seed whose metrics were sound, its metrics by name."""
+    names = [name for name in metrics if name not in ("step", "seed")]
+    sound = own & np.all([np.isfinite(metrics[name].astype(float)) for name in names], axis=0) if names else own
+    return {name: float(metrics[name][sound][-1]) for name in names} if sound.any() else {}
 
 
 def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
@@ -144,7 +195,7 @@ def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
         rows.append(
             {
                 "seed": seed, "score": 100.0 * float(scores.percentile(100, True)), "raw": float(scores.percentile(100, False)),
-                "more": json.dumps(more), "steps": 0, "seconds": result.seconds, "failure": "",
+                "more": json.dumps(more), "steps": 0, "failure": "",
                 "versions": json.dumps(versions()),
             }
         )  # fmt: skip
@@ -167,9 +218,29 @@ def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
         found = {name: getattr(result.metrics(), name).value if sound else None for name in METRICS}
         rows.append(
             {
-                "seed": seed, "score": found["rank_correlation"], "raw": None, "steps": 0, "seconds": result.seconds,
+                "seed": seed, "score": found["rank_correlation"], "raw": None, "steps": 0, "log": log.fingerprint,
                 "more": json.dumps(found | {"result": to_json(result)}), "versions": json.dumps(versions()),
                 "failure": "" if sound else " ".join(result.warnings) or "its estimates are not finite",
             }
         )  # fmt: skip
     return JobResult(rows, [])
+
+
+def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
+    from deadreckon.versions import versions
+
+    rows = []
+    for done, seed in enumerate(job.seeds):
+        watch(done, len(job.seeds))
+        numbers = {name: float(value) for name, value in study_of(job)(job.on, seed=seed, **job.settings).items()}
+        bad = [name for name, value in numbers.items() if not math.isfinite(value)]
+        rows.append(
+            {
+                "seed": seed, "score": numbers.get("score"), "raw": None, "steps": 0, "more": json.dumps(numbers),
+                "versions": json.dumps(versions()), "failure": f"{bad[0]} is not finite" if bad else "",
+            }
+        )  # fmt: skip
+    return JobResult(rows, [])
+
+
+_PERFORM = {"learn": _learn, "online": _online, "design": _design, "ope": _ope, "study": _study}

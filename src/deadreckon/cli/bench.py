@@ -17,8 +17,12 @@ from deadreckon.errors import UserError
 class Bench:
     """Run the missing cells of a suite: one of the package, by name, or your TOML file. See also bench list, bench show."""
 
-    suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
+    suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file, also one of a queue
     out: str = "runs/bench"  # folder of results of any number of suites; existing results are not computed again
+    full: bool = False  # run the full size that the suite declares under [full]
+    time: Annotated[str | None, tyro.conf.arg(name="for")] = None
+    """time after which to stop, such as 90s, 30m, 8h; the same command continues later; None: until all is done"""
+    idle: bool = False  # take only the processor time that other programs leave, and pause while benchmarks measure
     executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine (local), or a Ray cluster
     workers: int | None = None  # number of processes, with local; None: one per core, or one for a GPU
     address: str | None = None  # address of the Ray cluster; None: RAY_ADDRESS, one on this machine, or a new one
@@ -33,6 +37,7 @@ class Show:
 
     suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
     out: str = "runs/bench"  # folder of the results
+    full: bool = False  # show results of the full size that the suite declares under [full]
     format: Literal["text", "markdown", "csv", "latex"] = "text"  # format of the table
     any_revision: bool = False  # whether to show results of other revisions of the methods and the protocol too
 
@@ -62,40 +67,52 @@ def _list(args: Sequence[str]) -> None:
 
 def _show(args: Sequence[str]) -> None:
     from deadreckon.bench.forms import rendered
+    from deadreckon.bench.ledger import store_of
     from deadreckon.bench.plan import plan
-    from deadreckon.bench.store import Store
-    from deadreckon.bench.suite import read
+    from deadreckon.bench.suite import queue
     from deadreckon.bench.tables import tables
 
     options = parse(Show, args, "bench show")
-    suite = read(options.suite)
-    print(rendered(tables(suite, plan(suite), Store(Path(options.out)), options.any_revision), options.format))
+    suites = queue(options.suite, options.full)
+    store = store_of(suites, Path(options.out))
+    for suite in suites:
+        if len(suites) > 1:
+            print(f"\n{suite.name}: {suite.about}\n")
+        print(rendered(tables(suite, plan(suite), store, options.any_revision), options.format))
 
 
 def _run(options: Bench) -> None:
     from deadreckon.bench.executor import run
     from deadreckon.bench.forms import rendered
-    from deadreckon.bench.plan import plan
-    from deadreckon.bench.store import Store
-    from deadreckon.bench.suite import read
+    from deadreckon.bench.ledger import store_of
+    from deadreckon.bench.plan import plan_all
+    from deadreckon.bench.suite import queue
     from deadreckon.bench.tables import tables
+    from deadreckon.runs.durations import seconds_of
 
-    suite = read(options.suite)
-    plan(suite)  # refuses what cannot be run before a cluster is joined
+    suites = queue(options.suite, options.full)
+    seconds = None if options.time is None else seconds_of(options.time)
+    store = store_of(suites, Path(options.out))
+    plan_all(suites)  # refuses what cannot be run before a cluster is joined
     executor = _executor(options)
-    jobs, store = plan(suite, executor.lanes), Store(Path(options.out))
-    waiting = announce(suite, jobs, store, executor, options.dry_run)
+    jobs = plan_all(suites, executor.lanes)
+    waiting = announce(Path(options.suite).stem, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return executor.close()
-    run(suite.name, jobs, store, Lines(len(waiting)), executor)
-    print("\n" + rendered(tables(suite, jobs, store)))
-    if page := _page(suite, jobs, store):
-        print(page)
-    if store.undone(jobs):
+    run(jobs, store, Lines(len(waiting)), executor, seconds)
+    for suite in suites:
+        own = [job for job in jobs if job.suite == suite.name]
+        if len(suites) == 1:
+            print("\n" + rendered(tables(suite, own, store)))
+        if page := _page(suite, own, store):
+            print(page)
+    if left := store.undone(jobs):
+        if seconds is not None:
+            print(f"{sum(len(job.seeds) for job in left):,} cells are left; the same command goes on with them")
         raise SystemExit(1)
 
 
-def announce(suite, jobs, store, executor, each: bool):
+def announce(name, jobs, store, executor, each: bool):
     """Says what is to be done and how long it may take, job by job if `each`, and gives it."""
     from deadreckon.bench.jobs import programs
     from deadreckon.bench.times import forecast
@@ -103,7 +120,7 @@ def announce(suite, jobs, store, executor, each: bool):
 
     waiting = programs(store.undone(jobs))
     cells, missing = sum(len(job.seeds) for job in jobs), sum(program.lanes for program in waiting)
-    print(f"{suite.name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.path}")
+    print(f"{name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.place}")
     seconds = forecast(waiting, store)
     for program in waiting if each else ():
         took = seconds[program.name]
@@ -118,6 +135,8 @@ def announce(suite, jobs, store, executor, each: bool):
 
 def _executor(options: Bench):
     if options.executor == "ray":
+        if options.idle:
+            raise UserError("--idle is of --executor local")
         if options.workers is not None:
             raise UserError("--workers is of --executor local; a Ray cluster runs as many jobs as --cpus and --gpus let it")
         from deadreckon.bench.cluster import Cluster
@@ -128,7 +147,7 @@ def _executor(options: Bench):
     for name, default in (("address", None), ("cpus", 1), ("gpus", 0.0)):
         if getattr(options, name) != default:
             raise UserError(f"--{name} is of --executor ray")
-    return Local(Path(options.out), options.workers)
+    return Local(Path(options.out), options.workers, idle=options.idle)
 
 
 class Lines:

@@ -61,7 +61,7 @@ def tune(args: Sequence[str]) -> None:
     store = Store(Path(options.out))
     executor = Local(store.path, options.workers)
     jobs = plan(asked, executor.lanes)
-    waiting = announce(asked, jobs, store, executor, options.dry_run)
+    waiting = announce(asked.name, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return
     with Watch() as watch:

@@ -124,7 +124,7 @@ class Beliefs:
     known: np.ndarray
 
 
-SEEN = (-4.0, -1.0), (1.5, 3.0)  # where there is data, as in examples/nemo_sine.py
+SEEN = (-4.0, -1.0), (1.5, 3.0)  # where there is data, as in evidence/studies/nml_sine.py
 
 
 def sine(points: int = 60, queries: int = 65, members: int = 32, seed: int = 0) -> Beliefs:

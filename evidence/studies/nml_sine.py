@@ -1,6 +1,6 @@
 """Figure 6.3: what quantised NML and a bootstrapped ensemble believe inside and outside of the data, measured and drawn.
 
-    python examples/nemo_sine.py --picture docs/results/nemo-sine.svg
+    python evidence/studies/nml_sine.py --picture docs/results/nemo-sine.svg
 
 Points of sin(x) with a gap, in 32 bins. NML at a query fits 32 networks, each to the data and the claim that the query
 falls into its bin; the ensemble is 32 networks of the same shape on redrawn data. All queries' networks are one program.
@@ -81,6 +81,31 @@ def beliefs(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return x, label, queries, nml, np.exp(np.asarray(boot)).mean(0)
 
 
+def diffuse(case: str, *, seed: int, method: str) -> dict[str, float]:
+    """How diffuse a method's beliefs are, and how surprised it is by the truth; data and networks are drawn with the seed.
+
+    Args:
+        case: `inside` or `outside` of the data.
+        seed: of data and networks.
+        method: `nml` or `ensemble`.
+
+    Returns:
+        entropy: mean over queries, nats.
+        surprise: mean of -log p(truth), nats.
+    """
+    _, _, queries, *beliefs_of = beliefs(Options(), seed)
+    return measures(queries, beliefs_of[("nml", "ensemble").index(method)], case == "inside")
+
+
+def measures(queries: np.ndarray, probs: np.ndarray, inside: bool) -> dict[str, float]:
+    """Mean entropy, and mean surprise at the truth, of the queries inside or outside of the data."""
+    bins = probs.shape[1]
+    truth = np.asarray(quantise(jnp.asarray((np.sin(queries) + 1) / 2), bins))
+    where = np.any([(queries >= low) & (queries <= high) for low, high in SEEN], 0) == inside
+    surprise = -np.log(np.maximum(probs[np.arange(len(queries)), truth], 1e-12))
+    return {"entropy": float(entropy(probs)[where].mean()), "surprise": float(surprise[where].mean())}
+
+
 def entropy(probs: np.ndarray) -> np.ndarray:
     """In nats, of each row."""
     return -(probs * np.log(np.maximum(probs, 1e-12))).sum(-1)
@@ -92,13 +117,9 @@ def main(options: Options) -> None:
     rows = []
     for seed in range(options.seeds):
         found = beliefs(options, seed)
-        queries = found[2]
-        truth = np.asarray(quantise(jnp.asarray((np.sin(queries) + 1) / 2), options.bins))
-        inside = np.any([(queries >= low) & (queries <= high) for low, high in SEEN], 0)
         for name, probs in (("NML", found[3]), ("ensemble", found[4])):
-            surprise = -np.log(np.maximum(probs[np.arange(len(queries)), truth], 1e-12))
-            parts = [(entropy(probs)[where].mean(), surprise[where].mean()) for where in (inside, ~inside)]
-            rows.append((name, *parts[0], *parts[1]))
+            parts = [measures(found[2], probs, inside) for inside in (True, False)]
+            rows.append((name, *parts[0].values(), *parts[1].values()))
         if seed == 0 and options.picture:
             draw(options, *found)
     print(f"entropy: {np.log(options.bins):.2f} at most; means over {options.seeds} seeds (range over seeds)\n")

@@ -1,0 +1,189 @@
+"""Writes what pages show from the ledger: tables, figures, claims and what has not been run.
+
+    python -m evidence.pages             (in the repository's folder: writes)
+    python -m evidence.pages --check     (names what is not as the ledger says, and writes nothing)
+
+A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose contents are made here:
+
+    table SUITE          the suite's tables, as `deadreckon bench show evidence/SUITE --format markdown` prints them
+    curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
+    ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
+    claims               every claim with what the results say of it
+    pending              declared cells without results, and what they would take
+"""
+
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.bench.claims import Comparison, Verdict, claims, verdict
+from deadreckon.bench.forms import rendered
+from deadreckon.bench.jobs import programs
+from deadreckon.bench.ledger import store_of
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import Store
+from deadreckon.bench.suite import Suite, queue, read
+from deadreckon.bench.tables import tables
+from deadreckon.bench.times import forecast
+from deadreckon.report import charts
+from deadreckon.report.picture import PANEL, sheet
+from deadreckon.stats.interval import PERCENT
+from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
+
+HERE = Path(__file__).resolve().parent
+PAGES = HERE.parent / "docs" / "results"
+BLOCK = re.compile(r"(<!-- (table|curves|ranking|claims|pending)(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
+
+
+@cache
+def _suite(name: str) -> tuple[Suite, Store]:
+    suite = read(HERE / name)
+    return suite, store_of([suite], HERE)
+
+
+def table(name: str, files: dict[str, bytes]) -> str:
+    """A suite's tables in Markdown, with the command that prints them."""
+    suite, store = _suite(name)
+    shown = rendered(tables(suite, plan(suite), store), "markdown")
+    return f"`deadreckon bench show evidence/{name} --format markdown`\n\n{shown}\n"
+
+
+def curves(name: str, files: dict[str, bytes]) -> str:
+    """A picture of a suite's learning curves."""
+    suite, store = _suite(name)
+    known = {row["cell"] for row in store.results().to_pylist()}
+    points: dict[str, list[tuple[int, float]]] = {}
+    for row in store.curves().to_pylist():
+        points.setdefault(row["cell"], []).append((row["step"], row["score"]))
+    names, panels = [method.name for method in suite.methods], {}
+    for on in suite.on:
+        series = []
+        for slot, method in enumerate(names):
+            jobs = [job for job in plan(suite) if job.on == on and job.method == method]
+            own = [sorted(points[cell]) for job in jobs for cell in job.cells if cell in known]
+            own = [curve for curve in own if len(curve) == suite.evaluations]
+            if own:
+                steps = np.array([step for step, _ in own[0]], float)
+                series.append(charts.Series.over_seeds(method, slot, steps, np.array([[y for _, y in curve] for curve in own])))
+        if series:
+            panels[on] = charts.lines(series, title=on, unit="normalised score", size=PANEL)
+    if not panels:
+        return "No curve yet.\n"
+    with tempfile.TemporaryDirectory() as folder:
+        files[picture := f"{suite.name}-curves.svg"] = sheet(Path(folder) / "curves.svg", panels, names, 3).read_bytes()
+    text = "Line: mean over seeds; band: lowest to highest."
+    return f"![Normalised score against updates, a panel for each log]({picture})\n\n{text}\n"
+
+
+def ranking(name: str, files: dict[str, bytes]) -> str:
+    """Methods that have all seeds of all logs, over all logs together."""
+    suite, store = _suite(name)
+    (found, *_) = tables(suite, plan(suite), store)
+    sound = {method: row for method, row in found.cells.items() if all(cell.sound for cell in row.values())}
+    whole = {method: {on: cell.scores for on, cell in row.items()} for method, row in sound.items()}
+    if len(whole) < 2:
+        return "No two methods have results on all logs yet.\n"
+    first = next(iter(whole))
+    order = sorted(whole, key=lambda method: -interval(whole[method], iqm).value)
+    rows = [f"| method | interquartile mean | probability of improvement over {first} |", "|---|---:|---:|"]
+    for method in order:
+        better = "" if method == first else f"{probability_of_improvement(whole[method], whole[first]):.2f}"
+        rows.append(f"| {method} | {interval(whole[method], iqm):.1f} | {better} |")
+    grid = np.linspace(0.0, 120.0, 61)
+    series = []
+    for slot, method in enumerate(whole):
+        profile = performance_profile(whole[method], grid)
+        series.append(charts.Series(method, slot, grid, profile.value, profile.low, profile.high))
+    chart = charts.lines(series, title="Performance profiles", unit="share of runs above", size=PANEL, across="score")
+    with tempfile.TemporaryDirectory() as folder:
+        path = sheet(Path(folder) / "profiles.svg", {"Performance profiles": chart}, list(whole))
+        files[picture := f"{suite.name}-profiles.svg"] = path.read_bytes()
+    text = f"{len(suite.on)} logs, {suite.seeds} seeds; {PERCENT} bootstrap intervals, too narrow for few seeds."
+    return "\n".join([*rows, "", text, "", f"![Share of runs that score above a threshold]({picture})", ""])
+
+
+def _reads(verdict: Verdict) -> str:
+    if not verdict.comparisons:
+        return "open: its cells are not declared yet"
+    if verdict.missing:
+        return f"open: {verdict.cells - verdict.missing:,} of {verdict.cells:,} scores"
+    return f"**{verdict.state}**"
+
+
+def _effect(one: Comparison) -> str:
+    test = one.test
+    rival = one.rival or f"{test.than:g}"
+    where = f" on {', '.join(one.on)}" if len(one.on) < len(read(test.suite).on) else ""
+    words = f"{test.metric}{' (less is better)' if test.less else ''}: {test.method} against {rival}{where}"
+    margin = f", margin {test.margin:g}" if test.margin else ""
+    return f"`{test.suite.name}`, {words}: " + ("not there yet" if one.missing else f"gain {one.gain:.3g}{margin}, {one.state}")
+
+
+def claimed(name: str, files: dict[str, bytes]) -> str:
+    """A row for each claim, and below them what each rests on."""
+    rows = ["| | claim | in the thesis | CPU size | full size |", "|---|---|---|---|---|"]
+    details: list[str] = []
+    for claim in claims(HERE / "claims.toml"):
+        store = store_of([read(test.suite) for test in claim.tests], HERE) if claim.tests else Store(HERE)
+        own = verdict(claim, store)
+        sized = bool(claim.tests) and all(read(test.suite).full for test in claim.tests)
+        full = _reads(verdict(claim, store, full=True)) if sized else "the same"
+        rows.append(f"| {claim.id} | {claim.says} | {claim.place} | {_reads(own)} | {full if claim.tests else ''} |")
+        details += [f"- {claim.id}, {_effect(each)}" for each in own.comparisons]
+        if claim.note:
+            details.append(f"- {claim.id}: {claim.note}")
+    return "\n".join([*rows, "", *details, ""])
+
+
+def pending(name: str, files: dict[str, bytes]) -> str:
+    """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done."""
+    rows = ["| suite | size | cells missing | hours of one core | command |", "|---|---|---:|---:|---|"]
+    for full in (False, True):
+        for suite in queue(HERE / "queue.toml", full):
+            store = store_of([suite], HERE)
+            jobs = plan(suite, 1)
+            missing = programs(store.undone(jobs))
+            if not missing:
+                continue
+            known = [seconds for seconds in forecast(missing, store).values() if seconds is not None]
+            hours = f"{sum(known) / len(known) * len(missing) / 3600:,.1f}" if known else "not measured"
+            command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}"
+            size, count = "full" if full else "CPU", f"{len(missing):,} of {len(jobs):,}"
+            rows.append(f"| {suite.about} | {size} | {count} | {hours} | `{command}` |")
+    return "\n".join([*rows, ""]) if len(rows) > 2 else "Nothing.\n"
+
+
+MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
+    "table": table, "curves": curves, "ranking": ranking, "claims": claimed, "pending": pending,
+}  # fmt: skip
+
+
+def made(text: str, files: dict[str, bytes]) -> str:
+    """A page with its blocks as the ledger says; `files` gets the pictures that they show, by name."""
+    return BLOCK.sub(lambda m: f"{m[1]}\n{MAKE[m[2]](m[3] or '', files)}\n{m[5]}", text)
+
+
+def main(args: Sequence[str]) -> int:
+    """Writes, or checks."""
+    wrong, check = [], "--check" in args
+    for path in sorted(PAGES.glob("*.md")):
+        files: dict[str, bytes] = {}
+        text = path.read_text()
+        wanted = {path: made(text, files).encode()} | {PAGES / name: data for name, data in files.items()}
+        for target, data in wanted.items():
+            if not target.exists() or target.read_bytes() != data:
+                wrong.append(target)
+                if not check:
+                    target.write_bytes(data)
+    for path in wrong:
+        print(f"{path} {'is not what the ledger says: run python -m evidence.pages' if check else 'written'}")
+    return int(check and bool(wrong))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,248 @@
+"""Claims, declared with the cells and the rule that decide them, and what the results say of each.
+
+    [tuned]                                 # logs on which the defaults of an agent were chosen: they decide nothing about it
+    bear = ["hopper-medium-v2"]
+
+    [[claims]]
+    id = "C3"
+    says = "BEAR is better than BC and TD3 on medium data."
+    place = "thesis 4.6, Figure 4.3"
+
+    [[claims.tests]]
+    suite = "constraint.toml"               # beside this file
+    method = "BEAR"
+    than = ["BC", "TD3"]                    # methods of the suite; or one number
+    on = ["walker2d-medium-v2"]             # of the suite's logs, tasks, problems or cases; all where it is absent
+    metric = "score"                        # a column of results, or a name in their `more`
+    less = false                            # whether less is better
+    margin = 0.0                            # the gain that is claimed; below zero where it is "no worse"
+    each = false                            # whether it is claimed of each log by itself, and not of their mean
+
+A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
+same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
+*contradicted* where it lies below, and is *open* else, or where cells are missing. A claim holds where all its comparisons
+hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then (Bonferroni).
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import Store
+from deadreckon.bench.suite import Suite, read
+from deadreckon.bench.tables import number
+from deadreckon.errors import UserError, unknown
+from deadreckon.stats.comparison import paired
+from deadreckon.stats.interval import ALPHA, Interval
+
+State = Literal["holds", "contradicted", "open"]
+
+
+@dataclass(frozen=True)
+class Test:
+    """What is compared.
+
+    Attributes:
+        suite: its file.
+        method: of the suite.
+        than: methods of the suite, or a number.
+        on: logs, tasks, problems or cases of the suite.
+        metric: a column of results, or a name in their `more`.
+        less: whether less is better.
+        margin: the gain that is claimed.
+        each: whether it is claimed of each of `on`, not of their mean.
+    """
+
+    suite: Path
+    method: str
+    than: tuple[str, ...] | float
+    on: tuple[str, ...]
+    metric: str = "score"
+    less: bool = False
+    margin: float = 0.0
+    each: bool = False
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence that results can decide.
+
+    Attributes:
+        id: short name.
+        says: the claim.
+        place: where it is made.
+        tests: that decide it; none where nothing can yet.
+        note: what a reader must know, such as why it cannot be decided.
+    """
+
+    id: str
+    says: str
+    place: str
+    tests: tuple[Test, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A method beside a rival, or beside a number.
+
+    Attributes:
+        test: what is compared.
+        rival: method of the suite, or None where it is a number.
+        on: what it rests on.
+        gain: mean difference, more being better, with its interval; NaN where there is nothing.
+        strict: the same at the level at which one of many comparisons contradicts the claim.
+        cells: that it needs.
+        missing: of these, that are not there.
+    """
+
+    test: Test
+    rival: str | None
+    on: tuple[str, ...]
+    gain: Interval
+    strict: Interval
+    cells: int
+    missing: int
+
+    @property
+    def state(self) -> State:
+        """What it says."""
+        if self.missing or not math.isfinite(self.gain.low):
+            return "open"
+        if self.gain.low > self.test.margin:
+            return "holds"
+        return "contradicted" if self.strict.high < self.test.margin else "open"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the results say of a claim at one size."""
+
+    claim: Claim
+    comparisons: tuple[Comparison, ...]
+
+    @property
+    def state(self) -> State:
+        """Of the claim."""
+        states = [each.state for each in self.comparisons]
+        if "contradicted" in states:
+            return "contradicted"
+        return "holds" if states and all(state == "holds" for state in states) else "open"
+
+    @property
+    def cells(self) -> int:
+        """That it needs, those of several comparisons counted for each."""
+        return sum(each.cells for each in self.comparisons)
+
+    @property
+    def missing(self) -> int:
+        """Of these, that are not there."""
+        return sum(each.missing for each in self.comparisons)
+
+
+def claims(path: Path | str) -> list[Claim]:
+    """Those of a file, without the logs that decide nothing.
+
+    Raises:
+        UserError: the file cannot be read, or says something that cannot be: one line says what.
+    """
+    path = Path(path)
+    try:
+        found = tomllib.loads(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path} is not TOML: {error}") from error
+    suites: dict[str, Suite] = {}
+    return [_claim(path, one, found.get("tuned", {}), suites) for one in found.get("claims", ())]
+
+
+def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]], suites: dict[str, Suite]) -> Claim:
+    where = f"{path}, claim {said.get('id', '?')}"
+    _check_keys(where, said, {f.name for f in fields(Claim)}, ("id", "says", "place"))
+    tests = []
+    for test in said.get("tests", ()):
+        _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "than"))
+        name = test["suite"]
+        suite = suites.setdefault(name, read(path.parent / name))
+        methods = {method.name: method.agent for method in suite.methods}
+        than = test["than"] if isinstance(test["than"], list) else float(test["than"])
+        for method in [test["method"], *(than if isinstance(than, list) else ())]:
+            if method not in methods:
+                raise UserError(f"{where}: {unknown(f'method of {name}', method, methods)}")
+        for on in test.get("on", ()):
+            if on not in suite.on:
+                raise UserError(f"{where}: {unknown(f'log, task, problem or case of {name}', on, suite.on)}")
+        judged = {methods[method] for method in [test["method"], *(than if isinstance(than, list) else ())]}
+        void = {log for agent in judged for log in tuned.get(agent, ())}
+        left = tuple(on for on in test.get("on", suite.on) if on not in void)
+        if not left:
+            raise UserError(f"{where}: all its logs are ones on which an agent was tuned, so they decide nothing")
+        given = test | {"suite": path.parent / name, "than": tuple(than) if isinstance(than, list) else than, "on": left}
+        tests.append(Test(**given))
+    return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
+
+
+def _check_keys(where: str, said: dict[str, Any], known: set[str], needed: Sequence[str]) -> None:
+    for key in said:
+        if key not in known:
+            raise UserError(f"{where}: {unknown('key', key, known)}")
+    if missing := [key for key in needed if key not in said]:
+        raise UserError(f"{where}: {missing[0]} is missing")
+
+
+def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
+    """What results say of a claim.
+
+    Args:
+        claim: the claim.
+        store: the results.
+        full: at the full size of its suites, else at their own.
+
+    Raises:
+        UserError: as `plan` does, or a suite has no full size.
+    """
+    pairs = [
+        (test, rival, on)
+        for test in claim.tests
+        for rival in (test.than if isinstance(test.than, tuple) else (None,))
+        for on in ([(each,) for each in test.on] if test.each else [test.on])
+    ]
+    return Verdict(claim, tuple(_compared(test, rival, on, store, full, len(pairs)) for test, rival, on in pairs))
+
+
+def _compared(test: Test, rival: str | None, on: tuple[str, ...], store: Store, full: bool, count: int) -> Comparison:
+    suite = read(test.suite, full)
+    scores = _scores(suite, (test.method, *((rival,) if rival else ())), on, test.metric, store)
+    ours = scores[test.method]
+    other = test.than if isinstance(test.than, float) else math.nan
+    theirs = scores[rival] if rival else {log: np.full_like(values, other) for log, values in ours.items()}
+    missing = sum(int(np.isnan(values).sum()) for method in scores.values() for values in method.values())
+    cells = sum(values.size for method in scores.values() for values in method.values())
+    if missing:
+        nothing = Interval(math.nan, math.nan, math.nan)
+        return Comparison(test, rival, on, nothing, nothing, cells, missing)
+    if test.less:
+        ours, theirs = theirs, ours
+    gain, strict = (paired(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
+    return Comparison(test, rival, on, gain, strict, cells, 0)
+
+
+def _scores(
+    suite: Suite, methods: Sequence[str], on: Sequence[str], metric: str, store: Store
+) -> dict[str, dict[str, np.ndarray]]:
+    """Method -> log -> a number a seed, NaN where there is none."""
+    jobs = [job for job in plan(suite) if job.method in methods and job.on in on]
+    rows = {row["cell"]: row for row in store.of(jobs).to_pylist()}
+    out: dict[str, dict[str, np.ndarray]] = {method: {log: np.full(suite.seeds, np.nan) for log in on} for method in methods}
+    for job in jobs:
+        for seed, cell in zip(job.seeds, job.cells):
+            if cell in rows:
+                out[job.method][job.on][seed] = number(rows[cell], metric)
+    return out

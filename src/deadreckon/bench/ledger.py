@@ -1,0 +1,103 @@
+"""A ledger: results as one small JSON file per finished cell, which is added once and never changed.
+
+    CELLS/KIND/ON/METHOD-CELL.json
+
+Such a folder can lie in a repository, as files are only added. Runs and failures lie elsewhere.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from deadreckon.bench.jobs import Job, file_name
+from deadreckon.bench.store import CURVE, RESULT, Store
+from deadreckon.bench.suite import Suite
+from deadreckon.errors import UserError
+from deadreckon.files import read_json, replacing
+
+_OBJECTS = ("settings", "asked", "more", "revisions", "versions")  # JSON in the columns of a store, objects here
+
+
+@dataclass(frozen=True)
+class Ledger(Store):
+    """A store whose results are files of cells.
+
+    Attributes:
+        cells: folder of the finished cells; `path` is that of runs and failures.
+    """
+
+    cells: Path
+
+    @property
+    def place(self) -> Path:
+        """Where results lie."""
+        return self.cells
+
+    def file(self, row: dict[str, Any]) -> Path:
+        """Where a cell's file lies."""
+        return self.cells / row["kind"] / file_name(row["on"]) / f"{file_name(row['method'])}-{row['cell']}.json"
+
+    def _write(self, job: Job, rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> None:
+        for row in rows:
+            path = self.file(row)
+            if path.exists():
+                continue  # another process has done the same cell; what is there is never changed
+            curve = [[point[name] for name in CURVE.names[1:]] for point in curves if point["cell"] == row["cell"]]
+            whole = {name: json.loads(value) if name in _OBJECTS else value for name, value in row.items()}
+            exact = {name: whole.pop(name) for name in ("settings", "asked")}  # which identify the cell
+            text = json.dumps(_short(whole | {"curve": curve}) | exact, sort_keys=True)
+            with replacing(path) as temporary:
+                temporary.write_text(text + "\n")
+
+    def results(self) -> pa.Table:
+        """All rows, the oldest first."""
+        rows = [{name: _flat(cell, name) for name in RESULT.names} for cell in self._all_cells()]
+        return pa.Table.from_pylist(rows, schema=RESULT)
+
+    def curves(self) -> pa.Table:
+        """All curves."""
+        points = [(cell["cell"], *point) for cell in self._all_cells() for point in cell["curve"]]
+        return pa.Table.from_pylist([dict(zip(CURVE.names, point)) for point in points], schema=CURVE)
+
+    def _all_cells(self) -> list[dict[str, Any]]:
+        return sorted(map(_read, self.cells.absolute().glob("*/*/*.json")), key=lambda cell: (cell["finished"], cell["cell"]))
+
+
+def store_of(suites: Sequence[Suite], path: Path) -> Store:
+    """Where the results of suites lie that are run together: in the ledger that they name, or in a folder.
+
+    Args:
+        suites: that are run together.
+        path: folder of runs, failures and, where the suites have no ledger, results.
+
+    Raises:
+        UserError: the suites have different ledgers.
+    """
+    ledgers = {suite.ledger for suite in suites}
+    if len(ledgers) > 1:
+        raise UserError(f"suites of one queue must have one ledger, got {', '.join(sorted(map(str, ledgers)))}")
+    ledger = ledgers.pop()
+    return Store(path) if ledger is None else Ledger(path, ledger)
+
+
+@cache
+def _read(path: Path) -> dict[str, Any]:
+    return read_json(path)
+
+
+def _flat(cell: dict[str, Any], name: str) -> Any:
+    return json.dumps(cell[name]) if name in _OBJECTS and name in cell else cell.get(name)
+
+
+def _short(value: Any) -> Any:
+    """Numbers with seven digits, which is what they were computed with: a third of the file's size."""
+    if isinstance(value, dict):
+        return {name: _short(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_short(each) for each in value]
+    return float(f"{value:.7g}") if isinstance(value, float) else value

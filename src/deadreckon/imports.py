@@ -1,0 +1,32 @@
+"""Things of users, named `module:attribute`."""
+
+import importlib
+import os
+import sys
+from typing import Any
+
+from deadreckon.errors import UserError
+
+
+def imported(path: str, what: str, form: str) -> Any:
+    """What has that name in that module, or None where the module has no such name.
+
+    Modules are looked for as Python does, and in the current folder.
+
+    Args:
+        path: `module:attribute`.
+        what: it is, for the error.
+        form: what stands behind the colon, such as `Class`, for the error.
+
+    Raises:
+        UserError: the module cannot be imported.
+    """
+    module, _, attribute = path.partition(":")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.append(here)  # a command that pip installs does not look there
+    try:
+        found = importlib.import_module(module)
+    except ImportError as error:
+        article = "an" if what[0] in "aeiou" else "a"
+        raise UserError(f"{what} {path}: {error}; {article} {what} of your own is named module:{form}") from error
+    return getattr(found, attribute, None)

@@ -1,0 +1,157 @@
+"""Claims: what is refused in their file, and what results say of them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from deadreckon.bench.claims import claims, verdict
+from deadreckon.bench.ledger import store_of
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import JobResult
+from deadreckon.bench.suite import read
+from deadreckon.errors import UserError
+from deadreckon.stats.comparison import paired
+
+SUITE = '''
+kind = "learn"
+ledger = "ledger"
+seeds = 4
+steps = 100
+evaluations = 1
+logs = ["hopper-medium-v2", "walker2d-medium-v2"]
+
+[methods]
+BC = { agent = "bc" }
+BEAR = { agent = "bear" }
+TD3 = { agent = "td3" }
+
+[full]
+seeds = 6
+'''
+
+CLAIMS = '''
+[tuned]
+bear = ["hopper-medium-v2"]
+
+[[claims]]
+id = "A"
+says = "BEAR is better."
+place = "1"
+tests = [{ suite = "suite.toml", method = "BEAR", than = ["BC", "TD3"] }]
+
+[[claims]]
+id = "B"
+says = "TD3 is no worse than BC by ten points."
+place = "2"
+tests = [{ suite = "suite.toml", method = "TD3", than = ["BC"], margin = -10.0, each = true }]
+
+[[claims]]
+id = "C"
+says = "TD3's score is low."
+place = "3"
+tests = [{ suite = "suite.toml", method = "TD3", than = 20.0, less = true, on = ["walker2d-medium-v2"] }]
+
+[[claims]]
+id = "D"
+says = "Nobody knows."
+place = "4"
+note = "Nothing decides it."
+'''
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "suite.toml").write_text(SUITE)
+    (tmp_path / "claims.toml").write_text(CLAIMS)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def kept(scores, full=False):
+    """A store that has these scores: (method, log) -> one a seed."""
+    suite = read("suite.toml", full)
+    store = store_of([suite], suite.ledger.parent)
+    for job in plan(suite):
+        values = scores.get((job.method, job.on.partition("-")[0]))
+        if values is not None:
+            rows = [
+                {"seed": s, "score": v, "raw": v, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
+                for s, v in zip(job.seeds, values)
+            ]
+            store.keep(job, JobResult(rows, []))
+    return store
+
+
+BC, TD3 = [40.0, 42.0, 41.0, 43.0], [12.0, 11.0, 13.0, 12.0]
+BEAR = [60.0, 61.0, 65.0, 62.0]
+
+
+def states(store, full=False):
+    return {claim.id: verdict(claim, store, full).state for claim in claims("claims.toml")}
+
+
+def test_claims_are_read_without_the_logs_that_decide_nothing(folder):
+    a, b, c, d = claims("claims.toml")
+    assert a.tests[0].on == ("walker2d-medium-v2",)
+    assert b.tests[0].on == ("hopper-medium-v2", "walker2d-medium-v2")
+    assert (c.tests[0].than, c.tests[0].less) == (20.0, True)
+    assert (d.tests, d.note) == ((), "Nothing decides it.")
+
+
+def test_they_are_open_until_all_cells_are_there(folder):
+    assert states(kept({})) == {"A": "open", "B": "open", "C": "open", "D": "open"}
+    store = kept({("BEAR", "walker2d"): BEAR, ("BC", "walker2d"): BC})
+    assert states(store)["A"] == "open"
+    a = verdict(claims("claims.toml")[0], store)
+    assert (a.cells, a.missing) == (16, 4)
+    assert math.isnan(a.comparisons[1].gain.value)
+
+
+def test_they_hold_and_are_contradicted_by_the_interval_of_the_gain(folder):
+    every = {("BC", "walker2d"): BC, ("TD3", "walker2d"): TD3, ("BEAR", "walker2d"): BEAR, ("BC", "hopper"): BC}
+    store = kept(every | {("TD3", "hopper"): [41.0, 40.0, 43.0, 44.0], ("BEAR", "hopper"): [0.0] * 4})
+    assert states(store) == {"A": "holds", "B": "contradicted", "C": "holds", "D": "open"}
+    (bc, td3) = verdict(claims("claims.toml")[0], store).comparisons
+    expected = paired({"w": np.array(BEAR)}, {"w": np.array(BC)})
+    assert (bc.gain.value, bc.gain.low, bc.gain.high) == (expected.value, expected.low, expected.high)
+    assert td3.gain.value == pytest.approx(50.0)
+    hopper, walker = verdict(claims("claims.toml")[1], store).comparisons
+    assert (hopper.on, hopper.state) == (("hopper-medium-v2",), "holds")
+    assert (walker.state, walker.gain.value) == ("contradicted", pytest.approx(-29.5))
+    low = verdict(claims("claims.toml")[2], store).comparisons[0]
+    assert (low.gain.value, low.cells) == (pytest.approx(8.0), 4)
+    # One size says nothing of the other.
+    assert set(states(store, full=True).values()) == {"open"}
+
+
+def test_a_gain_that_chance_may_have_made_decides_nothing(folder):
+    store = kept({("BC", "walker2d"): BC, ("BEAR", "walker2d"): [70.0, 30.0, 60.0, 20.0], ("TD3", "walker2d"): TD3})
+    assert states(store)["A"] == "open"
+
+
+def test_of_many_comparisons_each_contradicts_at_a_level_of_its_own(folder):
+    # The interval at 95 % ends below zero, that at 97.5 % does not.
+    close = [float(b - g) for b, g in zip(BC, (3.0, 0.4, 2.6, 2.0))]
+    store = kept({("BC", "walker2d"): BC, ("BEAR", "walker2d"): close, ("TD3", "walker2d"): TD3})
+    bc, _ = verdict(claims("claims.toml")[0], store).comparisons
+    assert bc.gain.high < 0.0 < bc.strict.high
+    assert states(store)["A"] == "open"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"BC", "TD3"', '"BCQ"', "claim A: unknown method of suite.toml 'BCQ'"),
+        ('place = "1"\n', "", "claim A: place is missing"),
+        ("margin = -10.0", "margins = 3", "claim B: unknown key 'margins'"),
+        ('on = ["walker2d-medium-v2"]', 'on = ["ant"]', "claim C: unknown log, task, problem or case of suite.toml 'ant'"),
+        ("bear = [", 'td3 = ["walker2d-medium-v2"]\nbear = [', "claim A: all its logs are ones on which an agent was tuned"),
+    ],
+)
+def test_wrong_claims_are_refused_in_one_line(folder, old, new, message):
+    assert old in CLAIMS
+    (folder / "claims.toml").write_text(CLAIMS.replace(old, new))
+    with pytest.raises(UserError) as error:
+        claims("claims.toml")
+    assert message in str(error.value)

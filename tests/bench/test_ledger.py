@@ -1,0 +1,195 @@
+"""A ledger holds finished cells as files that are added and never changed; queues fill it, whatever happens to them."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deadreckon.bench.executor import run
+from deadreckon.bench.idle import is_measured, measuring
+from deadreckon.bench.ledger import Ledger, store_of
+from deadreckon.bench.local import Local
+from deadreckon.bench.plan import plan, plan_all
+from deadreckon.bench.suite import queue, read
+from deadreckon.bench.tables import tables
+from deadreckon.errors import UserError
+
+STUDY = '''
+about = "A study."
+kind = "study"
+ledger = "ledger"
+seeds = 4
+cases = ["a", "b"]
+
+[methods]
+one = { agent = "studies_of_tests:measure", fields = { size = 1.0 } }
+two = { agent = "studies_of_tests:measure", fields = { size = 2.0 } }
+
+[metrics]
+value = { words = "a value", digits = 2 }
+
+[full]
+seeds = 6
+'''
+
+CODE = '''
+import os, time
+
+def measure(case, *, seed, size):
+    time.sleep(float(os.environ.get("STUDY_SECONDS", "0")))
+    with open(os.environ["STUDY_DONE"], "a") as file:
+        file.write(f"{case} {size} {seed}\\n")
+    return {"value": size + seed / 100 + (case == "b")}
+'''
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "study.toml").write_text(STUDY)
+    (tmp_path / "studies_of_tests.py").write_text(CODE)
+    (tmp_path / "queue.toml").write_text('suites = ["study.toml"]\n')
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("STUDY_DONE", str(tmp_path / "done.txt"))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def filled(folder: Path, workers: int = 1) -> Ledger:
+    suite = read(folder / "study.toml")
+    store = store_of([suite], folder / "runs")
+    run(plan(suite, 1), store, lambda event: None, Local(store.path, workers=workers))
+    assert isinstance(store, Ledger)
+    return store
+
+
+def test_a_cell_is_a_file_that_tells_all_and_is_never_changed(folder):
+    store = filled(folder)
+    files = sorted((folder / "ledger" / "study").glob("*/*.json"))
+    assert len(files) == 16
+    cell = json.loads(files[0].read_text())
+    assert (cell["on"], cell["method"], cell["seed"], cell["settings"]) == ("a", "one", cell["seed"], {"size": 1.0})
+    assert cell["more"] == {"value": pytest.approx(1.0 + cell["seed"] / 100)}
+    assert cell["revisions"]["study"] == 1
+    assert cell["versions"]["python"]
+    assert cell["seconds"] >= 0.0
+    before = {file: file.read_text() for file in files}
+    suite = read(folder / "study.toml")
+    assert store.undone(plan(suite)) == []
+    [table] = tables(suite, plan(suite), store)
+    assert table.cells["two"]["b"].scores == pytest.approx([3.0, 3.01, 3.02, 3.03])
+    filled(folder)
+    assert {file: file.read_text() for file in files} == before
+    assert len((folder / "done.txt").read_text().splitlines()) == 16
+
+
+def test_the_full_size_is_declared_in_the_same_file(folder):
+    assert (read("study.toml").seeds, read("study.toml", full=True).seeds) == (4, 6)
+    text = STUDY.partition("[full]")[0]
+    (folder / "small.toml").write_text(text)
+    with pytest.raises(UserError, match=r"small.toml does not say what differs at full size: give it a section \[full\]"):
+        read("small.toml", full=True)
+    (folder / "odd.toml").write_text(text + "[full]\nmethods = 3\n")
+    with pytest.raises(UserError, match=r"odd.toml: \[full\] may change budget, designs, .*, got {'methods': 3}"):
+        read("odd.toml")
+
+
+def test_a_queue_is_its_suites_in_their_order(folder):
+    (folder / "queue.toml").write_text('suites = ["study.toml", "other.toml"]\n')
+    (folder / "other.toml").write_text(STUDY.replace("seeds = 4", "seeds = 1").partition("[full]")[0])
+    suites = queue("queue.toml")
+    assert [suite.name for suite in suites] == ["study", "other"]
+    assert [suite.name for suite in queue("queue.toml", full=True)] == ["study"]  # the other has no full size
+    jobs = plan_all(suites)
+    assert [job.suite for job in jobs] == ["study"] * 4 + ["other"] * 4
+    assert [job.program for job in jobs] == list(range(8))
+    store = store_of(suites, folder / "runs")
+    assert [job.suite for job in store.undone(jobs)] == ["study"] * 4  # the other's cells are among these
+    for text, message in (
+        ("suites = []", "suites must be a list of files or names of suites, got []"),
+        ('suites = ["study.toml"]\nseeds = 3', "a queue has the key suites alone, got seeds too"),
+    ):
+        (folder / "bad.toml").write_text(text)
+        with pytest.raises(UserError) as error:
+            queue("bad.toml")
+        assert message in str(error.value)
+    (folder / "away.toml").write_text(STUDY.replace('"ledger"', '"elsewhere"'))
+    with pytest.raises(UserError, match="suites of one queue must have one ledger, got .*elsewhere, .*ledger"):
+        store_of([read("study.toml"), read("away.toml")], folder)
+
+
+def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):
+    monkeypatch.setenv("STUDY_SECONDS", "0.3")
+    suite = read("study.toml")
+    jobs, store = plan(suite, 1), store_of([suite], folder / "runs")
+    began = time.monotonic()
+    run(jobs, store, lambda event: None, Local(store.path, workers=1), seconds=4.0)
+    assert time.monotonic() - began < 7.0
+    assert store.undone(jobs)
+    monkeypatch.setenv("STUDY_SECONDS", "0")
+    run(jobs, store, lambda event: None, Local(store.path, workers=1))
+    assert store.undone(jobs) == []
+
+
+def state(pid: int) -> str:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc, and priorities, are Linux's")
+def test_idle_work_has_the_lowest_priority_and_stands_still_while_times_are_measured(folder, monkeypatch):
+    monkeypatch.setenv("STUDY_SECONDS", "0.2")
+    suite = read("study.toml")
+    store, team, seen = store_of([suite], folder / "runs"), [], []
+    executor = Local(store.path, workers=1, idle=True)
+
+    def told(event):
+        if event.what == "begun" and not team:
+            team.append(executor._team[0].process.pid)
+            seen.append((os.sched_getscheduler(team[0]), os.getpriority(os.PRIO_PROCESS, team[0]), os.getsid(team[0])))
+            with measuring():
+                assert is_measured()
+                executor.wait(0.0)
+                for _ in range(100):
+                    if state(team[0]) == "T":
+                        break
+                    time.sleep(0.02)
+                seen.append(state(team[0]))
+            assert not is_measured()
+
+    run(plan(suite, 1), store, told, executor)
+    assert seen == [(os.SCHED_IDLE, 19, team[0]), "T"]
+    assert store.undone(plan(suite)) == []
+
+
+@pytest.mark.slow
+def test_killed_at_twenty_random_moments_it_loses_no_cell_and_repeats_none(folder, monkeypatch):
+    monkeypatch.setenv("STUDY_SECONDS", "0.5")
+    (folder / "study.toml").write_text(STUDY.replace("seeds = 4", "seeds = 30").partition("[full]")[0])
+    command = [sys.executable, "-m", "deadreckon.cli.main", "bench", "queue.toml", "--out", "runs", "--workers", "2", "--idle"]
+    rng, kept, kills = random.Random(0), {}, 0
+    suite = read("study.toml")
+    while kills < 20:
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+            try:
+                process.wait(timeout=rng.uniform(3.0, 8.0))
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGKILL)
+                kills += 1
+        now = {file: file.read_text() for file in (folder / "ledger").glob("study/*/*.json")}
+        assert all(now[file] == text for file, text in kept.items())
+        kept = now
+        if process.returncode == 0:
+            break
+    store = store_of([suite], folder / "runs")
+    run(plan(suite, 1), store, lambda event: None, Local(store.path, workers=2))
+    assert store.undone(plan(suite)) == []
+    done = (folder / "done.txt").read_text().splitlines()
+    # A kill may come between a study's end and its file: only those in flight, two for each kill, may be there twice.
+    assert len(set(done)) == 120
+    assert len(done) <= 120 + 2 * kills

@@ -1,0 +1,50 @@
+"""What the repository declares as evidence can be read, and its pages say what the ledger says."""
+
+from pathlib import Path
+
+from deadreckon.bench.claims import claims
+from deadreckon.bench.ledger import store_of
+from deadreckon.bench.plan import plan_all
+from deadreckon.bench.suite import queue
+from evidence import pages
+
+ROOT = Path(__file__).resolve().parent.parent / "evidence"
+MOST = 30e6  # bytes of the ledger
+
+
+def test_pages_are_what_the_ledger_says(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT.parent)
+    assert pages.main(["--check"]) == 0, capsys.readouterr().out
+
+
+def test_all_suites_are_in_the_queue_and_can_be_planned(monkeypatch):
+    monkeypatch.chdir(ROOT.parent)
+    suites = queue(ROOT / "queue.toml")
+    assert {suite.name for suite in suites} == {path.stem for path in ROOT.glob("*.toml")} - {"queue", "claims"}
+    assert plan_all(suites)
+    assert plan_all(queue(ROOT / "queue.toml", full=True))
+    store_of(suites, ROOT)  # one ledger
+
+
+def test_claims_rest_on_suites_of_the_queue():
+    names = {suite.name for suite in queue(ROOT / "queue.toml")}
+    for claim in claims(ROOT / "claims.toml"):
+        assert claim.tests or claim.note
+        assert {test.suite.stem for test in claim.tests} <= names
+
+
+def test_the_ledger_is_small():
+    assert sum(path.stat().st_size for path in (ROOT / "ledger").rglob("*.json")) < MOST
+
+
+def test_a_changed_number_in_a_page_is_noticed(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(ROOT.parent)
+    (tmp_path / "results").mkdir()
+    text = (pages.PAGES / "claims.md").read_text()
+    (tmp_path / "results" / "claims.md").write_text(text.replace("| C1 |", "| C1, which holds |"))
+    monkeypatch.setattr(pages, "PAGES", tmp_path / "results")
+    monkeypatch.setattr(pages, "HERE", ROOT)
+    assert pages.main(["--check"]) == 1
+    assert "claims.md is not what the ledger says: run python -m evidence.pages" in capsys.readouterr().out
+    assert pages.main([]) == 0
+    assert (tmp_path / "results" / "claims.md").read_text() == text
