@@ -1,6 +1,7 @@
 """A ledger holds finished cells as files that are added and never changed; queues fill it, whatever happens to them."""
 
 import json
+import math
 import os
 import random
 import signal
@@ -16,6 +17,7 @@ from deadreckon.bench.idle import is_measured, measuring
 from deadreckon.bench.ledger import Ledger, store_of
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
+from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import queue, read
 from deadreckon.bench.tables import tables
 from deadreckon.errors import UserError
@@ -87,6 +89,19 @@ def test_a_cell_is_a_file_that_tells_all_and_is_never_changed(folder):
     filled(folder)
     assert {file: file.read_text() for file in files} == before
     assert len((folder / "done.txt").read_text().splitlines()) == 16
+
+
+def test_a_log_without_a_simulator_has_no_score(folder):
+    (folder / "suite.toml").write_text('ledger = "ledger"\nlogs = ["hopper-medium-v2"]\n[methods]\nBC = { agent = "bc" }\n')
+    suite = read("suite.toml")
+    store, job = store_of([suite], folder / "runs"), plan(suite)[0]
+    row = {"seed": 0, "score": math.nan, "raw": math.nan, "steps": 9, "seconds": 1.0, "failure": "", "versions": "{}"}
+    store.keep(job, JobResult([row], [{"cell": job.cell(0), "step": 9, "score": math.nan, "raw": math.nan, "spread": None}]))
+    [file] = (folder / "ledger").rglob("*.json")
+    assert json.loads(file.read_text(), parse_constant=pytest.fail)["score"] is None
+    assert math.isnan(store.results().to_pylist()[0]["score"])
+    [table] = tables(suite, plan(suite), store)
+    assert "no simulator to judge in, so no scores: hopper-medium-v2" in table.notes
 
 
 def test_the_full_size_is_declared_in_the_same_file(folder):

@@ -6,6 +6,7 @@ Such a folder can lie in a repository, as files are only added. Runs and failure
 """
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -50,7 +51,7 @@ class Ledger(Store):
             curve = [[point[name] for name in CURVE.names[1:]] for point in curves if point["cell"] == row["cell"]]
             whole = {name: json.loads(value) if name in _OBJECTS else value for name, value in row.items()}
             exact = {name: whole.pop(name) for name in ("settings", "asked")}  # which identify the cell
-            text = json.dumps(_short(whole | {"curve": curve}) | exact, sort_keys=True)
+            text = json.dumps(_short(whole | {"curve": curve}) | exact, sort_keys=True, allow_nan=False)
             with replacing(path) as temporary:
                 temporary.write_text(text + "\n")
 
@@ -91,13 +92,17 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _flat(cell: dict[str, Any], name: str) -> Any:
-    return json.dumps(cell[name]) if name in _OBJECTS and name in cell else cell.get(name)
+    if name in _OBJECTS and name in cell:
+        return json.dumps(cell[name])
+    return math.nan if name == "score" and cell[name] is None else cell.get(name)
 
 
 def _short(value: Any) -> Any:
-    """Numbers with seven digits, which is what they were computed with: a third of the file's size."""
+    """Numbers with seven digits, which is what they were computed with, and None for what is no number: JSON has no NaN."""
     if isinstance(value, dict):
         return {name: _short(each) for name, each in value.items()}
     if isinstance(value, list):
         return [_short(each) for each in value]
-    return float(f"{value:.7g}") if isinstance(value, float) else value
+    if isinstance(value, float):
+        return float(f"{value:.7g}") if math.isfinite(value) else None
+    return value
