@@ -492,6 +492,20 @@ MUTANTS = (
         "minus-sign", "report/text.py", 'else f"{value:,.0f}"', 'else f"{value / 1000:,.0f}"', "numbers of thousands lose them",
         ("report/test_text.py",),
     ),
+    # ---- randomness
+    Mutant(
+        "purposes-by-place", "randomness.py", "numbers = [number(purpose) for purpose in purposes]",
+        "numbers = list(range(len(purposes)))", "keys follow from the order of their purposes, not from the names",
+        ("test_randomness.py",),
+    ),
+    Mutant(
+        "host-purpose-forgotten", "randomness.py", "[seed, number(purpose), *counters]", "[seed, *counters]",
+        "all draws on the host are the same", ("test_randomness.py",),
+    ),
+    Mutant(
+        "key-split-and-folded", "agents/awac.py", 'keys(key, "target", "actor_loss")', "jax.random.split(key)",
+        "a method splits its key in place of naming purposes", ("test_randomness.py",),
+    ),
 )
 
 

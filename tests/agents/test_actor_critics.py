@@ -7,6 +7,7 @@ import pytest
 
 from deadreckon.agents import SAC, TD3, TD3BC
 from deadreckon.data.batch import Batch
+from deadreckon.randomness import keys
 from tests.agents.test_bear import lane, numpy_gaussian
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
@@ -113,7 +114,7 @@ def test_sac_draws_of_targets_and_actor_have_keys_of_their_own(batch):
     agent = SAC(hidden=(4,)).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))
     new, metrics = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
-    first, second = jax.random.split(KEY)
+    first, second = keys(KEY, "target", "actor_loss")
     critic_loss = agent.critic_loss(state.critics, state, batch, agent.target(state, batch, first), KEY)[1]["critic_loss"]
     np.testing.assert_allclose(metrics["critic_loss"], critic_loss, rtol=1e-5)
     of_actor = [float(agent.actor_loss(state.actor, state._replace(critics=new.critics), batch, k)[0]) for k in (first, second)]

@@ -13,6 +13,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import q_values
 from deadreckon.policies import EnvPolicy
+from deadreckon.randomness import key_for, keys
 from deadreckon.training.fit import fit
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
@@ -77,7 +78,7 @@ def test_actor_loss_is_the_lagrangian(value):
     agent, state, batch = setup(actor_value=value, kernel="gaussian", multiplier=3.0, warm_start=10, policy_samples=4,
                                 behavior_samples=5, actor_samples=2)  # fmt: skip
     key = jax.random.key(5)
-    k_policy, k_behavior = jax.random.split(key)
+    k_policy, k_behavior = keys(key, "policy", "behavior")
     loss, (divergence, _, q_mean) = agent.actor_loss(state.actor, state, batch, jnp.int32(10), key)
     mean, log_std = numpy_gaussian(state.actor, batch.observation)
     pre = mean + np.exp(log_std) * np.asarray(jax.random.normal(k_policy, (4, 6, 1)))
@@ -194,7 +195,7 @@ def test_a_large_multiplier_keeps_the_support_and_zero_forgets_it(half_support):
 def test_multiplier_zero_is_the_unconstrained_actor_exactly():
     agent, state, batch = setup(dual=False, multiplier=0.0, warm_start=0)
     key = jax.random.key(4)
-    k_policy, _ = jax.random.split(key)
+    k_policy = key_for(key, "policy")
 
     def unconstrained(actor):
         pre = dist.sample(dist.gaussian_head(actor(batch.observation)), k_policy, (4,))[0]
@@ -224,7 +225,7 @@ def test_importance_sampled_losses_equal_numpy():
         agent.weighted_loss(state.actor, state, batch, jnp.int32(1), key), -(ratio * (low - low.mean(0))).mean(), atol=1e-5
     )
     loss, (divergence, spread) = agent.set_loss(state.set_policy, state, batch, jnp.int32(1), key)
-    k_policy, _ = jax.random.split(key)
+    k_policy = key_for(key, "policy")
     pre = mean + np.exp(log_std) * np.asarray(jax.random.normal(k_policy, (3, 6, 1)))
     pairs = [np.concatenate([batch.observation, np.tanh(pre[i])], -1) for i in range(3)]
     q = np.stack([[numpy_mlp(lane(state.critics, j), p)[:, 0] for p in pairs] for j in range(2)])

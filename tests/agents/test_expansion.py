@@ -12,6 +12,7 @@ from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import Ensemble, Model
 from deadreckon.nets.mlp import MLP
 from deadreckon.online import Online
+from deadreckon.randomness import key_for
 from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((2,), Box(-np.ones(1, np.float32), np.ones(1, np.float32)), "nowhere")
@@ -82,7 +83,7 @@ def test_mve_is_the_sum_by_hand():
 def test_mve_of_no_steps_is_sac():
     agent, state, batch = made(MVE, horizon=0, entropy_backup=True)
     sac, plain, _ = made(SAC, entropy_backup=True)
-    wanted = sac.target(plain, batch, KEY)
+    wanted = sac.target(plain, batch, key_for(KEY, "value"))
     np.testing.assert_array_equal(agent.target(state, batch, KEY).target[0], wanted)
     np.testing.assert_allclose(
         agent.critic_loss(state.critics, state, batch, agent.target(state, batch, KEY), KEY)[0],
@@ -95,11 +96,11 @@ def test_mve_pays_the_entropy_of_every_action_to_come_but_the_first():
     free = agent.replace(entropy_backup=False)
     state = state._replace(target_critics=flat(state.target_critics, [VALUE, VALUE]))
     gain = np.asarray(agent.target(state, batch, KEY).target - free.target(state, batch, KEY).target)[:, :2]
-    k_act = jax.random.split(jax.random.fold_in(KEY, 0))[0]
+    k_act = key_for(key_for(KEY, "rollout", 0), "act")
     noise = lambda key: jax.random.normal(key, (4, 1))  # noqa: E731
     first = np.asarray(agent.act(state, batch.next_observation, noise(k_act))[1])[:2]
     following = batch.next_observation + jnp.asarray([1.0, 0.0])
-    second = np.asarray(agent.act(state, following, noise(KEY))[1])[:2]
+    second = np.asarray(agent.act(state, following, noise(key_for(KEY, "value")))[1])[:2]
     np.testing.assert_allclose(gain[1], DISCOUNT * second, rtol=1e-4)
     np.testing.assert_allclose(gain[0], DISCOUNT * (first + DISCOUNT * second), rtol=1e-4)
 

@@ -12,6 +12,7 @@ from deadreckon.agents.edac import likeness
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, minimum
+from deadreckon.randomness import key_for, keys
 from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import lane, numpy_gaussian
 from tests.agents.worlds import corridor
@@ -82,7 +83,7 @@ def gaussian_kl(p, q):
 @pytest.mark.parametrize("value_penalty", [True, False])
 def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_penalty):
     agent, state = made(BRAC(discount=0.9, penalty=0.6, value_penalty=value_penalty, **SMALL))
-    k_act, _ = jax.random.split(KEY)
+    k_act = key_for(KEY, "act")
     noise = np.asarray(jax.random.normal(k_act, (6, 1)))
 
     def parts(observation, critics):
@@ -213,7 +214,7 @@ def test_crr_counts_what_is_better_or_weighs_it(batch):
     np.testing.assert_array_equal(CRR().weights(advantage), [0, 0, 1, 1])
     np.testing.assert_allclose(CRR(filter="exp").weights(advantage), [np.exp(-1), 1, np.exp(0.2), 20], rtol=1e-6)
     agent, state = made(CRR(**SMALL))
-    k_target, k_actor = jax.random.split(KEY)
+    k_actor = key_for(KEY, "actor_loss")
     after, metrics = updated(agent, state, batch)
     weight = np.asarray(agent.advantage(state._replace(critics=after.critics), batch, k_actor)) > 0
     np.testing.assert_allclose(metrics["weight"], weight.mean(), rtol=1e-6)
@@ -260,7 +261,7 @@ def test_cql_penalty(batch):
     agent, state = made(CQL(cql_weight=3.0, samples=2, **SMALL))
     target = jnp.arange(6.0)
     loss, metrics = agent.critic_loss(state.critics, state, batch, target, KEY)
-    k_uniform, k_now, k_next = jax.random.split(jax.random.fold_in(KEY, 2), 3)
+    k_uniform, k_now, k_next = keys(KEY, "uniform", "now", "next")
     uniform = np.asarray(jax.random.uniform(k_uniform, (2, 6, 1), minval=-1.0, maxval=1.0))
     expected = 0.0
     for j in range(2):
@@ -283,7 +284,7 @@ def test_cql_penalty(batch):
 def test_cql_rho_holds_down_what_the_policy_likes(batch):
     agent, state = made(CQL(form="rho", cql_weight=3.0, samples=3, **SMALL))
     plain, _ = CQL(form="rho", cql_weight=0.0, samples=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
-    high = weighted_mean(state.critics, state.actor, batch, 3, jax.random.fold_in(KEY, 2)).mean(-1)
+    high = weighted_mean(state.critics, state.actor, batch, 3, KEY).mean(-1)
     logged = [q(state.critics, j, batch.observation, batch.action).mean() for j in range(2)]
     loss, _ = agent.critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
     np.testing.assert_allclose(loss, plain + 3.0 * (high - np.array(logged)).sum(), rtol=1e-4)

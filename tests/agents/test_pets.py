@@ -54,7 +54,7 @@ def test_the_plan_goes_where_rewards_are():
     assert (plan[:3] > [0.7, 0.6, 0.2]).all()  # each pays for fewer steps, and the last for none
     # An action now pays gain for each of the three steps to come: a toll beyond that turns it round.
     costly = planner(horizon=4, tolls=(1.6, 1.6))
-    assert np.asarray(costly.plan(jnp.zeros(2), jnp.zeros((4, 1)), jax.random.key(0)))[0, 0] < -0.1
+    assert np.asarray(costly.plan(jnp.zeros(2), jnp.zeros((4, 1)), jax.random.key(1)))[0, 0] < -0.1
     # Of two networks that disagree about the way, the mean decides.
     split = planner(horizon=4, gain=(0.5, -1.5))
     assert np.asarray(split.plan(jnp.zeros(2), jnp.zeros((4, 1)), jax.random.key(0)))[0, 0] < -0.3

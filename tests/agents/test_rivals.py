@@ -13,12 +13,13 @@ from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import q_values
 from deadreckon.policies.kinds import OneStep
+from deadreckon.randomness import key_for, keys
 from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import numpy_gaussian
 from tests.agents.test_offline import KEY, SMALL, SPEC, least_q, logged_log_prob, made, updated
 from tests.nets.test_mlp import numpy_mlp
 
-K_RESIDUAL = jax.random.split(jax.random.fold_in(KEY, 2))[0]  # of AlgaeDICE's critics
+K_RESIDUAL = key_for(KEY, "residual")  # of AlgaeDICE's critics
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +165,7 @@ def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to():
 
 def test_dqfd_wants_the_logged_action_above_all_others_by_a_margin(batch):
     agent, state = made(DQfD(margin=0.3, margin_weight=0.7, samples=4, discount=0.9, **SMALL))
-    uniform = np.asarray(jax.random.uniform(jax.random.fold_in(KEY, 1), (4, 6, 1), minval=-1.0, maxval=1.0))
+    uniform = np.asarray(jax.random.uniform(KEY, (4, 6, 1), minval=-1.0, maxval=1.0))
     others = [np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation))), *uniform]
     target = np.asarray(agent.target(state, batch, KEY))
     expected = 0.0
@@ -194,7 +195,7 @@ def test_rem_asks_one_random_mixture_to_agree_with_its_own_target(batch):
     after = [q(state.target_critics, j, batch.next_observation, np.tanh(pre)) for j in range(3)]
     targets = np.stack([future(batch, each - 0.2 * log_prob(mean, log_std, pre)) for each in after])
     np.testing.assert_allclose(agent.target(state, batch, KEY), targets, atol=1e-4)
-    weight = np.asarray(jax.random.uniform(jax.random.fold_in(KEY, 2), (3,)))
+    weight = np.asarray(jax.random.uniform(KEY, (3,)))
     weight = weight / weight.sum()
     now = np.stack([q(state.critics, j, batch.observation, batch.action) for j in range(3)])
     loss, _ = agent.critic_loss(state.critics, state, batch, jnp.asarray(targets), KEY)
@@ -214,7 +215,7 @@ def test_rem_mixes_on_the_simplex():
 
 def algae(batch, state, temperature, key):
     """Residuals of both critics and their values at the first observations."""
-    k_residual, k_first = jax.random.split(key)
+    k_residual, k_first = keys(key, "residual", "first")
     mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
     pre = mean + np.exp(log_std) * np.asarray(jax.random.normal(k_residual, (6, 1)))
     action = np.tanh(pre)
@@ -233,13 +234,12 @@ def algae(batch, state, temperature, key):
 def test_algae_dice_is_a_saddle_point_of_residuals_and_first_values(batch):
     agent, state = made(AlgaeDICE(discount=0.9, temperature=0.3, regularisation=2.0, exponent=1.5, **SMALL))
     state = state._replace(target_critics=jax.tree.map(lambda leaf: 1.1 * leaf, state.critics))
-    deltas, first = algae(batch, state, 0.3, jax.random.fold_in(KEY, 2))
+    deltas, first = algae(batch, state, 0.3, KEY)
     assert (deltas > 0).any()
     assert (deltas < 0).any()
     expected = np.abs(deltas) ** 1.5 / 1.5 + 0.1 * 2.0 * first
     loss, _ = agent.critic_loss(state.critics, state, batch, None, KEY)
     np.testing.assert_allclose(loss, expected.mean(1).sum(), rtol=1e-3)
-    deltas, first = algae(batch, state, 0.3, KEY)
     loss, _ = agent.actor_loss(state.actor, state, batch, KEY)
     expected = np.maximum(deltas, 0) ** 0.5 * deltas + 0.1 * 2.0 * first
     np.testing.assert_allclose(loss, -expected.mean(), rtol=1e-3)
@@ -266,7 +266,7 @@ def test_algae_dice_critics_are_moved_through_both_ends_of_the_equation(batch):
 
 def test_fql_flow_is_fitted_on_straight_lines_from_noise(batch):
     agent, state = made(FQL(**SMALL))
-    k_noise, k_time = jax.random.split(KEY)
+    k_noise, k_time = keys(KEY, "noise", "time")
     noise, time = np.asarray(jax.random.normal(k_noise, (6, 1))), np.asarray(jax.random.uniform(k_time, (6, 1)))
     action = np.asarray(batch.action)
     field = numpy_mlp(state.flow, np.concatenate([batch.observation, (1 - time) * noise + time * action, time], -1))

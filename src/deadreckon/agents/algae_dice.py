@@ -22,6 +22,7 @@ from deadreckon.agents.sac import SAC
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import NonNegative, Range
 
 FRESH = 0.05  # share of the present critics in what follows
@@ -66,7 +67,7 @@ class AlgaeDICE(SAC):
 
     def critic_loss(self, critics, state, batch, target, key):
         """E[f(delta_j)] + (1 - discount) regularisation E[Q_j(s_0, a_0)], summed over critics."""
-        k_residual, k_first = jax.random.split(jax.random.fold_in(key, 2))
+        k_residual, k_first = keys(key, "residual", "first")
         delta, _ = self.residual(critics, state.actor, state, batch, k_residual)
         # |x|^p has no slope that autodiff could find at 0.
         size = jnp.abs(delta) + 1e-12
@@ -75,7 +76,7 @@ class AlgaeDICE(SAC):
 
     def actor_loss(self, actor, state, batch, key):
         """Minus the mean over critics of f'(delta_j) delta_j, where delta_j is positive, and the first term's part."""
-        k_residual, k_first = jax.random.split(key)
+        k_residual, k_first = keys(key, "residual", "first")
         delta, log_prob = self.residual(state.critics, actor, state, batch, k_residual)
         slope = jax.lax.stop_gradient(jnp.maximum(delta, 0.0) ** (self.exponent - 1.0))
         gain = slope * delta + self.first(state.critics, actor, batch, k_first)

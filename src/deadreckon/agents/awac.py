@@ -13,6 +13,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 
@@ -48,7 +49,7 @@ class AWAC(Agent):
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
-        ka, kc = jax.random.split(key)
+        ka, kc = keys(key, "actor", "critics")
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, 2, kc)
         return State(actor, critics, copy(critics), init_opt(actor), init_opt(critics))
@@ -70,7 +71,7 @@ class AWAC(Agent):
 
     def update(self, state, batch, *, step, key):
         """Critics, actor, targets."""
-        k_target, k_actor = jax.random.split(key)
+        k_target, k_actor = keys(key, "target", "actor_loss")
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)

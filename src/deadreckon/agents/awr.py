@@ -18,6 +18,7 @@ from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 
@@ -52,7 +53,7 @@ class AWR(Agent):
 
     def init(self, spec, key):
         """Fresh networks."""
-        ka, kv = jax.random.split(key)
+        ka, kv = keys(key, "actor", "value")
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
         return State(actor, value, init_opt(actor), init_opt(value))

@@ -19,6 +19,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, GreedyQ, PerturbedPolicy, ThresholdedPolicy, perturbed, probable_enough
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Sizes, UnitInterval, static
 
 
@@ -66,7 +67,7 @@ class BCQ(Agent):
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
-        kb, km, kc = jax.random.split(key, 3)
+        kb, km, kc = keys(key, "behavior", "mover", "critics")
         if spec.discrete:
             behavior, mover = Categorical.create(spec, self.behavior_hidden, kb), None
         else:
@@ -102,7 +103,7 @@ class BCQ(Agent):
 
     def update(self, state, batch, *, step, key):
         """VAE, critics, mover, targets."""
-        k_behavior, k_target, k_mover = jax.random.split(key, 3)
+        k_behavior, k_target, k_mover = keys(key, "behavior", "target", "mover_loss")
         fit = jax.grad(models.loss, has_aux=True)
         grads, of_behavior = fit(state.behavior, batch.observation, batch.action, k_behavior)
         behavior, behavior_opt = apply_gradients(state.behavior, grads, state.behavior_opt, self.behavior_lr)

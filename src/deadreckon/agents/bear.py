@@ -22,6 +22,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import GreedyQ, TanhGaussian
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Positive, Range, Sizes, UnitInterval, static
 from deadreckon.training.learner import Metrics
 
@@ -106,7 +107,7 @@ class BEAR(Agent):
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
-        ka, kc, kb = jax.random.split(key, 3)
+        ka, kc, kb = keys(key, "actor", "critics", "behavior")
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
         model = models.create(self.behavior, spec, self.behavior_hidden or self.hidden, kb)
@@ -163,7 +164,7 @@ class BEAR(Agent):
         Returns:
             The loss, and (mean divergence, mean log-probability, mean value).
         """
-        k_policy, k_behavior = jax.random.split(key)
+        k_policy, k_behavior = keys(key, "policy", "behavior")
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
         divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
@@ -209,7 +210,7 @@ class BEAR(Agent):
 
     def update(self, state, batch, *, step, key) -> tuple[Any, Metrics]:
         """Behaviour model, critics, actor, multipliers, targets (Algorithm 1)."""
-        k_model, k_future, k_actor = jax.random.split(key, 3)
+        k_model, k_future, k_actor = keys(key, "behavior", "target", "actor_loss")
         state, metrics = self.learn_values(state, batch, k_model, k_future)
         opts = dict(state.opts)
 

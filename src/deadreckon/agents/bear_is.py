@@ -13,6 +13,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, static
 
 
@@ -69,7 +70,7 @@ class ISBEAR(bear.BEAR):
 
     def set_loss(self, set_policy, state, batch, step, key):
         """sqrt((1 - delta) / delta var_k E_a Q_k(s, a)) + alpha MMD (line 8); at first the MMD alone."""
-        k_policy, k_behavior = jax.random.split(key)
+        k_policy, k_behavior = keys(key, "policy", "behavior")
         d = dist.gaussian_head(set_policy(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
         divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
@@ -94,7 +95,7 @@ class ISBEAR(bear.BEAR):
 
     def update(self, state, batch, *, step, key):
         """Behaviour model, critics, set policy and multiplier, actor, targets (Algorithm 5)."""
-        k_model, k_future, k_set, k_actor = jax.random.split(key, 4)
+        k_model, k_future, k_set, k_actor = keys(key, "behavior", "target", "set_loss", "actor_loss")
         state, metrics = self.learn_values(state, batch, k_model, k_future)
         opts = dict(state.opts)
 

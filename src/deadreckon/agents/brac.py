@@ -22,6 +22,7 @@ from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.mmd import mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 
@@ -62,7 +63,7 @@ class BRAC(Agent):
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
-        ka, kc, kb = jax.random.split(key, 3)
+        ka, kc, kb = keys(key, "actor", "critics", "behavior")
         make = lambda k: MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, k)  # noqa: E731
         actor, critics, behavior = make(ka), create_critics(spec, self.hidden, 2, kc), make(kb)
         return State(actor, critics, copy(critics), behavior, init_opt(actor), init_opt(critics))
@@ -77,13 +78,13 @@ class BRAC(Agent):
         model = dist.gaussian_head(behavior(observation))
         if self.divergence == "kl":
             return dist.kl(d, model)
-        k_own, k_model = jax.random.split(key)
+        k_own, k_model = keys(key, "policy", "behavior")
         own, other = (jnp.tanh(dist.sample(each, k, (self.samples,))) for each, k in ((d, k_own), (model, k_model)))
         return mmd(own, other, "laplacian", self.bandwidth)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
         """r + discount (min_j Q'_j(s', a') - penalty D(s')), without D in BRAC-p (eq. 6)."""
-        k_act, k_away = jax.random.split(key)
+        k_act, k_away = keys(key, "act", "divergence")
         d = dist.gaussian_head(state.actor(batch.next_observation))
         future = minimum(q_values(state.target_critics, batch.next_observation, jnp.tanh(dist.sample(d, k_act))))
         if self.value_penalty:
@@ -92,7 +93,7 @@ class BRAC(Agent):
 
     def actor_loss(self, actor: MLP, state, batch, key):
         """E[ penalty D(s) - min_j Q_j(s, a) ], a reparameterised; also gives the mean divergence (eq. 7)."""
-        k_act, k_away = jax.random.split(key)
+        k_act, k_away = keys(key, "act", "divergence")
         d = dist.gaussian_head(actor(batch.observation))
         q = minimum(q_values(state.critics, batch.observation, jnp.tanh(dist.sample(d, k_act))))
         away = self.away(d, state.behavior, batch.observation, k_away)
@@ -100,7 +101,7 @@ class BRAC(Agent):
 
     def update(self, state, batch, *, step, key):
         """Critics, actor, targets."""
-        k_target, k_actor = jax.random.split(key)
+        k_target, k_actor = keys(key, "target", "actor_loss")
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)

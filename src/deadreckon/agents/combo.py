@@ -11,8 +11,6 @@ used.
 
 from typing import ClassVar
 
-import jax
-
 from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.errors import UserError
@@ -42,7 +40,7 @@ class COMBO(OfflineMBRL):
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
-        high = soft_maximum(critics, state.actor, batch, self.samples, jax.random.fold_in(key, 2)).mean(-1)
+        high = soft_maximum(critics, state.actor, batch, self.samples, key).mean(-1)
         logged = q_values(critics, batch.observation[: self.real_batch_size], batch.action[: self.real_batch_size]).mean(-1)
         gap = high - logged
         return loss + self.cql_weight * gap.sum(), metrics | {"gap": gap.mean()}

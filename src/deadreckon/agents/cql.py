@@ -23,6 +23,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Categorical
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 
@@ -66,7 +67,7 @@ class CQL(SAC):
         """Squared errors, and the penalty."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
         measure = soft_maximum if self.form == "H" else weighted_mean
-        high = measure(critics, state.actor, batch, self.samples, jax.random.fold_in(key, 2)).mean(-1)
+        high = measure(critics, state.actor, batch, self.samples, key).mean(-1)
         gap = high - q_values(critics, batch.observation, batch.action).mean(-1)
         weight = jax.lax.stop_gradient(jnp.exp(state.model.log_weight)) if self.lagrange else self.cql_weight
         return loss + weight * gap.sum(), metrics | {"gap": gap.mean()}
@@ -99,7 +100,7 @@ def soft_maximum(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: in
     """
     if isinstance(actor, Categorical):
         return jax.nn.logsumexp(all_q_values(critics, batch.observation), axis=-1)
-    k_uniform, k_now, k_next = jax.random.split(key, 3)
+    k_uniform, k_now, k_next = keys(key, "uniform", "now", "next")
     rows, size = batch.action.shape
     uniform = jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)
     parts = [q_values(critics, batch.observation, uniform) + size * jnp.log(2.0)]

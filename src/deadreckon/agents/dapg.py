@@ -26,6 +26,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Gaussian
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Sizes, UnitInterval, static
 
 LOG_STD_MIN = -3.0  # below which their code lets no log-deviation fall
@@ -86,7 +87,7 @@ class DAPG(Agent):
 
     def init(self, spec, key) -> Any:
         """Fresh networks; deviations are one until demonstrations tell better."""
-        ka, kc = jax.random.split(key)
+        ka, kc = keys(key, "actor", "critics")
         actor = Actor(policy_network(spec, self.hidden, ka), jnp.zeros(spec.action_size))
         critic = MLP.create(spec.observation_size, self.critic_hidden, 1, kc)
         told: dict[str, Array] = {name: jnp.zeros(()) for name in STEP_METRICS}

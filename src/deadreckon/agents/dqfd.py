@@ -32,7 +32,7 @@ class DQfD(TD3):
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and how far the margin is missed."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
-        missed = self.missed(critics, state.actor, batch, jax.random.fold_in(key, 1))
+        missed = self.missed(critics, state.actor, batch, key)
         return loss + self.margin_weight * missed.mean(-1).sum(), metrics | {"margin_missed": missed.mean()}
 
     def missed(self, critics: MLP, actor: MLP, batch: Batch, key: Array) -> Float[Array, "k b"]:

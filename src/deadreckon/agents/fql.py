@@ -20,6 +20,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import OneStep
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
 
 
@@ -58,7 +59,7 @@ class FQL(Agent):
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
-        kf, ka, kc = jax.random.split(key, 3)
+        kf, ka, kc = keys(key, "flow", "actor", "critics")
         inputs = spec.observation_size + spec.action_size
         flow = MLP.create(inputs + 1, self.hidden, spec.action_size, kf, activation="gelu")
         actor = MLP.create(inputs, self.hidden, spec.action_size, ka, activation="gelu")
@@ -67,7 +68,7 @@ class FQL(Agent):
 
     def flow_loss(self, flow: MLP, batch, key) -> Array:
         """Squared error of the field on straight lines from noise to logged actions, at uniform times."""
-        k_noise, k_time = jax.random.split(key)
+        k_noise, k_time = keys(key, "noise", "time")
         noise = jax.random.normal(k_noise, batch.action.shape)
         time = jax.random.uniform(k_time, (len(noise), 1))
         there = (1.0 - time) * noise + time * batch.action
@@ -99,7 +100,7 @@ class FQL(Agent):
 
     def update(self, state, batch, *, step, key):
         """Flow, critics, actor, targets."""
-        k_flow, k_target, k_actor = jax.random.split(key, 3)
+        k_flow, k_target, k_actor = keys(key, "flow_loss", "target", "actor_loss")
         flow_loss, grads = jax.value_and_grad(self.flow_loss)(state.flow, batch, k_flow)
         flow, flow_opt = apply_gradients(state.flow, grads, state.flow_opt, self.behavior_lr)
         target = self.target(state, batch, k_target)

@@ -16,6 +16,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Sizes, UnitInterval, static
 
 
@@ -54,7 +55,7 @@ class IQL(Agent):
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
-        ka, kv, kc = jax.random.split(key, 3)
+        ka, kv, kc = keys(key, "actor", "value", "critics")
         actor = create_actor(spec, self.hidden, ka)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
         critics = create_critics(spec, self.hidden, 2, kc)

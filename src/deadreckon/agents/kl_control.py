@@ -7,14 +7,13 @@ average.
 
 from typing import Any, ClassVar
 
-import jax
-
 from deadreckon.agents.bc import cloned
 from deadreckon.agents.sac import SAC
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import copy
+from deadreckon.randomness import key_for
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
@@ -41,7 +40,7 @@ class KLControl(SAC):
 
     def init(self, spec, key) -> Any:
         """SAC's state with a model of the log's policy, as yet unfitted."""
-        model = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, jax.random.fold_in(key, 2))
+        model = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, key_for(key, "model"))
         return super().init(spec, key)._replace(model=model)
 
     def prepare(self, state, rows, key, fit):

@@ -20,6 +20,7 @@ from deadreckon.dynamics import Ensemble
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, static
 
 
@@ -42,15 +43,15 @@ class MOBILE(OfflineMBRL):
 
     def mixed(self, state, batch, key):
         """Lowers the rewards of made-up rows, which lowers their targets by as much."""
-        k_rows, k_draw = jax.random.split(key)
+        k_rows, k_penalty = keys(key, "mixed", "inconsistency")
         rows = super().mixed(state, batch, k_rows)
         made_up = jnp.arange(self.batch_size) >= self.real_batch_size
-        inconsistency = jnp.where(made_up, self.inconsistency(state, state.model.ensemble, rows, k_draw), 0.0)
+        inconsistency = jnp.where(made_up, self.inconsistency(state, state.model.ensemble, rows, k_penalty), 0.0)
         return rows._replace(reward=rows.reward - self.penalty * inconsistency)
 
     def inconsistency(self, state: State, ensemble: Ensemble, rows: Batch, key: Array) -> Float[Array, "b"]:
         """u above, with the target critics, over the elites."""
-        k_model, k_policy = jax.random.split(key)
+        k_model, k_policy = keys(key, "model", "policy")
         inputs = ensemble.standardise(jnp.concatenate([rows.observation, rows.action], -1))
         inputs = jnp.broadcast_to(inputs, (self.elites, *inputs.shape))
         mean, log_variance, _ = self.model.heads(ensemble.best(), inputs)

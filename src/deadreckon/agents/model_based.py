@@ -13,6 +13,7 @@ from deadreckon.dynamics import Ensemble, Gaussian, Trainer
 from deadreckon.dynamics.ensemble import check_sizes
 from deadreckon.dynamics.rollout import Ends
 from deadreckon.errors import UserError
+from deadreckon.randomness import key_for
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
 
 # Table B.1 and the public code's target entropies. Of the two columns with G = 40 only HalfCheetah is sure in the
@@ -103,7 +104,7 @@ class OnlineModelBasedAgent(ModelBasedAgent):
 
     def init(self, spec: Spec, key: PRNGKeyArray) -> Any:
         """The state of the underlying model-free agent, and the ensemble."""
-        return super().init(spec, key)._replace(model=self.unfitted(spec, key))
+        return super().init(spec, key)._replace(model=self.unfitted(spec, key_for(key, "model")))
 
 
 class ModelBasedSAC(OnlineModelBasedAgent, SAC):

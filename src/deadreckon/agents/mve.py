@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import bellman_loss
 from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.dynamics import transition
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import CountOrZero, static
 
 
@@ -42,8 +43,9 @@ class MVE(ModelBasedSAC):
         rewards, goes_on, bonuses = [batch.reward], [1.0 - batch.terminal], []
         skipped = [jnp.zeros_like(batch.reward)]
         observation = batch.next_observation
+        k_rollout, k_value = keys(key, "rollout", "value")
         for t in range(self.horizon):
-            k_act, k_next = jax.random.split(jax.random.fold_in(key, t))
+            k_act, k_next = keys(jax.random.fold_in(k_rollout, t), "act", "next")
             action, bonus = self.act(state, observation, jax.random.normal(k_act, batch.action.shape))
             reward, following, over, lost = transition(self.model, state.model, self.over, observation, action, k_next)
             observations.append(observation)
@@ -54,7 +56,7 @@ class MVE(ModelBasedSAC):
             goes_on.append(1.0 - (over & ~lost))
             bonuses.append(bonus)
             observation = jnp.where(lost[:, None], observation, following)
-        value = self.value(state, observation, jax.random.normal(key, batch.action.shape))
+        value = self.value(state, observation, jax.random.normal(k_value, batch.action.shape))
         targets = []
         for t in reversed(range(self.horizon + 1)):
             targets.append(rewards[t] + self.discount * goes_on[t] * value)

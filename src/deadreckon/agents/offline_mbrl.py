@@ -17,6 +17,7 @@ from deadreckon.agents.sac import SAC, State
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.dynamics import Branch, Ensemble, branches, packed
 from deadreckon.errors import DivergedError, UserError
+from deadreckon.randomness import generator, keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, static
 
 
@@ -56,7 +57,7 @@ class OfflineMBRL(ModelBasedAgent, SAC):
 
     def init(self, spec, key):
         """SAC's state, and room for what will be made up."""
-        k_sac, k_model = jax.random.split(key)
+        k_sac, k_model = keys(key, "sac", "model")
         width = 2 * spec.observation_size + spec.action_size + 2
         rows = jnp.zeros((self.retain_rounds, self.rollout_batch_size * self.rollout_length, width), jnp.float32)
         return super().init(spec, k_sac)._replace(model=ModelBuffer(self.unfitted(spec, k_model), rows, jnp.int32(0)))
@@ -64,14 +65,16 @@ class OfflineMBRL(ModelBasedAgent, SAC):
     def prepare(self, state, rows, key, fit):
         """Fits the model where that has not been done, and makes rollouts."""
         ensemble, slots, turns = state.model
-        seed, turn = int(jax.random.bits(key, dtype=jnp.uint32)), int(turns)
-        rng = np.random.default_rng([seed, 6])
+        k_seed, k_rollouts = keys(key, "seed", "rollouts")
+        seed, turn = int(jax.random.bits(k_seed, dtype=jnp.uint32)), int(turns)
+        rng = generator(seed, "rollouts")
         if turn == 0:
             drawn = rows.count if self.model_rows is None else min(self.model_rows, rows.count)
             columns = rows.take(np.sort(rng.permutation(rows.count)[:drawn]))
             ensemble, _ = self.trainer.fit(self.model, rows.spec, columns, seed)
         starts = rows.take(rng.integers(rows.count, size=self.rollout_batch_size))["observation"]
-        found = branches(self.model, ensemble, self.policy(state), jnp.asarray(starts), self.rollout_length, key, self.over)
+        policy, length = self.policy(state), self.rollout_length
+        found = branches(self.model, ensemble, policy, jnp.asarray(starts), length, k_rollouts, self.over)
         made = packed(self.penalised(ensemble, found, rows))
         if not len(made):
             raise DivergedError("model: none of its rollouts has finite numbers; a lower model_lr may help")
@@ -85,7 +88,7 @@ class OfflineMBRL(ModelBasedAgent, SAC):
 
     def update(self, state, batch, *, step, key):
         """SAC's update on logged rows and made-up ones."""
-        k_rows, k_sac = jax.random.split(key)
+        k_rows, k_sac = keys(key, "mixed", "sac")
         return super().update(state, self.mixed(state, batch, k_rows), step=step, key=k_sac)
 
     def mixed(self, state: State, batch: Batch, key: Array) -> Batch:

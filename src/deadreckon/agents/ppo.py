@@ -20,6 +20,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
 from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
 PASSES, MINIBATCH = 10, 64  # of a block, and rows
@@ -69,7 +70,7 @@ class PPO(Agent):
 
     def init(self, spec, key) -> Any:
         """Fresh networks; the actor's last layer is small, so that it begins without preferences."""
-        ka, kc = jax.random.split(key)
+        ka, kc = keys(key, "actor", "critics")
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka, activation="tanh")
         actor = MLP((*actor.weights[:-1], 0.01 * actor.weights[-1]), (*actor.biases[:-1], 0.0 * actor.biases[-1]), "tanh")
         critic = MLP.create(spec.observation_size, self.hidden, 1, kc, activation="tanh")

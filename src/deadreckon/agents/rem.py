@@ -37,7 +37,7 @@ class REM(SAC):
 
     def critic_loss(self, critics, state, batch, target, key):
         """The squared error of one random mixture, of critics and of their targets."""
-        weight = simplex(jax.random.fold_in(key, 2), self.critics)
+        weight = simplex(key, self.critics)
         q = q_values(critics, batch.observation, batch.action)
         error = jnp.square(weight @ (q - jax.lax.stop_gradient(target)))
         return error.mean(), {"critic_loss": error.mean(), "q": q.mean()}

@@ -14,6 +14,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, UnitInterval, static
 
 
@@ -64,7 +65,7 @@ class SAC(Agent):
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
-        ka, kc = jax.random.split(key)
+        ka, kc = keys(key, "actor", "critics")
         actor = create_actor(spec, self.hidden, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
@@ -137,9 +138,9 @@ class SAC(Agent):
 
     def update(self, state, batch, *, step, key):
         """Critics, actor, temperature, targets."""
-        k_target, k_actor = jax.random.split(key)
+        k_target, k_critics, k_actor = keys(key, "target", "critic_loss", "actor_loss")
         target = self.target(state, batch, k_target)
-        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
+        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, k_critics)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
 

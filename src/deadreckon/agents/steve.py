@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.dynamics import ended
 from deadreckon.nets.mlp import q_values
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, static
 
 _LEAST = 1e-8  # variance, where all agree
@@ -53,7 +54,7 @@ class STEVE(ModelBasedSAC):
         discount = spread(self.discount * (1.0 - batch.terminal))
         found = []
         for h in range(self.horizon + 1):
-            k_act, k_draw, k_end = jax.random.split(jax.random.fold_in(key, h), 3)
+            k_act, k_draw, k_end = keys(jax.random.fold_in(key, h), "act", "next", "end")
             action, bonus = self.act(state, observation, jax.random.normal(k_act, batch.action.shape))
             value = q_values(state.target_critics, observation, action) + bonus
             found.append(so_far[:, None] + discount[:, None] * jnp.moveaxis(value, 0, 1))

@@ -11,6 +11,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
 
 
@@ -49,7 +50,7 @@ class TD3(Agent):
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
-        ka, kc = jax.random.split(key)
+        ka, kc = keys(key, "actor", "critics")
         actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
         critics = create_critics(spec, self.hidden, 2, kc, normalise=self.layer_norm)
         return State(actor, critics, copy(actor), copy(critics), init_opt(actor), init_opt(critics))
@@ -76,8 +77,9 @@ class TD3(Agent):
 
     def update(self, state, batch, *, step, key):
         """Critics always; every `policy_freq` updates the actor and all targets."""
-        target = self.target(state, batch, key)
-        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, key)
+        k_target, k_critics = keys(key, "target", "critic_loss")
+        target = self.target(state, batch, k_target)
+        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, k_critics)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
 

@@ -11,6 +11,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError, unknown
+from deadreckon.randomness import generator
 
 REVISION = 1  # of what batches hold for given rows; raised where their numbers change (see bench/identity.py)
 
@@ -69,7 +70,7 @@ def redrawn(count: int, members: int, seed: int) -> np.ndarray:
     """
     if members == 1:
         return np.ones((count, 1), np.float32)
-    draws = np.random.default_rng([seed, 1]).multinomial(count, np.full(count, 1 / count), members)
+    draws = generator(seed, "redrawn").multinomial(count, np.full(count, 1 / count), members)
     return draws.T.astype(np.float32)
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
 from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, static
 
 
@@ -22,7 +23,7 @@ class AutoRegressive(Model):
         """Networks with outputs (mean, log-variance), others for the end, and bounds of the log-variances."""
         numbers = spec.observation_size + 1
         inputs = spec.observation_size + spec.action_size
-        kn, ke = jax.random.split(key)
+        kn, ke = keys(key, "nets", "ends")
         make = lambda k: MLP.create(inputs + 2 * numbers, self.hidden, 2, k, activation="swish")  # noqa: E731
         end = lambda k: MLP.create(inputs + numbers, self.hidden[:2], 1, k, activation="swish")  # noqa: E731
         bounds = jnp.broadcast_to(jnp.asarray(LOG_VARIANCE)[:, None], (self.members, 2, numbers)) + 0.0

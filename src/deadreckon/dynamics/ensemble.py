@@ -19,6 +19,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.dynamics.model import Model
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import init_opt
+from deadreckon.randomness import generator, keys
 from deadreckon.training.hyperparameters import Count, Range, UnitInterval, static
 from deadreckon.training.program import choose
 
@@ -101,16 +102,16 @@ class Trainer(eqx.Module):
         n = len(inputs)
         if n < FEWEST:
             raise UserError(f"{n} rows are too few to fit a model to, {FEWEST} or more are needed")
-        rng = np.random.default_rng([seed, 5])
+        rng = generator(seed, "rows")
         order = rng.permutation(n)
         held = max(1, min(int(self.holdout * n), self.most_holdout))
         held, train = order[:held], order[held:]
         mean, std = inputs[train].mean(0), inputs[train].std(0)
         std = np.where(std < STD_FLOOR, 1.0, std).astype(np.float32)
         inputs = (inputs - mean) / std
-        key = jax.random.key(seed)
+        k_init, k_update = keys(jax.random.key(seed), "init", "update")
         if start is None:
-            params = model.create(spec, key)
+            params = model.create(spec, k_init)
             opt = init_opt(params)
         else:
             params, opt = start.params, start.opt
@@ -127,7 +128,7 @@ class Trainer(eqx.Module):
             # The last batch is filled up from the beginning.
             rows = np.resize(train[shuffled].T, (batches * model.batch_size, model.members)).T
             rows = np.pad(rows, ((0, 0), (0, width - rows.shape[1]))).astype(np.int32)
-            part = jax.random.fold_in(key, epochs)
+            part = jax.random.fold_in(k_update, epochs)
             params, opt = _epoch(model, params, opt, data, jnp.asarray(rows), jnp.int32(batches), part)
             error = np.asarray(_errors(model, params, judged, jnp.int32(len(held))), float)
             if not np.isfinite(error).all():

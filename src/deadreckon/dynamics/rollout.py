@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from deadreckon.data.step import Step
 from deadreckon.dynamics.ensemble import Ensemble
 from deadreckon.dynamics.model import Model
+from deadreckon.randomness import keys
 
 # Whether episodes end (n,) where these are observed (n, o): a task's `ends`.
 Ends = Callable[[Array], Array]
@@ -82,7 +83,7 @@ def _step(
 def _one(
     model: Model, ensemble: Ensemble, policy: Any, ends: Ends | None, observation: Array, running: Array, key: PRNGKeyArray
 ) -> Branch:
-    k_act, k_next = jax.random.split(key)
+    k_act, k_next = keys(key, "act", "next")
     n = len(observation)
     nothing = Step(observation, jnp.zeros(n), jnp.zeros(n, bool))
     action = policy.act(nothing, policy.start(n), k_act, greedy=False)[0]
@@ -95,7 +96,7 @@ def transition(
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, "n"], Float[Array, "n o"], Bool[Array, "n"], Bool[Array, "n"]]:  # fmt: skip
     """One transition per row from one elite: reward, next observation, whether the episode ends, whether it diverged."""
-    k_order, k_draw, k_end = jax.random.split(key, 3)
+    k_order, k_draw, k_end = keys(key, "order", "next", "end")
     n, elites = len(observation), len(ensemble.elites)
     # Rows are dealt to the elites in equal shares: a draw for each row would have every elite do all rows. Where they do
     # not divide, the first are done once more.

@@ -24,6 +24,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Gaussian, mixture
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, host, static
 
 LOG_RATIO = 10.0  # log-ratios of densities beyond this decide alone, and are cut
@@ -70,10 +71,10 @@ class Layout(NamedTuple):
     def draw(self, out: Float[Array, "b o"], key: Array) -> Float[Array, "b z"]:
         """Coordinates from a decoder's output."""
         mean, log_std, groups = self.parts(out)
-        keys = jax.random.split(key, 1 + len(groups))
-        drawn = [mean + jnp.exp(log_std) * jax.random.normal(keys[0], mean.shape)]
-        for k, (count, levels), probs in zip(keys[1:], self.groups, groups):
-            one = jax.nn.one_hot(jax.random.categorical(k, probs), levels)
+        k_numbers, k_groups = keys(key, "numbers", "groups")
+        drawn = [mean + jnp.exp(log_std) * jax.random.normal(k_numbers, mean.shape)]
+        for i, ((count, levels), probs) in enumerate(zip(self.groups, groups)):
+            one = jax.nn.one_hot(jax.random.categorical(jax.random.fold_in(k_groups, i), probs), levels)
             drawn.append((one[..., 1:] - one[..., :1]).reshape(-1, count * (levels - 1)))
         return jnp.concatenate(drawn, -1)
 
@@ -114,7 +115,7 @@ class Autoencoding(eqx.Module):
 
     def init(self, spec, key):
         """A fresh generator and its optimiser."""
-        ke, kd = jax.random.split(key)
+        ke, kd = keys(key, "encoder", "decoder")
         latent, hidden = self.settings.latent_size, self.settings.hidden
         encoder = MLP.create(spec.size, hidden, 2 * latent, ke)
         made = Generator(encoder, MLP.create(latent, hidden, self.layout.outputs, kd))
@@ -186,19 +187,19 @@ class CbAS(Designer):
         fixed = x, y, jnp.asarray(weight)
         found = []
         for seed, (nets, nets_opt), (prior, _) in zip(setting.seeds, proxies, priors):
-            key = jax.random.fold_in(jax.random.key(seed), 2)
+            k_rounds, k_designs = keys(jax.random.key(seed), "rounds", "designs")
             state = Rounds(prior, init_opt(prior), nets, nets_opt, jnp.float32(-jnp.inf))
             for i in range(self.rounds):
-                state = _round(self, layout, prior, state, *fixed, jax.random.fold_in(key, i), *setting.bounds)
+                state = _round(self, layout, prior, state, *fixed, jax.random.fold_in(k_rounds, i), *setting.bounds)
                 setting.watch(f"{self.label.lower()} seed {seed}", i + 1, self.rounds)
-            drawn = _draw(layout, state.q, jax.random.fold_in(key, self.rounds), setting.n)[0]
+            drawn = _draw(layout, state.q, k_designs, setting.n)[0]
             found.append(self.decoded(setting, seed, drawn, lambda x, nets=state.nets: mixture(nets, x)))
         return found
 
 
 def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, Array]:
     """Designs, some of them out of bounds, and their latents."""
-    kz, kx = jax.random.split(key)
+    kz, kx = keys(key, "latent", "design")
     latent = jax.random.normal(kz, (count, q.decoder.weights[0].shape[0]))
     return layout.draw(q.decoder(latent), kx), latent
 
@@ -206,8 +207,8 @@ def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, 
 @eqx.filter_jit
 def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weight, key, low, high) -> Rounds:
     """One round: draw, count, fit q; then, autofocused, the ensemble."""
-    kd, kq, ke, kn = jax.random.split(key, 4)
-    drawn, latent = _draw(layout, state.q, kd, of.samples)
+    k_draw, k_generator, k_ensemble = keys(key, "draw", "generator", "ensemble")
+    drawn, latent = _draw(layout, state.q, k_draw, of.samples)
     mean, std = mixture(state.nets, jnp.clip(drawn, low, high))  # what would be proposed; densities are of what was drawn
     threshold = jnp.maximum(state.threshold, jnp.percentile(mean, of.percentile))
     ratio = layout.log_prob(prior.decoder(latent), drawn) - layout.log_prob(state.q.decoder(latent), drawn)
@@ -217,9 +218,9 @@ def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weig
 
     def fit(i, carry):
         q, opt = carry
-        k = jax.random.fold_in(kq, i)
-        rows = jax.random.randint(k, (of.batch_size,), 0, of.samples)
-        return learn(q, opt, layout, drawn[rows], count[rows], of.lr, jax.random.fold_in(k, 1))[:2]
+        k_rows, k_loss = keys(jax.random.fold_in(k_generator, i), "rows", "loss")
+        rows = jax.random.randint(k_rows, (of.batch_size,), 0, of.samples)
+        return learn(q, opt, layout, drawn[rows], count[rows], of.lr, k_loss)[:2]
 
     q, opt = jax.lax.fori_loop(0, of.updates, fit, (state.q, state.opt))
     nets, nets_opt = state.nets, state.nets_opt
@@ -232,8 +233,9 @@ def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weig
 
         def refocus(i, carry):
             nets, opt = carry
-            rows = jax.random.randint(jax.random.fold_in(kn, i), (of.batch_size,), 0, len(x))
-            each = lambda net, w: loss(net, x[rows], y[rows], w * focus[rows], ke)[0]  # noqa: E731
+            k_rows, k_loss = keys(jax.random.fold_in(k_ensemble, i), "rows", "loss")
+            rows = jax.random.randint(k_rows, (of.batch_size,), 0, len(x))
+            each = lambda net, w: loss(net, x[rows], y[rows], w * focus[rows], k_loss)[0]  # noqa: E731
             grads = jax.grad(lambda nets: jax.vmap(each)(nets, weight[rows].T).sum())(nets)
             return apply_gradients(nets, grads, opt, of.lr)
 

@@ -19,6 +19,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.surrogate import Surrogate, counts
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import init_opt
+from deadreckon.randomness import key_for, keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, static
 
 WAVES = 8  # pairs of a sine and a cosine that tell the time
@@ -50,7 +51,7 @@ class Denoiser(Surrogate):
 
     def loss(self, net: MLP, x, y, weight, key):
         """Squared error of the noise, at times drawn evenly."""
-        kt, ke, kd = jax.random.split(key, 3)
+        kt, ke, kd = keys(key, "time", "noise", "dropped")
         t, noise = jax.random.uniform(kt, (len(x),), minval=1e-3), jax.random.normal(ke, x.shape)
         told = (jax.random.uniform(kd, (len(x),)) >= self.dropped).astype(x.dtype)
         left = variance_left(t)[:, None]
@@ -107,7 +108,7 @@ class DDOM(Designer):
         low, high = (np.where(np.isfinite(b), b, e) for b, e in ((view.low, seen.min(0)), (view.high, seen.max(0))))
         found = []
         for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ddom", {"weight": weight})):
-            key = jax.random.fold_in(jax.random.key(seed), 1)
+            key = key_for(jax.random.key(seed), "designs")
             x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling_steps)
             found.append(self.decoded(setting, seed, x, lambda x: (np.full(len(x), best), None)))
         return found

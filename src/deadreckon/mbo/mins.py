@@ -22,6 +22,7 @@ from deadreckon.mbo.forward import Gaussian, mean_of
 from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
+from deadreckon.randomness import key_for, keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, host, static
 
 PENALTY = 10.0  # of the gradient's norm
@@ -52,7 +53,7 @@ class Inversion(eqx.Module):
 
     def init(self, spec, key):
         """Fresh networks."""
-        kg, kc = jax.random.split(key)
+        kg, kc = keys(key, "generator", "critic")
         settings = self.settings
         generator = MLP.create(settings.latent_size + 1, settings.hidden, spec.size, kg)
         critic = MLP.create(spec.size + 1, settings.hidden, 1, kc)
@@ -62,7 +63,7 @@ class Inversion(eqx.Module):
         """One step of the critic, and every `critic_updates` of them one of the generator."""
         assert batch.extra is not None
         x, y, weight = batch.extra["x"], batch.extra["y"], batch.extra["weight"]
-        kz, ke = jax.random.split(key)
+        kz, ke = keys(key, "latent", "between")
         z = jax.random.normal(kz, (len(x), self.settings.latent_size))
         fake = made(state.generator, z, y)
 
@@ -123,7 +124,7 @@ class MINs(Designer):
         best = float((data.y.max() - view.y_mean) / view.y_std)
         found = []
         for seed, pair, (nets, _) in zip(setting.seeds, pairs, models):
-            z = jax.random.normal(jax.random.fold_in(jax.random.key(seed), 3), (setting.n, self.latent_size))
+            z = jax.random.normal(key_for(jax.random.key(seed), "designs"), (setting.n, self.latent_size))
             x = _ascend(pair.generator, nets, z, best, self.agreement, self.ascent_lr, *setting.bounds, steps=self.ascent_steps)
             found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (mean_of(nets, x), None)))
         return found

@@ -59,7 +59,7 @@ class MLP(eqx.Module):
         keys = jax.random.split(key, len(sizes) - 1)
         weights, biases = [], []
         for k, i, o in zip(keys, sizes, sizes[1:]):
-            kw, kb = jax.random.split(k)
+            kw, kb = jax.random.split(k)  # both are drawn alike
             bound = 1.0 / jnp.sqrt(i)
             weights.append(jax.random.uniform(kw, (i, o), minval=-bound, maxval=bound))
             biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from deadreckon.nets.mlp import MLP, standardised
+from deadreckon.randomness import key_for, keys
 
 
 class Block(eqx.Module):
@@ -28,18 +29,18 @@ class Block(eqx.Module):
     @classmethod
     def create(cls, width: int, heads: int, key: PRNGKeyArray) -> "Block":
         """A fresh block; `heads` must divide `width`."""
-        ka, km, kf = jax.random.split(key, 3)
+        ka, km, kf = keys(key, "attend", "merge", "feed")
         feed = MLP.create(width, (4 * width,), width, kf)
         return cls(MLP.create(width, (), 3 * width, ka), MLP.create(width, (), width, km), feed, heads)
 
     def __call__(
-        self, x: Float[Array, "b t w"], seen: Bool[Array, "b t t"], drop: Callable[[Array, int], Array]
+        self, x: Float[Array, "b t w"], seen: Bool[Array, "b t t"], drop: Callable[[Array, str], Array]
     ) -> Float[Array, "b t w"]:
         """What becomes of tokens; `seen` tells which of them (last axis) each may look at; see `Transformer`."""
         parts = self.attend(standardised(x)).reshape(*x.shape[:-1], 3, self.heads, -1)
         found = jax.nn.dot_product_attention(parts[:, :, 0], parts[:, :, 1], parts[:, :, 2], mask=seen[:, None])
-        x = x + drop(self.merge(found.reshape(x.shape)), 0)
-        return x + drop(self.feed(standardised(x)), 1)
+        x = x + drop(self.merge(found.reshape(x.shape)), "merge")
+        return x + drop(self.feed(standardised(x)), "feed")
 
 
 class Transformer(eqx.Module):
@@ -69,8 +70,8 @@ class Transformer(eqx.Module):
         seen = (before & there[:, None, :]) | jnp.eye(count, dtype=bool)
         for i, block in enumerate(self.blocks):
 
-            def drop(part: Array, which: int, i: int = i) -> Array:
-                return dropped(part, rate, None if key is None else jax.random.fold_in(key, 2 * i + which))
+            def drop(part: Array, which: str, i: int = i) -> Array:
+                return dropped(part, rate, None if key is None else key_for(key, which, i))
 
             x = block(x, seen, drop)
         return standardised(x)

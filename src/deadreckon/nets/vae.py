@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.nets.mlp import MLP
+from deadreckon.randomness import keys
 
 LOG_STD_MIN, LOG_STD_MAX = -4.0, 15.0  # of the latent, as in the official code
 LATENT_CLIP = 0.5  # latents drawn at decoding time are clamped, so that decoded actions stay near the data
@@ -25,7 +26,7 @@ class VAE(eqx.Module):
     @classmethod
     def create(cls, observations: int, actions: int, hidden: tuple[int, ...], key: PRNGKeyArray) -> "VAE":
         """Latent size is twice the action's (BCQ, BEAR)."""
-        ke, kd = jax.random.split(key)
+        ke, kd = keys(key, "encoder", "decoder")
         latent = 2 * actions
         return cls(
             MLP.create(observations + actions, hidden, 2 * latent, ke),

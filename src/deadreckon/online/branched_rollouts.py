@@ -14,10 +14,10 @@ from deadreckon.dynamics.ensemble import room
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.online.model_learning import ModelLearning, own
+from deadreckon.randomness import generator, key_for
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
 SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
-_DREAM = 6  # purpose of randomness, beside those of `training.program`
 
 
 class BranchedRollouts(ModelLearning):
@@ -70,10 +70,10 @@ class BranchedRollouts(ModelLearning):
         found = []
         for lane, seed in enumerate(self.seeds):
             agent, state = own(learner, lane), own(states, lane)
-            rng = np.random.default_rng([seed, _DREAM, turn, 0])
+            rng = generator(seed, "rollouts", turn)
             real, n = self.real(lane), agent.rollouts_per_step * agent.model_train_freq
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
-            key = jax.random.fold_in(jax.random.key(self._mixed(lane, turn)), _DREAM)
+            key = key_for(jax.random.key(self._mixed(lane, turn)), "rollouts")
             rows = self._made_up(agent, state, starts, length, key)
             if not len(rows):  # a lane that diverged, which it is told after its updates
                 rows = real[:, : self._width]
@@ -93,8 +93,8 @@ class BranchedRollouts(ModelLearning):
             halvings += 1
         portion, found, count = len(starts) >> halvings, [], 0
         for i in range(1 << halvings):
-            now = jax.random.fold_in(key, i) if halvings else key
             some = starts[i * portion : (i + 1) * portion]
+            now = jax.random.fold_in(key, i)
             rows = packed(branches(agent.model, state.model, agent.policy(state), some, length, now, agent.over))
             found.append(rows)
             count += len(rows)
@@ -113,7 +113,7 @@ class BranchedRollouts(ModelLearning):
         rows = np.zeros((len(self.seeds), room(self._count), self._width), np.float32)
         np.concatenate(kept, 1, out=rows[:, :made_up])
         for lane, seed in enumerate(self.seeds):
-            drawn = np.random.default_rng([seed, _DREAM, turn, 1]).integers(steps, size=more)
+            drawn = generator(seed, "real rows", turn).integers(steps, size=more)
             rows[lane, made_up : self._count] = np.asarray(self.replay.buffer[lane, :steps, : self._width])[drawn]
         self._buffer = jnp.asarray(rows)
 

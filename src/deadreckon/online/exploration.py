@@ -18,8 +18,8 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Discrete, Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
+from deadreckon.randomness import key_for, sequence
 from deadreckon.tasks.task import Task
-from deadreckon.training.program import ACT
 from deadreckon.training.replay import Replay, read_rows
 
 
@@ -93,7 +93,7 @@ def _explore(roots: Key[Array, "l"], t: Array, shape: tuple[int, ...]) -> Float[
 
 
 def _key(root: PRNGKeyArray, t: Array) -> PRNGKeyArray:
-    return jax.random.fold_in(jax.random.fold_in(root, ACT), t)
+    return key_for(root, "act", t)
 
 
 class Exploration:
@@ -143,7 +143,7 @@ class Exploration:
         self.view = Normalizer.of(self.spec)
         self.block = settings.updates_per_block
         self.copies = settings.copies
-        seeds_of = [np.random.SeedSequence([seed, ACT]).generate_state(self.copies, np.uint64) for seed in seeds]
+        seeds_of = [sequence(seed, "act").generate_state(self.copies, np.uint64) for seed in seeds]
         self.simulator: Any = task.simulate([int(s) for s in np.concatenate(seeds_of)], threads)
         self._shape = len(seeds), self.copies
         self.metrics: dict[str, np.ndarray] = {}

@@ -13,8 +13,8 @@ from deadreckon.data.step import Step
 from deadreckon.dynamics import transition
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.online.on_policy import digested, learned_fields, observing
+from deadreckon.randomness import generator, key_for, keys
 
-_VIRTUAL = 7  # purpose of randomness, beside those of `training.program` and `online.branched_rollouts`
 STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model
 FAR = 100.0  # deviations of what was really seen, beyond which nothing is made up
 
@@ -54,7 +54,7 @@ class ModelRollouts(ModelLearning):
         rows = self.real(lane)[:steps]
         over = (rows[: steps - self.copies, -2:] > 0).any(1)  # terminal or timeout; a copy's next row is a start
         first = np.concatenate([np.arange(self.copies), np.flatnonzero(over) + self.copies])
-        rng = np.random.default_rng([self.seeds[lane], _VIRTUAL, turn])
+        rng = generator(self.seeds[lane], "rollouts", turn)
         return rows[rng.choice(first, STARTS), : self.spec.observation_size]
 
 
@@ -66,11 +66,11 @@ def _lived(
 
     def one(agent: SLBO, state: Any, starts: Array, root: PRNGKeyArray) -> dict[str, Array]:
         policy, model, size = agent.policy(state), state.model, starts.shape[-1]
-        key = jax.random.fold_in(jax.random.fold_in(root, _VIRTUAL), step)
+        k_first, k_steps = keys(key_for(root, "rollouts", step), "first", "steps")
         some = lambda k: starts[jax.random.randint(k, (rollouts,), 0, len(starts))]  # noqa: E731
 
         def ahead(seen: Array, t: Array) -> tuple[Array, dict[str, Array]]:
-            k_act, k_next, k_new = jax.random.split(jax.random.fold_in(key, t), 3)
+            k_act, k_next, k_new = keys(jax.random.fold_in(k_steps, t), "act", "next", "first")
             here = Step(seen, jnp.zeros(rollouts), jnp.zeros(rollouts, bool))
             action = policy.act(here, policy.start(rollouts), k_act, greedy=False)[0]
             reward, following, over, lost = transition(agent.model, model, agent.over, seen, action, k_next)
@@ -81,6 +81,6 @@ def _lived(
                    "terminal": 1.0 * (over & ~lost), "timeout": 1.0 * lost}  # fmt: skip
             return jnp.where((over | lost)[:, None], some(k_new), following), row
 
-        return jax.lax.scan(ahead, some(key), jnp.arange(length))[1]
+        return jax.lax.scan(ahead, some(k_first), jnp.arange(length))[1]
 
     return jax.vmap(one)(learner, states, starts, roots)

@@ -25,6 +25,7 @@ from deadreckon.ope.critics import Best, in_blocks
 from deadreckon.ope.propensities import shifts, temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, create_actor
+from deadreckon.randomness import generator
 
 # What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
 PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
@@ -110,7 +111,7 @@ def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray
     of_all[case.held] = fold
     weight = (of_all[:, None] != np.arange(count)).astype(np.float32)
     clusters = whole.clusters
-    some = np.random.default_rng([case.seed, 10]).random((int(clusters.max()) + 1, count))[clusters] < CHECKED
+    some = generator(case.seed, "check").random((int(clusters.max()) + 1, count))[clusters] < CHECKED
     check = weight * some
     alone = (check.sum(0) == 0) | (weight.sum(0) < 20)
     return np.where(alone, weight, weight * ~some), np.where(alone, weight, check)
@@ -137,7 +138,7 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
     actions = logits.shape[1]
     mixed, kept = np.empty((len(own), actions)), np.empty(len(own))
-    rng = np.random.default_rng([case.seed, 14])
+    rng = generator(case.seed, "calibration")
     taken = np.asarray(data.actions)
     for k in range(check.shape[1]):
         # The temperature by rows that said when to stop, the shifts by all that are not of the fold; a few thousand are enough.

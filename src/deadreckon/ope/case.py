@@ -26,8 +26,8 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Watcher, unwatched
+from deadreckon.randomness import generator
 
-NEXT, INITIAL, CURRENT, FINAL = range(4)  # purposes of draws
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
 
@@ -148,7 +148,7 @@ class OPEInput(Fits):
         more than `GROUPS`. Units are what is redrawn and what influence functions are summed over."""
         own = np.unique(self.clusters[self.held], return_inverse=True)[1]
         count = int(own.max()) + 1
-        mixed = np.random.default_rng([self.seed, 2]).permutation(np.arange(count) % min(count, GROUPS))
+        mixed = generator(self.seed, "units").permutation(np.arange(count) % min(count, GROUPS))
         return mixed[own]
 
     @cached_property
@@ -212,7 +212,7 @@ class OPEInput(Fits):
         clusters = int(own.max()) + 1
         if clusters < 2:
             raise UserError(f"{self.data.name}: one episode or cluster cannot be cross-fitted; two or more are needed")
-        dealt = np.random.default_rng([self.seed, 9]).permutation(np.arange(clusters) % min(count, clusters))
+        dealt = generator(self.seed, "folds").permutation(np.arange(clusters) % min(count, clusters))
         return dealt[own]
 
     def teaching(self, rows: int | None = None) -> "OPEInput | None":
@@ -223,7 +223,7 @@ class OPEInput(Fits):
         """
         others = np.setdiff1d(np.arange(self._given.episodes), self.held)
         if rows is not None and (lengths := self._given.lengths[others]).sum() > rows:
-            drawn = np.random.default_rng([self.seed, 13]).permutation(len(others))
+            drawn = generator(self.seed, "teaching").permutation(len(others))
             others = np.sort(others[drawn[: max(int(np.searchsorted(np.cumsum(lengths[drawn]), rows)), 1)]])
             return self.once(("teaching", rows), lambda: self._beside(others))
         return self.once("teaching", lambda: self._beside(others)) if len(others) else None
@@ -264,28 +264,28 @@ class OPEInput(Fits):
         # Where nobody knows what the log's policy would have done after an episode's last row, its last action stands in.
         rows = np.arange(len(self.data))
         after = np.where(self.data._is_end, rows, rows + 1)
-        return self._table("next", _Following(self.data), samples, NEXT, after)
+        return self._table("next", _Following(self.data), samples, after)
 
     def initial_actions(self, samples: int) -> np.ndarray:
         """(episodes, policies, ...) table of what the policies do at the initial observations."""
         starts = self.data.starts
         if self.data.spec.discrete and len(starts) == len(self.data):  # the same rows, whose probabilities are no draws
             return self.current_actions(samples)
-        return self._table("initial", np.asarray(self.data.observations[starts]), samples, INITIAL, starts)
+        return self._table("initial", np.asarray(self.data.observations[starts]), samples, starts)
 
     def current_actions(self, samples: int) -> np.ndarray:
         """(rows, policies, ...) table of what the policies do at each row."""
-        return self._table("current", self.data.observations, samples, CURRENT, np.arange(len(self.data)))
+        return self._table("current", self.data.observations, samples, np.arange(len(self.data)))
 
     def final_actions(self, samples: int) -> np.ndarray:
         """(episodes, policies, ...) table of what the policies do at the final observations."""
-        return self._table("final", self.data.final_observations, samples, FINAL, self.data.ends)
+        return self._table("final", self.data.final_observations, samples, self.data.ends)
 
-    def _table(self, name: str, observations: Any, samples: int, purpose: int, rows: np.ndarray) -> np.ndarray:
+    def _table(self, name: str, observations: Any, samples: int, rows: np.ndarray) -> np.ndarray:
         """The policies' table; the behaviour policy does what it did at `rows`."""
 
         def make() -> np.ndarray:
-            table = self.actor.table(observations, samples, purpose, more=int(self.logged))
+            table = self.actor.table(observations, samples, name, more=int(self.logged))
             if self.crossed:
                 own = [table[np.arange(len(table)), each] for each in self._acting(self.data.episode_of[rows])]
                 table = np.stack([*own, *([table[:, -1]] if self.logged else [])], 1)
@@ -375,7 +375,7 @@ class OPEInput(Fits):
     def manner(self) -> str:
         """Tells sets of policies apart by what they do at observations from all over the log."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
-        done = self.actor.table(np.asarray(self.data.observations[some]), 1)
+        done = self.actor.table(np.asarray(self.data.observations[some]), 1, "manner")
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
 
     def redrawn(self, members: int) -> np.ndarray:

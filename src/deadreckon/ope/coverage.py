@@ -23,6 +23,7 @@ from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import in_blocks
 from deadreckon.policies.kinds import Categorical
+from deadreckon.randomness import generator
 
 LEVEL = 0.99  # of the log's own actions are covered
 # The bound comes from this share of the log's rows, or more, to have so many rows and episodes; never from more than half.
@@ -32,7 +33,6 @@ FITTED = 1_000_000  # rows are enough for the model
 # Actions nearer to a bound count as this: a tanh's density has no limit there, and its distances none.
 EDGE = 0.95
 MODEL = BehaviorModel(steps=5_000, lr=1e-3)  # by default; the bound makes up for what it has not learned
-PURPOSE = 4  # of draws, beside those of `OPEInput`
 
 
 def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, "policies"]:
@@ -51,7 +51,7 @@ def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, 
 
 def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
     actor, teach = case.actor, case.teaching()
-    rng = np.random.default_rng([case.seed, PURPOSE, 1])
+    rng = generator(case.seed, "coverage")
     if teach is not None:  # the bound is for the judged episodes, by a model of the others
         data, kept = case.log, case.data
         rows = len(kept)
@@ -83,7 +83,7 @@ def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
     pick = np.sort(rng.choice(len(kept), min(len(kept), MOST), replace=False))
     seen, taken = np.asarray(kept.observations[pick]), np.asarray(kept.actions[pick])
     told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model says
-    table = actor.table(seen, 1, PURPOSE)
+    table = actor.table(seen, 1, "coverage")
     if data.spec.discrete:
         return _owned(case, (table * (told >= _bound(told[np.arange(len(told)), taken]))[:, None]).sum(-1).mean(0))
     bound = _bound(_log_density(told, view.to_unit(taken)))

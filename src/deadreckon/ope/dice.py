@@ -29,6 +29,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import few
+from deadreckon.randomness import keys
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
@@ -70,7 +71,7 @@ class Saddle(eqx.Module):
 
     def init(self, spec, key):
         """Fresh networks."""
-        kq, kz = jax.random.split(key)
+        kq, kz = keys(key, "q", "zeta")
         members = self.settings.members
         q, zeta = (create(spec, self.settings.hidden, members, self.policies, k) for k in (kq, kz))
         multiplier = jnp.zeros((members, self.policies))

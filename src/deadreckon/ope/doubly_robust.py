@@ -37,6 +37,7 @@ from deadreckon.ope.shrinkage import shrinkage_scores
 from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
 from deadreckon.ope.weights import Episodes, Sums, few
+from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.stats.interval import NORMAL
 from deadreckon.training.hyperparameters import Count, UnitInterval, static
@@ -102,7 +103,7 @@ class DoublyRobust(Estimator):
                     # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of
                     # one critic that is not known, and there is no interval.
                     low, high = ensemble_interval(begins[:, i].mean(-1))
-                    noise = np.random.default_rng([case.seed, 4, i]).standard_normal(len(redrawn))
+                    noise = generator(case.seed, "uncorrected", i).standard_normal(len(redrawn))
                     redrawn = redrawn + uncorrected * (high - low) / (2 * NORMAL) * noise
                     doubts.append(i)
             else:

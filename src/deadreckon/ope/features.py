@@ -11,6 +11,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
+from deadreckon.randomness import generator
 
 TABLE = 400  # observations x actions up to which there is a feature for each
 PRODUCTS = 400  # products of two numbers, up to so many
@@ -71,7 +72,7 @@ class Features:
         self.cosines = cosines
         self.view, self.discrete = Normalizer.of(spec, standardise=True), spec.discrete
         p, self.actions = spec.observation_size, spec.action_size
-        rng = np.random.default_rng([seed, 6])
+        rng = generator(seed, "features")
         self.table = Table.of(log)
         if self.table is not None:
             self.size = len(self.table.seen) * self.actions

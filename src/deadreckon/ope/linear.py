@@ -22,6 +22,7 @@ from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.features import Features
 from deadreckon.ope.linear_sums import BLOCK, SUMMED, Critic, Sums, blocks
+from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import percentile_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
@@ -59,7 +60,7 @@ class LinearFQE(Estimator):
     def solve(self, case: OPEInput) -> Estimates:
         """Mean value of the initial observations; intervals by redrawing the log and solving again."""
         fit = Fit(self, case)
-        rng = np.random.default_rng([case.seed, 7])
+        rng = generator(case.seed, "linear critics")
         units = case.units
         count = int(units.max()) + 1
         most = max(20, min(GROUPS, int(ROOM / (8 * case.count * fit.features.size**2))))
@@ -272,7 +273,7 @@ class Fit:
         judged, teach = self.sums(self.case, fold, folds, start=start), self.case.teaching(TAUGHT)
         if teach is None:
             return judged
-        part = np.random.default_rng([self.case.seed, 8]).permutation(np.arange(teach.data.episodes) % PARTS)
+        part = generator(self.case.seed, "teaching parts").permutation(np.arange(teach.data.episodes) % PARTS)
         more = self.sums(teach, part, PARTS, start=start)
         both = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
         return replace(judged, **both)
@@ -310,7 +311,7 @@ class Fit:
                 for name, values in found.items():
                     getattr(out, name)[i, part] = values
         seen = np.flatnonzero(of_row == (k + 1) % (int(fold.max()) + 1))  # a block of these is enough
-        seen = np.sort(np.random.default_rng([case.seed, 12, k]).choice(seen, min(len(seen), BLOCK), replace=False))
+        seen = np.sort(generator(case.seed, "fitted rows", k).choice(seen, min(len(seen), BLOCK), replace=False))
         for i, found in enumerate(errors(seen, False)):
             out.fitted[i] += np.square(found["errors"]).mean() / (int(fold.max()) + 1)
 

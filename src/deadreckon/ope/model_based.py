@@ -19,6 +19,7 @@ from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
+from deadreckon.randomness import generator, key_for
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
@@ -73,7 +74,7 @@ class ModelBased(Estimator):
         # Where nothing in the log ends, nothing does; of a learned chance something would be left, and over many steps count.
         endings = jnp.float32(np.asarray(data.terminals).any())
         redrawn = case.redrawn(members)
-        rng = np.random.default_rng([case.seed, 3])
+        rng = generator(case.seed, "first observations")
         # Every policy begins at the same observations, drawn as the member's own episodes count.
         starts = np.stack([rng.choice(data.episodes, count, p=own / own.sum()) for own in redrawn.T.astype(float)])
         first = np.asarray(rows.view.observe(np.asarray(data.observations[data.starts[starts]])))
@@ -87,7 +88,8 @@ class ModelBased(Estimator):
                 seen = np.asarray(observation).reshape(members * count, -1)
                 raw = seen * rows.view.std + rows.view.mean
                 action = actor.act(which, raw, t).reshape(members, count, *data.actions.shape[1:])
-                key = jax.random.fold_in(jax.random.key(case.seed), t)
+                # The same draws for every policy: what they share falls out of differences between them.
+                key = key_for(jax.random.key(case.seed), "model", t)
                 factor = jnp.float32(case.discount**t)
                 observation, alive, total = _step(
                     model, params, limits, observation, action, alive, total, factor, endings, key

@@ -19,11 +19,11 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic, Gaussian, OneStep
+from deadreckon.randomness import generator, sequence
 
 BLOCK = 8192  # rows at a time
 LIMIT = 2**30  # bytes of a table above which it lies in a file
 NOISE = 0.01  # standard deviation, on the scale where actions are in [-1, 1], given to policies that draw nothing (8.5)
-MADE_UP = 9  # purpose of draws in made-up episodes
 DRAWS = 100  # of a discrete policy that does not tell its probabilities
 
 
@@ -74,13 +74,13 @@ class Actor:
             has = f"one of {self.spec.action_size} choices" if self.spec.discrete else f"shape {wanted}"
             raise UserError(f"{name} gives actions {given}, {self.spec.name} has {has}")
 
-    def table(self, observations: Any, samples: int, purpose: int = 0, more: int = 0) -> np.ndarray:
+    def table(self, observations: Any, samples: int, purpose: str, more: int = 0) -> np.ndarray:
         """What each policy does at each observation.
 
         Args:
             observations: (rows, *shape) raw, an array or what gives slices of one.
             samples: draws per row, of continuous actions.
-            purpose: told apart in the draws.
+            purpose: name, by which draws are told apart.
             more: room beside the policies, for whoever asks to fill.
 
         Returns:
@@ -93,11 +93,11 @@ class Actor:
         for start in range(0, rows, BLOCK):
             part = np.asarray(observations[start : start + BLOCK])
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):
-                key = [self.seed, purpose, start, i]
+                entropy = sequence(self.seed, f"actions, {purpose}", start, i)
                 if self.spec.discrete:
-                    found = self._probabilities(policy, part, key)
+                    found = self._probabilities(policy, part, entropy)
                 else:
-                    found = self._actions(i, part, key, inner[0])
+                    found = self._actions(i, part, entropy, inner[0])
                 if not np.isfinite(found).all():
                     raise UserError(f"{name} gives actions that are not finite")
                 out[start : start + len(part), i] = found
@@ -117,11 +117,11 @@ class Actor:
         Returns:
             (rows, size) actions in [-1, 1], or (rows,) indices.
         """
-        key = [self.seed, MADE_UP, t, which]
+        entropy = sequence(self.seed, "actions, made up", t, which)
         if not self.spec.discrete:
-            return self._actions(which, observations, key, 1)[:, 0]
-        chances = self._probabilities(self.policies[which], observations, key).cumsum(1)
-        drawn = np.random.default_rng([*key, 1]).random(len(observations)) * chances[:, -1]
+            return self._actions(which, observations, entropy, 1)[:, 0]
+        chances = self._probabilities(self.policies[which], observations, entropy).cumsum(1)
+        drawn = generator(self.seed, "choices, made up", t, which).random(len(observations)) * chances[:, -1]
         return (drawn[:, None] >= chances[:, :-1]).sum(1)
 
     def log_probs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
@@ -137,15 +137,15 @@ class Actor:
         for start in range(0, len(actions), BLOCK):
             seen, taken = np.asarray(observations[start : start + BLOCK]), np.asarray(actions[start : start + BLOCK])
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):
-                key = [self.seed, 0, start, i]
+                entropy = sequence(self.seed, "probabilities", start, i)
                 if self.spec.discrete:
-                    chosen = self._probabilities(policy, seen, key)[np.arange(len(taken)), taken]
+                    chosen = self._probabilities(policy, seen, entropy)[np.arange(len(taken)), taken]
                     with np.errstate(divide="ignore"):
                         found = np.log(chosen)
                 elif self.noise is None and self.degenerate[i]:
                     found = -np.inf
                 elif self.greedy or draws_nothing(policy):
-                    unit = self._actions(i, seen, key, 1)[:, 0]
+                    unit = self._actions(i, seen, entropy, 1)[:, 0]
                     assert self.noise is not None
                     z = (view.to_unit(taken) - unit) / self.noise
                     found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(self.noise * np.sqrt(2 * np.pi)) - view.log_scale
@@ -165,20 +165,20 @@ class Actor:
             raise UserError(f"{self.names[bad]} gives log-probabilities that are not finite")
         return out
 
-    def _actions(self, which: int, observations: np.ndarray, key: list[int], samples: int) -> np.ndarray:
+    def _actions(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence, samples: int) -> np.ndarray:
         """(rows, samples, size) in [-1, 1]."""
         policy = self.policies[which]
         if isinstance(policy, EnvPolicy):
-            seed = jnp.uint32(np.random.SeedSequence(key).generate_state(1)[0])
+            seed = jnp.uint32(entropy.generate_state(1)[0])
             drawn = _padded(_draw, policy, observations, seed=seed, samples=samples, greedy=self.greedy)
         else:
-            rng = np.random.default_rng(key)
+            rng = np.random.default_rng(entropy)
             step = Step(observations, np.zeros(len(observations)), np.ones(len(observations), bool))
             drawn = np.stack([policy.act(step, (), rng, greedy=self.greedy)[0] for _ in range(samples)], 1)
             self._fits(self.names[which], drawn.shape[2:])
         return np.asarray(Normalizer.of(self.spec).to_unit(np.asarray(drawn, np.float32)))
 
-    def _probabilities(self, policy: Any, observations: np.ndarray, key: list[int]) -> np.ndarray:
+    def _probabilities(self, policy: Any, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
         """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased."""
         tells = getattr(policy, "action_probs", None)
         shape = len(observations), self.spec.action_size
@@ -190,7 +190,7 @@ class Actor:
                     f"action_probs must give {shape} probabilities that sum to 1 in each row, got shape {told.shape}{sums}"
                 )
             return np.eye(shape[1], dtype=np.float32)[told.argmax(1)] if self.greedy else told.astype(np.float32)
-        rng = np.random.default_rng(key)
+        rng = np.random.default_rng(entropy)
         rows = np.arange(len(observations))
         counts = np.zeros(shape, np.float32)
         step = Step(observations, np.zeros(len(rows)), np.ones(len(rows), bool))

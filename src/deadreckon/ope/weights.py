@@ -16,6 +16,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.sequences import cumulate
+from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
@@ -105,16 +106,16 @@ class Episodes:
         self.kept = self._kept()
         self.log_kept = np.log(self.kept)[self.time]  # (rows,)
         self.seed = seed
-        rng = np.random.default_rng([seed, 2])
-        if units is None:
-            units = rng.permutation(np.arange(self.count) % min(self.count, GROUPS))
+        if units is None:  # as `OPEInput.units` draws them, so that the same episodes belong together
+            units = generator(seed, "units").permutation(np.arange(self.count) % min(self.count, GROUPS))
         self.group = units  # (episodes,)
         self.groups = int(units.max()) + 1
 
     @cached_property
     def counts(self) -> np.ndarray:
         """(n_bootstrap, groups) how often each group counts."""
-        rng = np.random.default_rng([self.seed, 3])
+        # The same for every policy: what they share falls out of differences between them.
+        rng = generator(self.seed, "redrawn groups")
         return rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
 
     def means(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

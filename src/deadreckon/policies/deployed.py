@@ -14,6 +14,7 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian, ThresholdedPolicy
 from deadreckon.policies.policy import NormalizedPolicy
+from deadreckon.randomness import keys
 
 
 class EnvPolicy(eqx.Module):
@@ -119,10 +120,11 @@ class Mixture(NormalizedPolicy):
     def act(self, step, carry, key, *, greedy):
         """See `NormalizedPolicy`; in the environment's bounds."""
         which, carries = carry
-        draw, *keys = jax.random.split(key, 1 + len(self.members))
+        k_which, k_members = keys(key, "which", "members")
         first = jnp.asarray(step.first, bool)
-        which = jnp.where(first, jax.random.randint(draw, first.shape, 0, len(self.members)), which)
-        acts = [member.act(step, c, k, greedy=greedy) for member, c, k in zip(self.members, carries, keys)]
+        which = jnp.where(first, jax.random.randint(k_which, first.shape, 0, len(self.members)), which)
+        own = jax.random.split(k_members, len(self.members))
+        acts = [member.act(step, c, k, greedy=greedy) for member, c, k in zip(self.members, carries, own)]
         actions = jnp.stack([action for action, _ in acts])
         return actions[which, jnp.arange(len(which))], (which, tuple(kept for _, kept in acts))
 

@@ -9,6 +9,7 @@ from deadreckon.data.terminations import LEARNED, termination
 from deadreckon.dynamics import Gaussian, ended
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.policy import NormalizedPolicy
+from deadreckon.randomness import keys
 
 
 class Planner(NormalizedPolicy):
@@ -43,8 +44,8 @@ class Planner(NormalizedPolicy):
         """The first action of every plan, and the plans for the next step; `greedy` changes nothing."""
         carry = jnp.where(jnp.asarray(step.first, bool)[:, None, None], 0.0, carry)
         # One environment after the other: a plan alone fills the cores, and memory.
-        keys = jax.random.split(key, len(carry))
-        plans = jax.lax.map(lambda each: self.plan(*each), (jnp.asarray(step.observation, jnp.float32), carry, keys))
+        own = jax.random.split(key, len(carry))
+        plans = jax.lax.map(lambda each: self.plan(*each), (jnp.asarray(step.observation, jnp.float32), carry, own))
         return plans[:, 0], jnp.concatenate([plans[:, 1:], jnp.zeros_like(plans[:, :1])], 1)
 
     def plan(self, observation: Float[Array, "o"], before: Float[Array, "t a"], key: PRNGKeyArray) -> Float[Array, "t a"]:
@@ -52,7 +53,7 @@ class Planner(NormalizedPolicy):
 
         def improve(i: Array, distribution: tuple[Array, Array]) -> tuple[Array, Array]:
             mean, variance = distribution
-            k_draw, k_follow = jax.random.split(jax.random.fold_in(key, i))
+            k_draw, k_follow = keys(jax.random.fold_in(key, i), "population", "particles")
             # Within two deviations of the mean, which do not reach beyond the bounds -1 and 1.
             near = jnp.minimum(jnp.square((mean + 1.0) / 2.0), jnp.square((1.0 - mean) / 2.0))
             noise = jax.random.truncated_normal(k_draw, -2.0, 2.0, (self.population, *mean.shape))
@@ -72,8 +73,8 @@ class Planner(NormalizedPolicy):
 
         def step(carry: tuple[Array, Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], None]:
             seen, alive, total = carry
-            action, key = now
-            k_draw, k_end = jax.random.split(key)
+            action, own = now
+            k_draw, k_end = keys(own, "next", "end")
             done = jnp.broadcast_to(jnp.repeat(action, self.particles // members, 0), (members, rows, self.size))
             inputs = (jnp.concatenate([seen, done], -1) - self.mean) / self.std
             drawn, logit = model.sample(params, inputs, k_draw)
@@ -83,7 +84,7 @@ class Planner(NormalizedPolicy):
 
         ones = jnp.ones((members, rows))
         begin = jnp.broadcast_to(observation, (members, rows, len(observation))), ones, 0.0 * ones
-        keys = jax.random.split(key, self.horizon)
-        total = jax.lax.scan(step, begin, (jnp.moveaxis(actions, 1, 0), keys))[0][2]
+        steps = jax.random.split(key, self.horizon)
+        total = jax.lax.scan(step, begin, (jnp.moveaxis(actions, 1, 0), steps))[0][2]
         found = total.reshape(members, self.population, -1).mean((0, 2))
         return jnp.where(jnp.isfinite(found), found, -jnp.inf)

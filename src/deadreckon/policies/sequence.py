@@ -11,6 +11,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets.mlp import MLP, standardised
 from deadreckon.nets.transformer import Transformer, dropped
 from deadreckon.policies.policy import NormalizedPolicy
+from deadreckon.randomness import key_for, keys
 
 
 class Sequence(eqx.Module):
@@ -33,7 +34,7 @@ class Sequence(eqx.Module):
     @classmethod
     def create(cls, spec: Spec, layers: int, width: int, heads: int, key: PRNGKeyArray) -> "Sequence":
         """Fresh networks, for episodes as long as the log's."""
-        kr, ko, ka, kt, kn, kh = jax.random.split(key, 6)
+        kr, ko, ka, kt, kn, kh = keys(key, "returns", "observations", "actions", "times", "transformer", "head")
         times = 0.02 * jax.random.normal(kt, (max(spec.longest, 1), width))
         embed = lambda size, k: MLP.create(size, (), width, k)  # noqa: E731
         tokens = embed(1, kr), embed(spec.observation_size, ko), embed(spec.action_size, ka)
@@ -48,8 +49,8 @@ class Sequence(eqx.Module):
         tokens = self.of_return(wanted[..., None]), self.of_observation(observation), self.of_action(action)
         rows, steps = wanted.shape
         x = jnp.stack([token + when for token in tokens], 2).reshape(rows, 3 * steps, -1)
-        x = dropped(standardised(x), rate, None if key is None else jax.random.fold_in(key, 2 * len(self.transformer.blocks)))
-        x = self.transformer(x, jnp.repeat(there > 0, 3, 1), rate, key)
+        x = dropped(standardised(x), rate, None if key is None else key_for(key, "tokens"))
+        x = self.transformer(x, jnp.repeat(there > 0, 3, 1), rate, None if key is None else key_for(key, "transformer"))
         return jnp.tanh(self.head(x[:, 1::3]))
 
 

@@ -13,9 +13,10 @@ from jaxtyping import PRNGKeyArray
 
 from deadreckon.data.batch import BatchSource, TransitionSource
 from deadreckon.errors import DivergedError, UserError
+from deadreckon.randomness import key_for
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lift
-from deadreckon.training.program import PREPARE, advance, begin, choose, finite, shape_of
+from deadreckon.training.program import advance, begin, choose, finite, shape_of
 from deadreckon.training.replay import Experience
 from deadreckon.training.sources import source_of
 
@@ -196,7 +197,7 @@ class Fit:
 
         lanes, failures = [], list(self.failures)
         for i, learner in enumerate(self.learners):
-            key = jax.random.fold_in(jax.random.fold_in(self.roots[i], PREPARE), self.step)
+            key = key_for(self.roots[i], "prepare", self.step)
             state = jax.tree.map(lambda leaf, i=i: leaf[i], self.states)
             # The first preparation may take hours: a kill loses that of one lane only.
             kept = self.folder / f"prepared-{i}.npz" if self.folder is not None and self.step == 0 else None

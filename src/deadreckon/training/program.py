@@ -1,7 +1,7 @@
 """Many updates as one compiled program: how rows are packed, drawn and learned from, for all lanes at once.
 
-All randomness is folded from the seed, a purpose and the step, and a chunk's length is an argument of the program, so neither
-the chunk length nor where rows come from changes a bit of the result.
+All randomness follows from the seed, a purpose (see `randomness`) and the step, and a chunk's length is an argument of the
+program, so neither the chunk length nor where rows come from changes a bit of the result.
 """
 
 from functools import lru_cache
@@ -15,9 +15,9 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Discrete, Spec
+from deadreckon.randomness import key_for
 
-REVISION = 1  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
-INIT, DRAW, UPDATE, PREPARE, STARTS, ACT = range(6)  # purposes of randomness
+REVISION = 2  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
 
 
 class Column(NamedTuple):
@@ -73,7 +73,7 @@ class Plan(NamedTuple):
 
 def draw(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b *w"]:
     """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
-    key = jax.random.fold_in(jax.random.fold_in(root, DRAW), step)
+    key = key_for(root, "rows", step)
     index = jax.random.randint(key, (plan.batch_size,), 0, rows)
     if plan.window:
         index = jnp.minimum(index[:, None] + jnp.arange(plan.window), rows - 1)
@@ -96,7 +96,7 @@ def batch_of(plan: Plan, taken: dict[str, Array], initial: dict[str, Array] | No
         left = fields.pop("_left")[:, :1]
         fields["mask"] = (jnp.arange(plan.window) <= left).astype(jnp.float32)
     if initial is not None:
-        key = jax.random.fold_in(jax.random.fold_in(root, STARTS), step)
+        key = key_for(root, "initial_states", step)
         index = jax.random.randint(key, (plan.initial,), 0, len(initial["initial_observation"]))
         fields |= {name: column[index] for name, column in initial.items()}
     known = {name: fields.pop(name) for name in Batch._fields if name in fields}
@@ -135,7 +135,7 @@ def advance(
             own = fetched if plan.grows and not single else data
             fetched = {name: column[index] for name, column in own.items()}
         batch = batch_of(plan, fetched, initial, root, step)
-        key = jax.random.fold_in(jax.random.fold_in(root, UPDATE), step)
+        key = key_for(root, "update", step)
         return learner.update(state, batch, step=step, key=key)
 
     def all_lanes(states: Any, step: Array) -> tuple[Any, dict[str, Array]]:
@@ -166,7 +166,7 @@ def advance(
 @eqx.filter_jit
 def begin(learner: Any, spec: Spec, roots: Key[Array, "lanes"]) -> Any:
     """(lanes, ...) first states."""
-    one = lambda learner, root: learner.init(spec, jax.random.fold_in(root, INIT))  # noqa: E731
+    one = lambda learner, root: learner.init(spec, key_for(root, "init"))  # noqa: E731
     return jax.vmap(one)(learner, roots)
 
 
