@@ -65,7 +65,7 @@ def test_fqe_on_lqr_has_the_riccati_value():
     policies = [linear(-0.5, 0.5), linear(-1.0, 0.2), linear(0.0, 0.3)]
     exact = [riccati(-0.5, 0.5, 0.9), riccati(-1.0, 0.2, 0.9), riccati(0.0, 0.3, 0.9)]
     estimator = FQE(members=2, hidden=(32, 32), steps=2000, lr=3e-3, batch_size=256, tau=0.03)
-    found = estimator.estimate(log, policies, discount=0.9, names=["logged", "better", "idle"])
+    found = estimator.estimate(log, policies, discount=0.9, names=["logged", "better", "idle"], seed=5)
     np.testing.assert_allclose(found.value, exact, rtol=0.08)
     assert found.names[found.best] == "better"
     assert "better" in str(found)
@@ -179,8 +179,8 @@ def test_a_policy_that_draws_nothing_gets_noise(greedy):
 
 def test_what_one_policy_draws_does_not_depend_on_the_others():
     log = lqr(-0.5, 0.5, 3, 5)
-    two = OPEInput(log, [linear(-0.5, 0.5), linear(-1.0, 0.2)]).next_actions(4)
-    one = OPEInput(log, [linear(-0.5, 0.5)]).next_actions(4)
+    two = OPEInput(log, [linear(-0.5, 0.5), linear(-1.0, 0.2)], seed=8).next_actions(4)
+    one = OPEInput(log, [linear(-0.5, 0.5)], seed=8).next_actions(4)
     assert two.shape == (15, 2, 4, 1)
     np.testing.assert_array_equal(two[:, :1], one)
     assert np.abs(np.diff(one, axis=2)).min() > 0
