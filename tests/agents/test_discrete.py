@@ -201,5 +201,5 @@ def test_learns_the_line_resumes_and_survives_its_file(name, tmp_path):
     store.save(tmp_path / "p.npz", policy)
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(s), policy(s))
     np.testing.assert_array_equal(load_portable(tmp_path / "p.npz")(s), policy(s))
-    chances = Actor([policy], ["it"], log.spec, False, 0).table(s, 1)[:, 0]
+    chances = Actor([policy], ["it"], log.spec, False, 0).table(s, 1, "any")[:, 0]
     np.testing.assert_allclose(chances, policy.action_probs(s), atol=1e-6)
