@@ -7,9 +7,10 @@ import sys
 import pytest
 
 from deadreckon import UserError
-from deadreckon.bench.jobs import agent_of
+from deadreckon.bench.jobs import agent_of, turns
 from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import names, read
+from deadreckon.online import Online
 
 SMALL = """
 kind = "learn"
@@ -141,6 +142,38 @@ def test_an_online_suite_needs_agents_that_act_and_steps_enough(written, agent, 
     told = f'kind = "online"\ntasks = ["inverted-pendulum"]\nsteps = {steps}\n[methods]\nA = {{ agent = "{agent}" }}\n'
     with pytest.raises(UserError, match=message):
         plan(read(written(told)))
+
+
+ACTING = """kind = "online"
+tasks = ["hopper"]
+steps = 20_000
+[methods]
+A = { agent = "sac" }
+B = { agent = "sac", acting = %s }
+"""
+
+
+def test_a_method_may_act_otherwise_than_its_agent(written):
+    own, other = plan(read(written(ACTING % "{ copies = 5, explore = 5_000, block = 25, updates_per_step = 20 }")))
+    assert turns(own) == Online()
+    assert turns(other) == Online(copies=5, explore=5_000, block=25, updates_per_step=20)
+    assert "acting" not in own.options  # names of cells depend on it
+    assert other.cells != own.cells
+    same = plan(read(written(ACTING % "{ copies = 5, explore = 5_000, block = 25, updates_per_step = 20.0 }")))[1]
+    assert same.cells == other.cells
+
+
+@pytest.mark.parametrize(
+    ("acting", "message"),
+    [
+        ("{ copys = 5 }", "unknown key of acting of method 'B' 'copys': did you mean copies"),
+        ("{ copies = 2.5 }", "copies of acting of method 'B' must be a whole number, got 2.5"),
+        ("{ block = 60 }", "block \\(60\\) and explore \\(10000\\) must be multiples of copies"),
+    ],
+)
+def test_acting_that_cannot_be_is_refused(written, acting, message):
+    with pytest.raises(UserError, match=message):
+        plan(read(written(ACTING % acting)))
 
 
 def test_an_unknown_suite_names_the_nearest():

@@ -128,7 +128,7 @@ def turns(job: Job) -> Any:
     """How acting and learning take turns in an online job."""
     from deadreckon.online import Online
 
-    return Online(**type(agent_of(job)).acting(job.on))
+    return Online(**type(agent_of(job)).acting(job.on) | job.options.get("acting", {}))
 
 
 def designer_of(job: Job) -> Any:

@@ -129,7 +129,10 @@ def _online(suite: Suite, method: Method, on: str) -> Job:
     from deadreckon.tasks.registry import task
 
     settings, published = _agent(suite, method, on)
-    job = Job("online", method.name, method.agent, settings, published, on, task(on).name, _run(suite, on), (0,))
+    # Only where it says something: names of cells depend on it.
+    acting = {key: float(value) if key == "updates_per_step" else value for key, value in method.acting.items()}
+    options = _run(suite, on) | ({"acting": acting} if acting else {})
+    job = Job("online", method.name, method.agent, settings, published, on, task(on).name, options, (0,))
     turns(job).updates(suite.steps[on])  # refuses what is too short
     return job
 

@@ -11,6 +11,7 @@
     BC = { agent = "bc" }
     BEAR = { agent = "bear", fields = { kernel = "gaussian" } }
     ReBRAC = { agent = "rebrac", preset = true }      # with the settings published for the log, where there are any
+    "SAC, 20 updates" = { agent = "sac", acting = { updates_per_step = 20 } }   # online: where acting is not the agent's own
 
     [full]                            # what differs at full size, with `--full`
     steps = 500_000
@@ -50,12 +51,14 @@ class Method:
             returns numbers by name.
         fields: settings that differ from the defaults, or from the preset.
         preset: whether it begins from the settings published for what it is run on, where there are any.
+        acting: online, what differs from how the agent's own acting and learning take turns: fields of `online.Online`.
     """
 
     name: str
     agent: str
     fields: dict[str, Any] = field(default_factory=dict)
     preset: bool = False
+    acting: dict[str, Any] = field(default_factory=dict)
 
 
 class Metric(NamedTuple):
@@ -219,7 +222,7 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
         if not isinstance(document["ledger"], str):
             raise UserError(f"{where}: ledger must be a folder's name, got {document['ledger']!r}")
         rest["ledger"] = path.parent / document["ledger"]
-    ways = tuple(_method(where, *each) for each in methods.items())
+    ways = tuple(_method(where, kind, *each) for each in methods.items())
     suite = Suite(name, kind, tuple(on), ways, steps=steps, full=bool(changes), **counts, **rest)
     if "steps" in OWN[kind] and suite.evaluations > min(steps.values()):
         raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
@@ -254,8 +257,8 @@ def _steps(where: str, document: Any, on: list[str]) -> dict[str, int]:
     return {name: each[name] for name in on}
 
 
-def _method(where: str, name: str, document: Any) -> Method:
-    kinds = {"agent": str, "fields": dict, "preset": bool}
+def _method(where: str, kind: str, name: str, document: Any) -> Method:
+    kinds = {"agent": str, "fields": dict, "preset": bool} | ({"acting": dict} if kind == "online" else {})
     if not isinstance(document, dict) or "agent" not in document:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
     for key in document:
@@ -267,4 +270,11 @@ def _method(where: str, name: str, document: Any) -> Method:
     for key, value in document.get("fields", {}).items():
         if not isinstance(value, bool | int | float | str | list):
             raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
+    known = ("copies", "explore", "updates_per_step", "block")
+    for key, value in document.get("acting", {}).items():
+        if key not in known:
+            raise UserError(f"{where}: {unknown(f'key of acting of method {name!r}', key, known)}")
+        if isinstance(value, bool) or not isinstance(value, int | float if key == "updates_per_step" else int):
+            whole = "" if key == "updates_per_step" else "whole "
+            raise UserError(f"{where}: {key} of acting of method {name!r} must be a {whole}number, got {value!r}")
     return Method(name, **document)

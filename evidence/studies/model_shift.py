@@ -1,6 +1,6 @@
 """Figure 5.1: how a model's error grows with the distance of a policy from the one whose data it learned from.
 
-    python examples/model_shift.py --picture docs/results/model-shift.svg
+    python evidence/studies/model_shift.py --picture docs/results/model-shift.svg
 
 A model is fitted to more or less data of one policy of the library, and judged, without being fitted again, on what policies
 do that lie on the way to the next snapshot of the same training: their networks are mixtures of both. Distance is the mean KL
@@ -40,6 +40,7 @@ class Options:
     shares: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)  # of the later policy in what is judged
     near: int = 4  # so many of the first shares give the slope at no distance
     rows: tuple[int, ...] = (2_500, 10_000, 40_000)  # of data to learn from
+    collected: int = 40_000  # rows of data at least, of which the models learn from the first
     judged: int = 10_000  # rows of each policy to judge with
     seeds: int = 3  # of data and models
     epochs: int = 100  # of a fit, at most
@@ -68,6 +69,26 @@ def error_of(model: Gaussian, ensemble: Any, columns: dict[str, np.ndarray], var
     return float((jnp.square(mean - target) / variance).mean())
 
 
+def error(case: str, *, seed: int, rows: int) -> dict[str, float]:
+    """A model's error near its data and further away; data, what is judged on and the model are drawn with the seed.
+
+    Args:
+        case: `TASK POLICY`, whose data the model learns from.
+        seed: of data and model; with the same seed fewer rows are the first of more.
+        rows: of data to learn from.
+
+    Returns:
+        own: squared error on new data of the same policy, in variances of what is predicted.
+        far: the same on data of the later policy.
+        slope: rise of the error per nat of KL divergence at no divergence.
+    """
+    task, policy = case.split()
+    options = Options(task=task, policy=policy, rows=(rows,))
+    apart, [errors] = measured(options, seed)
+    near = slice(0, options.near)
+    return {"own": errors[0], "far": errors[-1], "slope": float(np.polyfit(apart[near], errors[near], 1)[0])}
+
+
 def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Divergences (shares,) and errors (rows, shares)."""
     own = library.snapshot(options.task, options.policy)
@@ -76,7 +97,7 @@ def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
         raise UserError(f"{options.policy} is the last policy of {options.task}; name an earlier one")
     first, second = own.policy(), later[0].policy()
     task = find_task(options.task)
-    data = played(task, first, max(options.rows), 1000 + seed)
+    data = played(task, first, max(options.collected, *options.rows), 1000 + seed)
     policies = [towards(first, second, share) for share in options.shares]
     logs = [played(task, policy, options.judged, 2000 + 100 * seed + i) for i, policy in enumerate(policies)]
     apart = []
