@@ -26,9 +26,9 @@ def one(job: tuple[str, int], out: Path) -> None:
 
     from deadreckon.files import write_json
     from deadreckon.ope import OPEInput
+    from deadreckon.ope.behavior_model import PROPENSITIES
     from deadreckon.ope.doubly_robust import DoublyRobust
     from deadreckon.ope.linear import LinearFQE
-    from deadreckon.ope.registry import PROPENSITIES
     from deadreckon.ope.select import gains
 
     kind, seed = job

@@ -8,7 +8,7 @@ import pytest
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.agents.cql import CQL
 from deadreckon.agents.sac import SAC
-from deadreckon.bench.identity import of_fits, revisions, revisions_of
+from deadreckon.bench.identity import revisions_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import read
 from deadreckon.bench.work import perform
@@ -16,7 +16,9 @@ from deadreckon.errors import UserError
 from deadreckon.mbo import DESIGNERS, designer
 from deadreckon.online.experience import experience_of
 from deadreckon.ope import ESTIMATORS, FQE, BehaviorModel, estimator
+from deadreckon.ope.registry import fits_name
 from deadreckon.tasks.registry import names, task
+from deadreckon.training.revisions import revisions
 
 METHODS = [
     *(agent_class(name) for name in AGENTS), *(type(designer(name)) for name in DESIGNERS), BehaviorModel,
@@ -107,6 +109,7 @@ def test_what_is_planned_at_other_revisions_is_not_run(planned, tmp_path):
 
 
 def test_fits_that_estimators_share_are_of_all_their_revisions(monkeypatch):
-    before = of_fits()
+    before = fits_name()
+    assert before == fits_name()
     monkeypatch.setattr(FQE, "revision", 2)
-    assert of_fits() != before
+    assert fits_name() != before

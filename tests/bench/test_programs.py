@@ -16,13 +16,12 @@ from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
-from deadreckon.bench.tune import _estimated, tune
+from deadreckon.bench.tune import TrialSettings, _estimated, tune
 from deadreckon.bench.tune import suite as tuning
 from deadreckon.bench.work import perform
 from deadreckon.cli.bench import Lines, _page
 from deadreckon.errors import BusyError
 from deadreckon.files import alone
-from deadreckon.ope.coverage import MODEL
 from deadreckon.runs.offline import Judged
 from deadreckon.runs.train import load
 
@@ -196,7 +195,7 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
 
     monkeypatch.setattr("deadreckon.bench.tune.judge", judge)
     found = {row["cell"]: row for row in together.results().to_pylist()}
-    assert _estimated(jobs, together, found, ["fqe"], MODEL, 0.99, print) == {
+    assert _estimated(jobs, together, found, ["fqe"], TrialSettings()) == {
         job.method: [job.settings["alpha"]] * 2 for job in jobs
     }
 

@@ -9,8 +9,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import OPEInput
-from deadreckon.ope.behavior import PROPENSITIES
-from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.confounding import Confounding
 from deadreckon.ope.decide import UNSEEN, decide

@@ -8,6 +8,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
+from deadreckon.files import read_json, write_json
 from deadreckon.ope import (
     ESTIMATORS,
     FQE,
@@ -273,14 +274,17 @@ def test_names_that_are_none():
         as_estimator(3)
 
 
+def little(rows):
+    rng = np.random.default_rng(0)
+    return Dataset.from_arrays(
+        observations=rng.standard_normal((rows, 11)), actions=rng.uniform(-1, 1, (rows, 3)), rewards=rng.random(rows),
+        timeouts=np.arange(rows) % 20 == 19, final_observations=rng.standard_normal((rows // 20, 11)), name="little",
+    )  # fmt: skip
+
+
 def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     """One line for a user's own estimator; what has been computed is not computed again."""
-    rng = np.random.default_rng(0)
-    rows = 200
-    data = Dataset.from_arrays(
-        observations=rng.standard_normal((rows, 11)), actions=rng.uniform(-1, 1, (rows, 3)), rewards=rng.random(rows),
-        timeouts=np.arange(rows) % 20 == 19, final_observations=rng.standard_normal((10, 11)), name="little",
-    )  # fmt: skip
+    data = little(200)
     truth = [s.sampled.discounted for s in library.library("hopper") if s.name.startswith("snapshot-")]
     calls = []
 
@@ -317,6 +321,26 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
         dope.markdown([*results, other], "regret")
     with pytest.raises(UserError, match="gave values of shape"):
         dope.evaluate_log(data, "hopper", [lambda data, policies, discount: [1.0]])
+
+
+@pytest.mark.parametrize(("what", "fits"), [
+    ("ope.fqe.FQE.revision", 2), ("training.program.REVISION", 2), ("ope.dope.REVISION", 1), ("stats.interval.REVISION", 1),
+])  # fmt: skip
+def test_results_of_other_revisions_are_computed_again(tmp_path, monkeypatch, what, fits):
+    """A folder of results gives those of today's code alone; fits are made again where the code behind them is another."""
+    data, told = little(60), []
+    options = {"out": tmp_path, "told": told.append}
+    dope.evaluate_log(data, "hopper", [TINY], **options)
+    [kept] = tmp_path.glob("little/*.json")
+    values = read_json(kept)
+    values["result"]["estimates"] = [7.0] * 11
+    write_json(kept, values)
+    assert dope.evaluate_log(data, "hopper", [TINY], **options)[0].estimates.tolist() == [7.0] * 11
+    monkeypatch.setattr(f"deadreckon.{what}", 2)
+    [again] = dope.evaluate_log(data, "hopper", [TINY], **options)
+    np.testing.assert_array_equal(again.estimates, told[0].estimates)
+    assert len(list(tmp_path.glob("little/*.json"))) == 2
+    assert len(list(tmp_path.glob("little/fits-*"))) == fits
 
 
 def test_published_values_stand_below_ours(tmp_path):

@@ -16,6 +16,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.data.formats.folder import write_folder
+from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.report import recommended
@@ -25,6 +26,7 @@ from deadreckon.runs.attempt import Attempt, Candidate, Job
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
 from deadreckon.runs.recorder import StopTraining
+from deadreckon.runs.settings import RecommendSettings
 
 
 def a_log(episodes=40, length=10, seed=0):
@@ -224,14 +226,19 @@ def small(monkeypatch):
     monkeypatch.setattr(work, "CONTINUOUS", (Candidate("bc", "bc", {"batch_size": 16}, "-"), bold))
 
 
+def job_of(data, out, seconds=60.0, **options):
+    """As it comes out of the pipe."""
+    settings = RecommendSettings.of({"discount": 0.9} | options).checked()
+    job = Job(data, str(out), 60.0, time.time(), time.time() + seconds, settings)
+    return Job.of_json(json.loads(json.dumps(job.as_json())))
+
+
 def attempt(tmp_path, log, seconds=300.0, **options):
     """The work, in this process: what it sends, and the folder."""
     write_folder(log, tmp_path / "log")
     sent = []
     (out := tmp_path / "out").mkdir()
-    given = {"columns": {}, "task": None, "discount": 0.9, "seed": 0, "holdout": None, "accept": False}
-    given |= {"data": str(tmp_path / "log"), "out": str(out), "budget": seconds, "began": time.time()}
-    job = Job(end=time.time() + seconds, **given | options)
+    job = job_of(str(tmp_path / "log"), out, seconds, **options)
     work.attempt(job, lambda what, value: sent.append((what, json.loads(json.dumps(value)))))
     return sent, out
 
@@ -300,7 +307,7 @@ def test_deterministic_policies_come_last_and_the_plan_says_what_that_means():
     drawn = [each.deterministic for each in work.CONTINUOUS]
     assert drawn == sorted(drawn)
     assert {each.agent for each in work.CONTINUOUS if each.deterministic} == {"td3_bc", "rebrac"}
-    made = Attempt(Job("", {}, None, 0.9, 0, "", None, False, 60.0, 0.0, 60.0), lambda what, value: None)
+    made = Attempt(job_of("", ""), lambda what, value: None)
     made.told = [{"name": "td3_bc", "why": "-", "deterministic": True}]
     plan = made._plan((64,), 100, [10.0], 20.0, 20.0)
     assert "judged by a model only, so deployed with --accept-model-based only" in plan
@@ -324,7 +331,7 @@ def test_model_based_estimates_decide_where_they_are_accepted(small, tmp_path, m
     monkeypatch.setattr(work, "CONTINUOUS", (Candidate("bc", "bc", sizes, "-"), Candidate("more", "bc", sizes, "-"), loose))
     monkeypatch.setattr(work, "FEWEST_FITS", 20)
     monkeypatch.setattr(work, "MOST_FITS", 20)
-    sent, out = attempt(tmp_path, a_log(), accept=True)
+    sent, out = attempt(tmp_path, a_log(), accept_model_based=True)
     assert of(sent, "done") == [True]
     told = read_json(out / "estimates.json")
     assert [each["run"] for each in told["policies"]][:2] == ["bc", "loose"]  # asked for, so it comes before the others
@@ -340,7 +347,7 @@ def test_the_choice_is_checked_if_time_is_left(tmp_path, monkeypatch, left, chec
         return {"mean": [1.0], "error": [0.1], "episodes": episodes, "task": "there"}
 
     monkeypatch.setattr(work.offline, "simulated", simulated)
-    job = Job("", {}, None, 0.9, 0, str(tmp_path), None, False, 60.0, time.time(), time.time() + left)
+    job = job_of("", tmp_path, left)
     judged = work.offline.Judged([], None, {"estimand": {"horizon": None}})
     made = Attempt(job, lambda what, value: sent.append((what, value)))
     made._check([], SimpleNamespace(name="there"), judged)
@@ -358,14 +365,13 @@ def test_an_error_of_ours_is_told_shortly_and_kept_in_full(small, tmp_path, monk
 
 @pytest.mark.parametrize(("change", "words"), [
     ({"data": "nothing.csv"}, "no file nothing.csv"),
-    ({"holdout": {"share": 0.2, "by": "user", "seed": 0}}, "unknown column 'user'"),
+    ({"holdout": Holdout(by="user")}, "unknown column 'user'"),
     ({"task": "hopper"}, "observations of shape"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_before_anything_is_learned(small, tmp_path, change, words):
     if "data" in change:
         sent = []
-        job = Job(change["data"], {}, None, 0.9, 0, str(tmp_path / "out"), None, False, 60.0, time.time(), time.time() + 60.0)
-        work.attempt(job, lambda what, value: sent.append((what, value)))
+        work.attempt(job_of(change["data"], tmp_path / "out"), lambda what, value: sent.append((what, value)))
     else:
         sent, _ = attempt(tmp_path, a_log(), **change)
     assert words in of(sent, "refused")[0]
@@ -379,7 +385,7 @@ def test_clusters_are_held_out_whole(small, tmp_path):
         observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts, name="near",
         user=user,
     )  # fmt: skip
-    sent, out = attempt(tmp_path, log, holdout={"share": 0.2, "by": "user", "seed": 0})
+    sent, out = attempt(tmp_path, log, holdout=Holdout(by="user"))
     assert of(sent, "done") == [True]
     told = read_json(out / "estimates.json")["judged"]
     assert told["cluster"] == "user"
@@ -424,10 +430,9 @@ def test_the_command_gives_a_card_where_there_is_no_time_to_speak_of(tmp_path, c
 def test_the_work_ends_with_whoever_asked_for_it():
     environment = os.environ | {"JAX_PLATFORMS": "cpu"}
     process = subprocess.Popen(module.COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
-    job = dict(data="-", columns={}, task=None, discount=0.9, seed=0, out="-", holdout=None, accept=False, budget=60.0)
     late = threading.Timer(120.0, process.kill)
     late.start()
-    process.stdin.write(json.dumps(job | {"began": time.time(), "end": time.time() + 60}).encode() + b"\n")
+    process.stdin.write(json.dumps(job_of("-", "-").as_json()).encode() + b"\n")
     process.stdin.close()
     assert process.wait() != -signal.SIGKILL
     late.cancel()

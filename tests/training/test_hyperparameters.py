@@ -89,9 +89,15 @@ def test_what_the_host_alone_reads_shapes_no_program_and_cannot_be_used_in_one()
 
 
 def test_settings_are_the_keywords_of_the_functions():
+    from deadreckon.ope import settings as ope
     from deadreckon.runs import settings as s
 
-    for kind, keywords in ((s.TrainSettings, s.TrainOptions), (s.OnlineSettings, s.OnlineOptions)):
-        assert {field.name for field in dataclasses.fields(kind)} == set(typing.get_type_hints(keywords))
+    pairs = (
+        (s.TrainSettings, s.TrainOptions), (s.OnlineSettings, s.OnlineOptions), (s.JudgeSettings, s.JudgeOptions),
+        (s.RecommendSettings, s.RecommendOptions), (s.ReturnSettings, s.ReturnOptions), (ope.FitSettings, ope.FitOptions),
+        (ope.EstimateSettings, ope.EstimateOptions), (ope.DecisionSettings, ope.DecisionOptions),
+    )  # fmt: skip
+    for kind, keywords in pairs:
+        assert typing.get_type_hints(kind) == typing.get_type_hints(keywords)
     with pytest.raises(UserError, match="unknown setting 'evaluate_evry': did you mean evaluate_every"):
         s.TrainSettings.of({"evaluate_evry": 3})

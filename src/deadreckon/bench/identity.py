@@ -12,24 +12,7 @@ from typing import Any
 from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of
 from deadreckon.errors import UserError
 from deadreckon.files import home
-
-
-def revisions(made: Any) -> list[int]:
-    """Of a method, a task or the like, or of its class: `revision` of each class that it inherits from and that has one of its
-    own, the nearest first, then those of what it holds, such as the critics of a doubly robust estimator.
-    """
-    kind = made if isinstance(made, type) else type(made)
-    own = [vars(each)["revision"] for each in kind.__mro__ if "revision" in vars(each)]
-    held = () if made is kind else vars(made).values()
-    return own + [number for each in held if hasattr(type(each), "revision") for number in revisions(each)]
-
-
-def of_learning() -> dict[str, int]:
-    """Of how rows become batches, and of the training loop."""
-    from deadreckon.data import batch
-    from deadreckon.training import program
-
-    return {"batches": batch.REVISION, "training": program.REVISION}
+from deadreckon.training.revisions import of_learning, revisions
 
 
 def of_evaluation(task: Any) -> dict[str, Any]:
@@ -68,20 +51,12 @@ def _design(job: Job) -> dict[str, Any]:
 
 def _ope(job: Job) -> dict[str, Any]:
     from deadreckon.ope import dope
-    from deadreckon.stats import interval
 
-    return {"method": revisions(estimator_of(job)), "intervals": interval.REVISION, "protocol": dope.REVISION}
+    return dope.revisions_of(estimator_of(job))
 
 
 def _study(job: Job) -> dict[str, Any]:
     return {"study": getattr(study_of(job), "revision", 1)}
-
-
-def of_fits() -> list[Any]:
-    """Of what estimators fit to a log, which all of them share."""
-    from deadreckon.ope.registry import ESTIMATORS
-
-    return [of_learning(), *(revisions(make()) for make, _ in ESTIMATORS.values())]
 
 
 @cache

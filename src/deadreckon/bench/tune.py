@@ -9,8 +9,8 @@ estimated on another; the part that `train` holds out is in neither, so that it 
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
@@ -26,16 +26,25 @@ from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.metrics import Metrics, compare
-from deadreckon.progress import Watcher, unwatched
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
-from deadreckon.runs.settings import RunSettings
+from deadreckon.runs.settings import JudgeOptions, JudgeSettings, RunSettings
 from deadreckon.stats.means import student
 from deadreckon.tasks.registry import of_log
 from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields
 
 By = Literal["ope", "simulator"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialSettings(JudgeSettings):
+    """Of the estimates that settings are chosen by."""
+
+    discount: float = 0.99  # discount factor per step of the estimated returns
+    greedy: bool = True  # whether to evaluate deterministic (greedy) instead of sampled actions
+    model: BehaviorModel = MODEL  # how the behaviour policy is learned, to see what of the policies' actions the log covers
+    counted: bool = False  # whether this counts as a look at these episodes; they choose settings, and no card rests on them
 
 
 @dataclass(frozen=True)
@@ -187,8 +196,7 @@ def suite(
 
 def tune(
     search: Suite, settings: Sequence[Mapping[str, Any]], *, by: By, store: Store, executor: Executor, on_event: OnEvent,
-    estimators: Sequence[Any] = ("fqe",), model: BehaviorModel = MODEL, discount: float = 0.99,
-    watch: Watcher = unwatched,
+    estimators: Sequence[Any] = ("fqe",), **options: Unpack[JudgeOptions],
 ) -> Tuned:  # fmt: skip
     """Runs what is not done yet, and chooses.
 
@@ -200,16 +208,15 @@ def tune(
         executor: where jobs run; closed at the end.
         on_event: called with every event of a job.
         estimators: the first chooses, by the mean over seeds.
-        model: how the behaviour policy is learned, to see what of the policies' actions the log covers.
-        discount: of estimated returns.
-        watch: called while estimators fit.
+        **options: of `runs.offline.judge`, such as `discount` and `model`; defaults are those of `TrialSettings`.
 
     Raises:
         BusyError: another command does some of it.
         UserError: a setting that failed, in the first one's words.
     """
-    if not 0.0 <= discount < 1.0:
-        raise UserError(f"discount must be in [0, 1), got {discount}")
+    judging = TrialSettings.of(options)
+    if not 0.0 <= judging.discount < 1.0:
+        raise UserError(f"discount must be in [0, 1), got {judging.discount}")
     jobs = plan(search, executor.lanes)
     run(jobs, store, on_event, executor)
     failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
@@ -219,7 +226,7 @@ def tune(
     if elsewhere := store.undone(jobs):
         raise BusyError(f"{len(elsewhere)} of {len(jobs)} jobs are being done by another command; choose when it has ended")
     rows = {row["cell"]: row for row in store.of(jobs).to_pylist()}
-    values = _estimated(jobs, store, rows, estimators, model, discount, watch) if by == "ope" else {}
+    values = _estimated(jobs, store, rows, estimators, judging) if by == "ope" else {}
     trials = []
     for method, fields in zip(search.methods, settings):
         own = [[rows[c] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells] for on in search.on]
@@ -244,8 +251,8 @@ def _standing(trial: Trial, by: By) -> float:
 
 
 def _estimated(
-    jobs: Sequence[Job], store: Store, rows: Mapping[str, Mapping[str, Any]], estimators: Sequence[Any], model: BehaviorModel,
-    discount: float, watch: Watcher,
+    jobs: Sequence[Job], store: Store, rows: Mapping[str, Mapping[str, Any]], estimators: Sequence[Any],
+    judging: TrialSettings,
 ) -> dict[str, list[float]]:  # fmt: skip
     """Method -> what its policies are estimated at, one per seed."""
     from deadreckon.bench.work import source
@@ -254,9 +261,7 @@ def _estimated(
     log, out = catalogue.load(source(jobs[0])), store.path / "estimates"
     if jobs[0].options.get("divided"):
         log = trial_parts(log)[1]
-    options = {"discount": discount, "greedy": True, "model": model, "watch": watch}
-    # These episodes choose settings, and no card rests on them: nobody counts the looks at them.
-    judged = judge(list(folders), log, estimators, out=out, counted=False, **options)
+    judged = judge(list(folders), log, estimators, **vars(replace(judging, out=out)))
     values: dict[str, list[float]] = {}
     owners = {folder.name: method for folder, method in folders.items()}
     for policy, value in zip(judged.told["policies"], judged.told["results"][0]["value"]):

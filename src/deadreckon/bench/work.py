@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.bench.identity import of_fits, revisions_of
+from deadreckon.bench.identity import revisions_of
 from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, study_of, turns
 from deadreckon.bench.store import JobResult
 from deadreckon.errors import UserError
-from deadreckon.files import alone, digest, read_json, write_json
+from deadreckon.files import alone, read_json, write_json
 from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
@@ -209,8 +209,8 @@ def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
 
     log, task = _log(job), of_log(job.on)
     assert task is not None  # the plan has refused it
-    # Estimators of one log share fits, such as the behaviour model: whoever comes first makes them. Never of other revisions.
-    shared, rows = folder.parent / f"ope-{digest(of_fits(), 8)}", []
+    # Estimators of one log share fits, such as the behaviour model: whoever comes first makes them.
+    shared, rows = folder.parent / "ope", []
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
     for seed in job.seeds:
         [result] = evaluate_log(log, task.name, [estimator_of(job)], seed=seed, out=shared, watch=told)

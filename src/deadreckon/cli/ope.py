@@ -11,6 +11,7 @@ import tyro
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
 from deadreckon.errors import UserError
+from deadreckon.runs.settings import JudgeSettings
 
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
@@ -31,6 +32,15 @@ class Fits:
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Judge(JudgeSettings):
+    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed run continues there
+    model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
+    counted: tyro.conf.Suppress[bool] = True
+    episodes: tyro.conf.Suppress[int] = JudgeSettings.episodes
+    watch: tyro.conf.Suppress[Any] = None
+
+
 @dataclass
 class Ope:
     """Estimate policies from a log alone, with confidence intervals, on episodes held out from training; --select decides.
@@ -42,25 +52,10 @@ class Ope:
     policies: tuple[str, ...]  # run folders, cross-fits, policy files (.npz; DOPE's .pkl), or a task of the package's policies
     estimators: Annotated[str, _NAMES] = "auto"
     """names with commas, the one to decide by first (see --list); auto: by the design of the log"""
-    discount: float = 0.995  # discount factor per step; 1 where episodes end or --horizon is given
-    horizon: int | None = None
-    """number of first steps of an episode that count; None: all, or the length at which all were cut"""
-    seed: int = 0  # random seed of the estimates
-    greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
-    cluster: str | None = None  # column whose values are resampled as one, such as a user; None: that of --holdout-by
-    unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
-    accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
-    guarantee: bool = False
-    """whether to deploy only by a bound of the gain that holds for any number of episodes (--return-range)"""
-    return_range: tuple[float, float] | None = None  # smallest and largest return that an episode can have
-    confounding: float | None = None
-    """factor by which the odds of logged actions may be off; deploy only if the gain stays positive"""
-    by_group: str | None = None  # column, such as a site, for whose values the gain is shown separately
-    tail: float | None = None  # share of the worst episodes, such as 0.1, whose mean return is shown separately
     episodes: int | None = None  # number of first episodes of the log to use; None: all
     task: str | None = None  # simulator to check the choice in, where there is one
-    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed run continues there
+    settings: Annotated[_Judge, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Judge)
     fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
 
@@ -94,10 +89,11 @@ def ope(args: Sequence[str]) -> None:
         return None
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
-    from deadreckon.ope.registry import PROPENSITIES, titled, with_fields
+    from deadreckon.ope.behavior_model import PROPENSITIES
+    from deadreckon.ope.registry import titled, with_fields
     from deadreckon.runs.offline import checked, grounds, groups, judge, supports
 
-    found = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
+    wanted = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
@@ -105,12 +101,8 @@ def ope(args: Sequence[str]) -> None:
         data = data.select(range(options.episodes))
     with Watch() as watch:
         judged = judge(
-            options.policies, data, found, out=options.out, discount=options.discount,
-            horizon="auto" if options.horizon is None else options.horizon, greedy=options.greedy, task=options.task,
-            seed=options.seed, model=with_fields(PROPENSITIES, options.fits.given), cluster=options.cluster,
-            unseen=options.unseen, accept_model_based=options.accept_model_based, guarantee=options.guarantee,
-            return_range=options.return_range, confounding=options.confounding, by_group=options.by_group, tail=options.tail,
-            watch=watch,
+            options.policies, data, wanted, task=options.task,
+            **vars(options.settings) | {"model": with_fields(PROPENSITIES, options.fits.given), "watch": watch},
         )  # fmt: skip
     print("\n".join(f"{name}: {words}" for name, words in grounds(judged.told)) + "\n")
     for each in judged.estimates:
@@ -118,11 +110,11 @@ def ope(args: Sequence[str]) -> None:
     print(f"{supports(judged.told)}\n")
     if options.select:
         print(judged.choice)
-        chosen = next(each for each in judged.told["policies"] if each["name"] == judged.choice.name)
-        if judged.choice.deploy and chosen["file"]:
-            drawn = "" if options.greedy else ", rng, greedy=False"
-            print(f"  use it: deadreckon.policies.portable.load({chosen['file']!r})(observations{drawn})")
-    if options.by_group:
+        policy = next(each for each in judged.told["policies"] if each["name"] == judged.choice.name)
+        if judged.choice.deploy and policy["file"]:
+            drawn = "" if options.settings.greedy else ", rng, greedy=False"
+            print(f"  use it: deadreckon.policies.portable.load({policy['file']!r})(observations{drawn})")
+    if options.settings.by_group:
         print(f"\n{groups(judged.told)}")
     if options.task:
         print(f"checked: {checked(judged.told)}")

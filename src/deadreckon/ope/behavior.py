@@ -27,8 +27,6 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, create_actor
 from deadreckon.randomness import generator
 
-# What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
-PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)
 PRIOR = 10.0  # rows that say that the temperature is one
 SHARES = 20.0  # rows that say that an action is as likely everywhere as it is overall
 LOOKED_AT = 4096  # rows by which propensities are calibrated, at most

@@ -44,3 +44,7 @@ class BehaviorModel(eqx.Module):
         grads, metrics = jax.grad(loss, has_aux=True)(model, batch.observation, batch.action, key)
         model, opt = apply_gradients(model, grads, opt, self.lr)
         return (model, opt), metrics
+
+
+# What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
+PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)

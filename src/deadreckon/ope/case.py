@@ -5,8 +5,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import numpy as np
 
@@ -15,17 +14,17 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.estimand import Estimand, discounted_steps
+from deadreckon.ope.estimand import discounted_steps
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
 from deadreckon.ope.fits import Fits
+from deadreckon.ope.settings import EstimateOptions, EstimateSettings
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
-from deadreckon.progress import Watcher, unwatched
 from deadreckon.randomness import generator
 
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
@@ -52,21 +51,18 @@ class OPEInput(Fits):
     Args:
         data: the log.
         policies: a policy, a policy file, a run, or a sequence of these.
-        discount: of the returns; one where episodes end or have a horizon.
-        seed: random seed.
-        greedy: deterministic (greedy) instead of sampled actions of the policies.
         names: of the policies.
         logged: judge the behaviour policy too, as the last and under the name `LOGGED`: at each row it does what was logged.
-        out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
-        watch: called with what is fitted, the updates done and those in all.
-        horizon: steps of an episode that count, None for all, or "auto"; see `Estimand.of`.
         held: (n,) indices of the episodes that policies are judged on; None: all. The other episodes of `data`, which may have
             taught the policies, only help to fit what doubly robust estimators need.
         clusters: (episodes of `data`,) integers that are equal for episodes of one cluster, such as a user; None: each episode
             is one. Clusters are redrawn as one wherever intervals are made.
         noise: given to deterministic policies where weights need a density; None: their weights are zero; see `Actor`.
+        **options: `discount`, `horizon` (see `Estimand.of`), `greedy`, `seed`, `out` and `watch`; see
+            `ope.settings.EstimateSettings`.
 
     Attributes:
+        settings: the same as one object.
         log: all episodes, cut to the horizon.
         data: those that are judged, cut to the horizon.
         estimand: what is estimated.
@@ -80,21 +76,15 @@ class OPEInput(Fits):
         data: Dataset,
         policies: Any,
         *,
-        discount: float = 0.995,
-        seed: int = 0,
-        greedy: bool = False,
         names: Sequence[str] | None = None,
         logged: bool = False,
-        out: Path | str | None = None,
-        watch: Watcher = unwatched,
-        horizon: int | Literal["auto"] | None = None,
         held: np.ndarray | None = None,
         clusters: np.ndarray | None = None,
         noise: float | None = NOISE,
+        **options: Unpack[EstimateOptions],
     ):
-        super().__init__(Estimand.of(data, discount, horizon, greedy), seed, out, watch)
-        if not 0 <= seed < 2**32:
-            raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
+        self.settings = EstimateSettings.of(options)
+        super().__init__(self.settings.estimand(data), self.settings)
         self.policies = policies_of(policies, (CrossFitted,))
         if not self.policies:
             raise UserError("no policy to judge")
@@ -103,7 +93,7 @@ class OPEInput(Fits):
             raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
         if len(data.spec.observation_shape) != 1:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
-        self.discount, self.greedy = discount, greedy
+        self.discount = self.estimand.discount
         self.held = np.arange(data.episodes) if held is None else np.asarray(held)
         if len(np.unique(self.held)) < len(self.held) or not len(self.held):
             raise UserError("held must be different episodes of the log, one or more")
@@ -132,7 +122,7 @@ class OPEInput(Fits):
             np.arange(len(self.policies)),
             [len(p.policies) if isinstance(p, CrossFitted) else 1 for p in self.policies],
         )
-        self.actor = Actor(acting, acting_names, data.spec, greedy, seed, noise)
+        self.actor = Actor(acting, acting_names, data.spec, self.estimand.greedy, self.seed, noise)
         self.logged = logged
         if logged:
             self.names = (*self.names, LOGGED)
@@ -242,9 +232,8 @@ class OPEInput(Fits):
             for p in self.policies
         ]  # fmt: skip
         return OPEInput(
-            self._given, policies, discount=self.discount, horizon=self.estimand.horizon, seed=self.seed,
-            greedy=self.greedy, names=self.names[: len(self.policies)], logged=self.logged, out=self.out, watch=self.watch,
-            held=held, clusters=self.clusters, noise=self.actor.noise,
+            self._given, policies, names=self.names[: len(self.policies)], logged=self.logged, held=held,
+            clusters=self.clusters, noise=self.actor.noise, **vars(self.settings),
         )  # fmt: skip
 
     @cached_property

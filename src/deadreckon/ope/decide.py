@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.doubly_robust import DoublyRobust
@@ -19,9 +19,9 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
-from deadreckon.ope.registry import PROPENSITIES, as_estimator
+from deadreckon.ope.registry import as_estimator
 from deadreckon.ope.select import MANY, SHARE, Choice, endless_where_unsupported, select
-from deadreckon.ope.sensitivity import weight_box
+from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
 from deadreckon.stats.interval import ALPHA
@@ -32,7 +32,7 @@ MOST = 100.0  # factor of odds up to which the tipping point is searched
 
 
 class Decision(NamedTuple):
-    """What `decide` finds.
+    """What `decide` answers.
 
     Attributes:
         estimates: one per estimator.
@@ -52,14 +52,9 @@ def decide(
     estimators: Sequence[Any] | str = "auto",
     *,
     seen: Sequence[str | None] | None = None,
-    accept_model_based: bool = False,
     alpha: float = ALPHA,
-    model: BehaviorModel = PROPENSITIES,
-    guarantee: bool = False,
-    return_range: tuple[float, float] | None = None,
-    confounding: float | None = None,
     groups: Groups | None = None,
-    tail: float | None = None,
+    **options: Unpack[DecisionOptions],
 ) -> Decision:
     """Estimates a case's policies and decides which to deploy, if any.
 
@@ -67,29 +62,27 @@ def decide(
         case: log and policies, with the behaviour policy.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto", see `automatic`.
         seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
-        accept_model_based: deploy also by estimates that no logged reward corrects.
         alpha: share of logs for which one of the intervals may miss.
-        model: how the behaviour policy is learned, for the checks and, where propensities were not logged, by "auto".
-        guarantee: deploy only by a lower bound of the gain that holds for any number of episodes; see `ope.guarantee`.
-        return_range: least and greatest return of an episode, for the guarantee.
-        confounding: deploy only if the gain stays above zero when odds of logged actions are off by up to this factor.
         groups: tell the gain in each of these groups of episodes.
-        tail: tell the mean return of this share of episodes, the worst.
+        **options: `accept_model_based`, `model`, `guarantee` (see `ope.guarantee`), `return_range`, `confounding` and `tail`;
+            see `ope.settings.DecisionSettings`.
 
     Raises:
         UserError: input that does not fit, or that what is asked for cannot be known from.
     """
-    check(case, guarantee, return_range, confounding, groups, tail)
-    found = automatic(case, model, accept_model_based) if isinstance(estimators, str) and estimators == "auto" else estimators
-    found = [found] if isinstance(found, str) else found
+    settings = DecisionSettings.of(options)
+    model, accept_model_based = settings.model, settings.accept_model_based
+    check(case, settings, groups)
+    if isinstance(estimators, str):
+        estimators = automatic(case, model, accept_model_based) if estimators == "auto" else [estimators]
     checked = support(case, model)
-    results = [as_estimator(each).on(case) for each in found]
-    choice = select(results, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha)
+    estimates = [as_estimator(each).on(case) for each in estimators]
+    choice = select(estimates, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha)
     which, more = case.names.index(choice.name), {}
-    if guarantee:
-        more["guarantee"] = bound = guaranteed(case, which, return_range, alpha)
+    if settings.guarantee:
+        more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
-    more["confounding"], choice = _confounded(case, choice, model, alpha, confounding)
+    more["confounding"], choice = _confounded(case, choice, model, alpha, settings.confounding)
     endless = None if np.isfinite(choice.low) else f"the card's own interval is endless: {'; '.join(choice.objections[which])}"
     if groups is not None:
         try:
@@ -98,34 +91,25 @@ def decide(
             more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha, choice.wider)}
         except UserError as error:
             more["groups"] = {"column": groups.column, "refused": str(error)}
-    if tail is not None:
-        more["tail"], line = _tail(case, which, tail, model, alpha, endless)
+    if settings.tail is not None:
+        more["tail"], line = _tail(case, which, settings.tail, model, alpha, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
-    return Decision([endless_where_unsupported(each, checked) for each in results], checked, choice, more)
+    return Decision([endless_where_unsupported(each, checked) for each in estimates], checked, choice, more)
 
 
-def check(
-    case: OPEInput,
-    guarantee: bool,
-    return_range: tuple[float, float] | None,
-    confounding: float | None,
-    groups: Groups | None,
-    tail: float | None,
-) -> None:
+def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> None:
     """Refuses what cannot be asked of a case, before anything is fitted or looked at; arguments as of `decide`.
 
     Raises:
         UserError: in one line.
-    """  # fmt: skip
-    if guarantee:
-        refuse(case, return_range)
-    if confounding is not None:
-        weight_box(np.zeros(1), confounding)
+    """
+    settings.check_values()
+    if settings.guarantee:
+        refuse(case, settings.return_range)
+    if settings.confounding is not None:
         possible(case)
     if groups is not None and len(groups.names) > GROUPS:
         raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
-    if tail is not None and not 0 < tail <= 1:
-        raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {tail:g}")
 
 
 def _demanded(choice: Choice, bound: float, words: str) -> Choice:
@@ -140,18 +124,18 @@ def _confounded(
     case: OPEInput, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None
 ) -> tuple[dict[str, Any], Choice]:
     """Bounds under unmeasured odds as JSON values, and the choice that knows them; without a factor, what is cheap to tell."""
-    told: dict[str, Any] = {"gamma": gamma, "bounds": None, "tipping": None}
+    values: dict[str, Any] = {"gamma": gamma, "bounds": None, "tipping": None}
     which, alone = case.names.index(choice.name), replace(choice, evidence=(*choice.evidence, UNSEEN))
     try:
         if gamma is None and not one_step(case):
-            return told, alone
-        found = Confounding(case, model, alpha, choice.wider)
+            return values, alone
+        bounds = Confounding(case, model, alpha, choice.wider)
     except UserError:
         if gamma is not None:
             raise
-        return told, alone
-    tipping = found.tipping(which) if np.isfinite(choice.low) else np.nan
-    told["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
+        return values, alone
+    tipping = bounds.tipping(which) if np.isfinite(choice.low) else np.nan
+    values["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
     undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
     if np.isnan(tipping):
         undone = "its gain is not above zero with confidence even if there is none"
@@ -159,11 +143,11 @@ def _confounded(
         undone = f"its gain stays sure where odds of logged actions are off by {MOST:g}"
     choice = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {undone}"))
     if gamma is None:
-        return told, choice
-    told["bounds"] = [list(found.gain(i, gamma)) for i in range(len(case.policies))]
-    low, high = told["bounds"][which]
+        return values, choice
+    values["bounds"] = [list(bounds.gain(i, gamma)) for i in range(len(case.policies))]
+    low, high = values["bounds"][which]
     words = f"if odds of logged actions are off by up to {gamma:g}, its gain is [{low:+.4g}, {high:+.4g}]"
-    return told, _demanded(choice, low, words)
+    return values, _demanded(choice, low, words)
 
 
 def _tail(
@@ -174,12 +158,12 @@ def _tail(
     try:
         if endless is not None:
             raise UserError(endless)
-        told = tails(case, which, share, model, alpha)
+        values = tails(case, which, share, model, alpha)
     except UserError as error:
         return {"share": share, "refused": str(error)}, f"{worst} are not known: {error}"
-    gain = f"{told['gain']:+.4g} [{told['low']:+.4g}, {told['high']:+.4g}]"
-    against = f"against {told['logged']:.4g} of the behaviour policy's"
-    return told, f"{worst} return {told['value']:.4g} on average, {against}: {gain}"
+    gain = f"{values['gain']:+.4g} [{values['low']:+.4g}, {values['high']:+.4g}]"
+    against = f"against {values['logged']:.4g} of the behaviour policy's"
+    return values, f"{worst} return {values['value']:.4g} on average, {against}: {gain}"
 
 
 def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:

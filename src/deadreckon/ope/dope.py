@@ -9,10 +9,10 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -23,10 +23,14 @@ from deadreckon.files import digest, file_part, read_json, write_json
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
-from deadreckon.ope.registry import Function, as_estimator
+from deadreckon.ope.registry import Function, as_estimator, fits_name
+from deadreckon.ope.settings import FitOptions, FitSettings
 from deadreckon.policies import library
-from deadreckon.progress import Watcher, unwatched
+from deadreckon.progress import unwatched
+from deadreckon.stats import interval
+from deadreckon.training.revisions import of_learning, revisions
 
 REVISION = 1  # of the protocol: policies, true values, metrics; raised where numbers change (see bench/identity.py)
 METRICS = {
@@ -70,10 +74,10 @@ class Result:
 
     def metrics(self, **options: Any) -> Metrics:
         """Absolute error, rank correlation and regret; see `metrics.compare`. Redrawn once for all tables that ask."""
-        asked = tuple(sorted(options.items()))
-        if asked not in self._compared:
-            self._compared[asked] = compare(self.estimates, self.truth, **options)
-        return self._compared[asked]
+        key = tuple(sorted(options.items()))
+        if key not in self._compared:
+            self._compared[key] = compare(self.estimates, self.truth, **options)
+        return self._compared[key]
 
     @cached_property
     def _compared(self) -> dict[Any, Metrics]:
@@ -85,15 +89,27 @@ class Result:
         return sharpe, *error_rates(self.estimates, self.truth, self.behavior)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DopeSettings(FitSettings):
+    """Of the protocol's fits and results."""
+
+    out: Path | str | None = None  # folder of results and checkpoints; existing results are not computed again
+    told: Callable[[Result], None] = unwatched  # called with every result
+
+
+class DopeOptions(FitOptions, total=False):
+    """Keywords of `DopeSettings`."""
+
+    told: Callable[[Result], None]
+
+
+def revisions_of(estimator: Estimator) -> dict[str, Any]:
+    """Of the code that decides an estimator's results beside how its fits are trained; see `training/revisions.py`."""
+    return {"method": revisions(estimator), "intervals": interval.REVISION, "protocol": REVISION}
+
+
 def evaluate_log(
-    data: Dataset,
-    task: str,
-    estimators: Sequence[Any],
-    *,
-    seed: int = 0,
-    out: Path | str | None = None,
-    watch: Watcher = unwatched,
-    told: Callable[[Result], None] = lambda result: None,
+    data: Dataset, task: str, estimators: Sequence[Any], **options: Unpack[DopeOptions]
 ) -> list[Result]:
     """Estimates the snapshots of a task from a log, by each of the estimators.
 
@@ -101,11 +117,13 @@ def evaluate_log(
         data: the log.
         task: whose policies.
         estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
-        seed: random seed.
-        out: folder for results and checkpoints; results that are there are not computed again.
-        watch: called while something is fitted.
-        told: called with every result.
+        **options: `seed`, `out`, `watch` and `told`; see `DopeSettings`. Results in `out` are identified by log, estimator,
+            seed and the revisions of their code: those of other revisions are computed again.
+
+    Raises:
+        UserError: an unknown estimator or task, or a file of results that is damaged.
     """
+    settings = DopeSettings.of(options)
     snapshots = [s for s in library.library(task) if s.name.startswith("snapshot-")]
     discount = snapshots[0].sampled.discount
     truth, errors = (np.array([getattr(s.sampled, f) for s in snapshots]) for f in ("discounted", "discounted_error"))
@@ -113,28 +131,31 @@ def evaluate_log(
     case: OPEInput | None = None
     behavior = math.nan  # known with the case
     results = []
-    for given in estimators:
-        found = as_estimator(given)
-        asked = {"settings": str(found), "seed": seed, "log": data.fingerprint, "truth": truth.tolist()}
+    folder = None if settings.out is None else Path(settings.out) / file_part(data.name)
+    for estimator in map(as_estimator, estimators):
+        identity = {
+            "settings": str(estimator), "seed": settings.seed, "log": data.fingerprint, "truth": truth.tolist(),
+            "revisions": of_learning() | revisions_of(estimator),
+        }  # fmt: skip
         # What a function does is not in its name, so its results are not kept.
-        folder = None if out is None or isinstance(found, Function) else Path(out) / file_part(data.name)
-        path = None if folder is None else folder / f"{type(found).__name__}-{digest(asked, 4)}.json"
+        kept = folder is not None and not isinstance(estimator, Function)
+        path = folder / f"{type(estimator).__name__}-{digest(identity, 4)}.json" if kept else None
         if path is not None and path.exists():
             result = _kept(path)
         else:
             if case is None:
-                fits = None if out is None else Path(out) / file_part(data.name) / f"fits-seed{seed}"
+                fits = replace(settings, out=None if folder is None else folder / fits_name())
                 policies, behavior = [s.policy() for s in snapshots], float(np.mean(data.returns(discount)))
-                case = OPEInput(data, policies, discount=discount, seed=seed, names=names, out=fits, watch=watch)
+                case = OPEInput(data, policies, discount=discount, names=names, **fits.only(FitSettings))
             try:
-                estimates = found.on(case)
+                estimates = estimator.on(case)
             except DivergedError as error:  # neither other methods nor other logs are held up
-                estimates = _nothing(found, names, discount, str(error))
-            result = _result(estimates, data.name, behavior, truth, errors, str(found))
+                estimates = _no_estimates(estimator, names, discount, str(error))
+            result = _result(estimates, data.name, behavior, truth, errors, str(estimator))
             if path is not None:
-                write_json(path, {"asked": asked, "result": to_json(result)})
+                write_json(path, {"asked": identity, "result": to_json(result)})
         results.append(result)
-        told(result)
+        settings.told(result)
     return results
 
 
@@ -145,17 +166,17 @@ def _kept(path: Path) -> Result:
         raise UserError(f"{path} is not a whole result ({error}); delete it, and it is computed again") from error
 
 
-def _nothing(asked: Any, names: tuple[str, ...], discount: float, why: str) -> Estimates:
+def _no_estimates(estimator: Estimator, names: tuple[str, ...], discount: float, why: str) -> Estimates:
     """What stands for the estimates of a method that gave none."""
     nan = np.full(len(names), np.nan)
-    return Estimates(asked.label, names, nan, nan, nan, Estimand(discount), warnings=(f"no estimates: {why}",))
+    return Estimates(estimator.label, names, nan, nan, nan, Estimand(discount), warnings=(f"no estimates: {why}",))
 
 
 def _result(
-    found: Estimates, log: str, behavior: float, truth: np.ndarray, errors: np.ndarray, settings: str
+    estimates: Estimates, log: str, behavior: float, truth: np.ndarray, errors: np.ndarray, settings: str
 ) -> Result:
-    known = log, found.method, found.names, behavior, truth, errors
-    return Result(*known, found.value, found.low, found.high, found.seconds, found.warnings, settings)
+    known = log, estimates.method, estimates.names, behavior, truth, errors
+    return Result(*known, estimates.value, estimates.low, estimates.high, estimates.seconds, estimates.warnings, settings)
 
 
 def to_json(result: Result) -> dict[str, Any]:
@@ -197,7 +218,7 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
     Raises:
         UserError: a method with two settings, whose mean would be nobody's.
     """
-    found: dict[str, dict[str, Cell]] = {}
+    table: dict[str, dict[str, Cell]] = {}
     for log in dict.fromkeys(r.log for r in results):
         for method in dict.fromkeys(r.method for r in results):
             own = [r for r in results if (r.log, r.method) == (log, method)]
@@ -209,8 +230,8 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
                 # E.2 prints errors in returns, and regret of one choice in ranges.
                 same = options.get("normalised", True) == (metric != "absolute_error") and options.get("k", 1) == 1
                 theirs = printed(metric, log, method) if same else None
-                found.setdefault(log, {})[method] = Cell(*(float(x) for x in measured), printed=theirs)
-    return found
+                table.setdefault(log, {})[method] = Cell(*(float(x) for x in measured), printed=theirs)
+    return table
 
 
 def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
@@ -228,11 +249,11 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
 
     Arguments and errors are those of `cells`.
     """
-    found = cells(results, metric, **options)
+    table = cells(results, metric, **options)
     methods = list(dict.fromkeys(r.method for r in results))
     lines = ["| log | " + " | ".join(methods) + " |", "|---|" + "---:|" * len(methods)]
     pair = lambda mean, spread: f"{mean:{form}} ± {spread:{form}}" if math.isfinite(mean) else ""  # noqa: E731
-    for log, row in found.items():
+    for log, row in table.items():
         form = ".2f" if max((abs(c.value) for c in row.values() if math.isfinite(c.value)), default=0.0) < 100 else ",.0f"
         shown = [pair(row[m].value, row[m].spread) if m in row else "" for m in methods]
         lines.append(f"| {log} | " + " | ".join(shown) + " |")
@@ -242,7 +263,7 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
             lines.append("| over redrawn policies | " + " | ".join(redrawn) + " |")
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
     # Of all logs or of none: a median of those that a method can do would flatter it.
-    values = {m: [row[m].value if m in row else math.nan for row in found.values()] for m in methods}
+    values = {m: [row[m].value if m in row else math.nan for row in table.values()] for m in methods}
     form = ".2f" if max((abs(m) for v in values.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
     medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in values.values()]
     return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])

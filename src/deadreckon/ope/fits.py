@@ -11,7 +11,7 @@ import jax
 from deadreckon.data.batch import TransitionSource
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.ope.estimand import Estimand
-from deadreckon.progress import Watcher
+from deadreckon.ope.settings import FitSettings
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Chunk, Fit, complete
 from deadreckon.training.hyperparameters import described, on_device
@@ -24,14 +24,16 @@ class Fits:
 
     Args:
         estimand: what they are for.
-        seed: random seed.
-        out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
-        watch: called with what is fitted, the updates done and those in all.
+        settings: random seed, folder of checkpoints, and what is called while something is fitted.
+
+    Raises:
+        UserError: a seed that is out of range.
     """
 
-    def __init__(self, estimand: Estimand, seed: int, out: Path | str | None, watch: Watcher):
-        self.estimand, self.seed, self.watch = estimand, seed, watch
-        self.out = None if out is None else Path(out)
+    def __init__(self, estimand: Estimand, settings: FitSettings):
+        settings.check_values()
+        self.estimand, self.seed, self.watch = estimand, settings.seed, settings.watch
+        self.out = None if settings.out is None else Path(settings.out)
         self._kept: dict[Any, Any] = {}
         self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by updates done
 

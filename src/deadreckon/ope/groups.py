@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
@@ -33,6 +35,16 @@ class Groups(NamedTuple):
     column: str
     names: tuple[str, ...]
     codes: np.ndarray
+
+    @classmethod
+    def of(cls, data: Dataset, column: str) -> "Groups":
+        """The groups that a column of a log tells apart.
+
+        Raises:
+            UserError: an unknown column, or one that changes within an episode.
+        """
+        values, codes = groups_of(data, column)
+        return cls(column, tuple(map(str, values)), codes)
 
 
 def by_group(

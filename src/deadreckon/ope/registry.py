@@ -9,7 +9,8 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
-from deadreckon.ope.behavior import PROPENSITIES
+from deadreckon.files import digest
+from deadreckon.ope.behavior_model import PROPENSITIES
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.dice import DICE
 from deadreckon.ope.doubly_robust import DoublyRobust
@@ -24,6 +25,7 @@ from deadreckon.ope.state_marginal import StateMarginal
 from deadreckon.ope.vpm import VPM
 from deadreckon.training.field_names import meant, with_field_names
 from deadreckon.training.hyperparameters import static
+from deadreckon.training.revisions import of_learning, revisions
 
 ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
     "fqe": (FQE, "FQE-L2: fitted Q evaluation, squared loss (Le et al. 2019)"),
@@ -102,6 +104,12 @@ def estimator(name: str, **changes: Any) -> Estimator:
         if not any(meant(type(each), field) for each in made):
             raise unknown("field of estimators", field, sorted(fields))
     return with_fields(ESTIMATORS[name][0](), changes)
+
+
+def fits_name() -> str:
+    """Name of a folder for checkpoints of fits, which estimators share: other revisions of their code have another one."""
+    shared = [of_learning(), *(revisions(make()) for make, _ in ESTIMATORS.values())]
+    return f"fits-{digest(shared, 8)}"
 
 
 def titled(label: str) -> str:

@@ -26,6 +26,16 @@ from deadreckon.stats.interval import ALPHA
 CELLS = 4_000_000  # bootstrap samples by episodes that are held at a time
 
 
+def check_gamma(gamma: float) -> None:
+    """Refuses what is no factor of odds.
+
+    Raises:
+        UserError: a Gamma below one, or an infinite one.
+    """
+    if not 1.0 <= gamma < np.inf:
+        raise UserError(f"Gamma, a ratio of odds, must be 1 or more, got {gamma:g}")
+
+
 def weight_box(
     log_ratios: np.ndarray, gamma: float, log_behavior: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -41,8 +51,7 @@ def weight_box(
     Raises:
         UserError: a Gamma below one, or probabilities above one.
     """
-    if not 1.0 <= gamma < np.inf:
-        raise UserError(f"Gamma, a ratio of odds, must be 1 or more, got {gamma:g}")
+    check_gamma(gamma)
     beta = np.zeros_like(log_ratios) if log_behavior is None else np.exp(log_behavior)
     if (beta > 1 + 1e-6).any():
         raise UserError(f"{beta.max():.4g} is no probability of an action; densities are not for odds, leave them out")

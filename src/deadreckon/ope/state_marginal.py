@@ -19,8 +19,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.behavior import PROPENSITIES
-from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates

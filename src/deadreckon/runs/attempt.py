@@ -16,9 +16,9 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -30,14 +30,15 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
+from deadreckon.ope.behavior_model import PROPENSITIES
 from deadreckon.ope.features import Features
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
-from deadreckon.ope.registry import PROPENSITIES
 from deadreckon.runs import offline
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, usual
 from deadreckon.runs.recorder import StopTraining
+from deadreckon.runs.settings import RecommendSettings
 from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
@@ -109,27 +110,30 @@ class Job:
 
     Attributes:
         data: a log's name or file.
-        columns: further options of its reader.
-        task: see `recommend`.
-        discount, seed: see `recommend`.
         out: folder of the runs and estimates.
-        holdout: `Holdout.told()`, or None for the usual one.
-        accept: deploy also by model-based estimates.
         budget: in seconds, as it was given.
         began, end: times of the clock on the wall; at `end` all must be written.
+        settings: of `recommend`.
     """
 
     data: str
-    columns: dict[str, Any]
-    task: str | None
-    discount: float
-    seed: int
     out: str
-    holdout: dict[str, Any] | None
-    accept: bool
     budget: float
     began: float
     end: float
+    settings: RecommendSettings = field(default_factory=RecommendSettings)
+
+    def as_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def of_json(cls, values: dict[str, Any]) -> Self:
+        """The job of which `as_json` made these values."""
+        settings = dict(values["settings"])
+        settings["holdout"] = None if settings["holdout"] is None else Holdout(**settings["holdout"])
+        fields: dict[str, Any] = values | {"settings": RecommendSettings(**settings)}
+        return cls(**fields)
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,7 @@ class Attempt:
     """A log and some time; everything that is found is told to `send` as it comes."""
 
     def __init__(self, job: Job, send: Callable[[str, Any], None]):
-        self.job, self.send = job, send
+        self.job, self.settings, self.send = job, job.settings, send
         self.out = Path(job.out)
         self.told: list[dict[str, Any]] = []  # of each candidate: what `recommend` knows of it
 
@@ -176,12 +180,12 @@ class Attempt:
 
     def _log(self) -> tuple[Dataset, Task | None, Holdout]:
         self._stage("reading the log")
-        log = catalogue.load(self.job.data, **self.job.columns)
-        judge_in = judge_of(log, self.job.task)
+        log = catalogue.load(self.job.data, **(self.settings.columns or {}))
+        judge_in = judge_of(log, self.settings.task)
         log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
         if len(log.spec.observation_shape) != 1:
             raise UserError(f"policies are judged by flat observations, {log.name} has shape {log.spec.observation_shape}")
-        holdout = usual(log) if self.job.holdout is None else Holdout(**self.job.holdout)
+        holdout = self.settings.holdout if isinstance(self.settings.holdout, Holdout) else usual(log)
         holdout.parts(log)  # what cannot be held out is told before anything is learned
         manner = f"{len(log):,} rows, {log.episodes:,} episodes"
         self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
@@ -194,7 +198,7 @@ class Attempt:
     def _pilots(self, log: Dataset) -> tuple[list[Candidate], tuple[int, ...], list[Pilot]]:
         """Which candidates, of which networks, and how fast they are, by the part of the log that is learned from."""
         whole, known = self.left(), DISCRETE if log.spec.discrete else CONTINUOUS
-        if self.job.accept:  # their estimates are wanted, and decide
+        if self.settings.accept_model_based:  # their estimates are wanted, and decide
             known = tuple(sorted(known, key=lambda each: (each.name != "bc", not each.deterministic)))
         spent = lambda: (whole - self.left()) / max(whole, 1e-9)  # noqa: E731
         candidates: list[Candidate] = []
@@ -232,8 +236,8 @@ class Attempt:
         """The first updates of a candidate; None: it diverges. The same program then learns, without the compiler."""
         self.send("watch", [f"pilot of {candidate.name}", 0, 1])
         begun = time.perf_counter()
-        agent = _agent(candidate, hidden, self.job.discount).resolve(log.spec, MOST)
-        fit = Fit([agent], TransitionSource(log, agent.needs(log.spec)), [self.job.seed], MOST, chunk=TRIED)
+        agent = _agent(candidate, hidden, self.settings.discount).resolve(log.spec, MOST)
+        fit = Fit([agent], TransitionSource(log, agent.needs(log.spec)), [self.settings.seed], MOST, chunk=TRIED)
         first: float | None = None
         rate = 1.0
         for progress in fit.chunks():
@@ -255,7 +259,7 @@ class Attempt:
         start, rate = max(each.start for each in pilots), pilots[0].rate
         wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one per fold
         networks = PROPENSITIES.steps * 5 / (rate * wide)
-        features = Features(log if log.spec.discrete else learning, LinearFQE().fourier_features, self.job.seed)
+        features = Features(log if log.spec.discrete else learning, LinearFQE().fourier_features, self.settings.seed)
         rows = np.arange(min(BLOCK, len(learning)))
         seen, size = np.asarray(learning.observations[rows]), learning.spec.action_size
         shape = (len(rows), 1, size) if learning.spec.discrete else (len(rows), 1, LinearFQE().samples, size)
@@ -328,8 +332,8 @@ class Attempt:
                 raise StopTraining
 
         return train(
-            _agent(candidate, hidden, self.job.discount), log, steps=steps, seed=self.job.seed, task=False, watch=look,
-            out=self.out / candidate.name, evaluate_every=steps, episodes=1, holdout=holdout,
+            _agent(candidate, hidden, self.settings.discount), log, steps=steps, seed=self.settings.seed, task=False,
+            out=self.out / candidate.name, evaluate_every=steps, episodes=1, holdout=holdout, watch=look,
             chunk=min(max(int(LOOKS * rate), 1), steps),
         )  # fmt: skip
 
@@ -339,7 +343,7 @@ class Attempt:
         lines = []
         for each, rate in zip(self.told, rates):
             no = "; draws nothing: judged by a model only" if each["deterministic"] else ""
-            may = "" if not no or self.job.accept else ", so deployed with --accept-model-based only"
+            may = "" if not no or self.settings.accept_model_based else ", so deployed with --accept-model-based only"
             lines.append(f"  {each['name']:<{width}}  {in_words(steps / rate):>6}  {each['why']}{no}{may}")
         head = f"{len(lines)} candidates of {steps:,} updates, networks of {', '.join(map(str, hidden))}"
         total = min(learning, sum(steps / rate for rate in rates)) + judging
@@ -359,13 +363,14 @@ class Attempt:
             self.send("line", f"time is short: {model.steps:,} updates of propensities instead of {PROPENSITIES.steps:,}")
         learned = [each for each in self.told if each["state"] == "learned"]
         estimators: Any = "auto"
-        if self.job.accept and any(each["deterministic"] for each in learned):
+        if self.settings.accept_model_based and any(each["deterministic"] for each in learned):
             rate = pilots[0].rate / (MEMBERS * len(runs))  # an update of so many critics
             steps = min(max(int(0.3 * left * rate), FEWEST_FITS), MOST_FITS)
             estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, tau=0.02)]
         judged = offline.judge(
-            runs, log, estimators, out=self.out, discount=self.job.discount, seed=self.job.seed, model=model,
-            accept_model_based=self.job.accept, watch=lambda what, step, steps: self.send("watch", [what, step, steps]),
+            runs, log, estimators, out=self.out, discount=self.settings.discount, seed=self.settings.seed, model=model,
+            accept_model_based=self.settings.accept_model_based,
+            watch=lambda what, step, steps: self.send("watch", [what, step, steps]),
         )  # fmt: skip
         self.send("state", {"judged": True})
         return judged
@@ -379,8 +384,8 @@ class Attempt:
         def seen(episodes: int) -> dict[str, Any]:
             horizon = judged.told["estimand"]["horizon"]
             return offline.simulated(
-                [run.policy for run in runs], judge_in, episodes=episodes, seed=self.job.seed, greedy=False,
-                discount=self.job.discount, horizon=horizon,
+                [run.policy for run in runs], judge_in, episodes=episodes, seed=self.settings.seed, greedy=False,
+                discount=self.settings.discount, horizon=horizon,
             )  # fmt: skip
 
         begun = time.perf_counter()
@@ -437,7 +442,7 @@ def main() -> None:
     """Reads the job and does it; standard output carries lines of JSON alone."""
     pipe = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # whatever libraries print goes beside the messages
-    job = Job(**json.loads(sys.stdin.buffer.readline()))
+    job = Job.of_json(json.loads(sys.stdin.buffer.readline()))
     lock = threading.Lock()
 
     def orphaned() -> None:

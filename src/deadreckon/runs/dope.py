@@ -1,15 +1,15 @@
 """The DOPE protocol over tasks and logs, which are collected where they are not there yet."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
 from deadreckon.data.formats.io import read
 from deadreckon.errors import UserError
-from deadreckon.ope.dope import Result, evaluate_log
+from deadreckon.ope.dope import DopeOptions, DopeSettings, Result, evaluate_log
 from deadreckon.ope.registry import as_estimator
 from deadreckon.policies import library
 from deadreckon.progress import Watcher, unwatched
@@ -25,11 +25,8 @@ def dope(
     logs: Sequence[str] = (),
     log_steps: int | None = None,
     seeds: int = 1,
-    seed: int = 0,
-    out: Path | str | None = None,
     collecting: Watcher = unwatched,
-    watch: Watcher = unwatched,
-    told: Callable[[Result], None] = lambda result: None,
+    **options: Unpack[DopeOptions],
 ) -> list[Result]:
     """Estimates the eleven policies of tasks from logs of theirs, whose true values are known.
 
@@ -42,18 +39,16 @@ def dope(
         logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, in the place of tasks and kinds.
         log_steps: rows of the logs; None: all.
         seeds: how many fits of each.
-        seed: random seed; of several fits the first.
-        out: folder for results and checkpoints; results that are there are not computed again.
         collecting: called while a log is collected, with its name, steps done and steps in all.
-        watch: called while something is fitted.
-        told: called with every result.
+        **options: `seed` (of several fits the first), `out`, `watch` and `told`; see `ope.dope.DopeSettings`.
 
     Raises:
         UserError: unknown estimators, tasks, kinds or logs, or seeds out of range, before anything is begun.
     """
-    found = [as_estimator(each) for each in estimators]
-    if seeds < 1 or seed < 0 or seed + seeds > 2**32:
-        raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {seed}")
+    settings = DopeSettings.of(options)
+    first, estimators = settings.seed, [as_estimator(each) for each in estimators]
+    if seeds < 1 or first < 0 or first + seeds > 2**32:
+        raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {first}")
     recipes = [recipe(name) for name in logs or [f"{task}-{kind}-v2" for task in tasks for kind in kinds]]
     for each in recipes:
         library.library(each.task)
@@ -62,6 +57,6 @@ def dope(
         if not path.exists():
             collect(name, steps=log_steps, out=path, progress=partial(collecting, name))
         data = read(path)
-        for number in range(seed, seed + seeds):
-            results += evaluate_log(data, task, found, seed=number, out=out, watch=watch, told=told)
+        for seed in range(first, first + seeds):
+            results += evaluate_log(data, task, estimators, **vars(replace(settings, seed=seed)))
     return results

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Unpack
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.policies.resolve import policies_of
+from deadreckon.runs.settings import ReturnOptions, ReturnSettings
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.registry import task as find_task
@@ -127,11 +128,9 @@ def evaluate(
     *,
     episodes: int = 100,
     seed: int = 0,
-    greedy: bool = True,
-    discount: float | Sequence[float] = 0.99,
     names: Sequence[str] | None = None,
     record: int = 0,
-    horizon: int | None = None,
+    **options: Unpack[ReturnOptions],
 ) -> Evaluation:
     """Runs policies in a task's simulator, all of them and all episodes side by side.
 
@@ -140,15 +139,14 @@ def evaluate(
         task: or its name.
         episodes: for each policy; all policies get the same starts.
         seed: of starts and draws.
-        greedy: deterministic (greedy) instead of sampled actions.
-        discount: for the discounted returns, one for all policies or one each.
         names: shown for the policies.
         record: episodes of which is kept what pictures show.
-        horizon: steps that count in the discounted returns; None: all until the episode ends or the task stops it.
+        **options: `discount` and `horizon` of the discounted returns, and `greedy`; see `runs.settings.ReturnSettings`.
 
     Raises:
         UserError: an unknown task, no episodes, or actions and observations that do not fit.
     """
+    settings = ReturnSettings.of(options)
     task = find_task(task) if isinstance(task, str) else task
     if episodes < 1:
         raise UserError(f"episodes must be >= 1, got {episodes}")
@@ -157,13 +155,13 @@ def evaluate(
     found = policies_of(policies)
     if not found:
         raise UserError("no policy to evaluate")
-    discounts = np.broadcast_to(np.asarray(discount, np.float64), (len(found),))
+    discounts = np.broadcast_to(np.asarray(settings.discount, np.float64), (len(found),))
     names = tuple(names) if names else tuple(f"policy {i}" for i in range(len(found)))
     for name, policy in zip(names, found):
         _check_fit(policy, task, name)
     count, copies = len(found), len(found) * episodes
     simulator: Simulator = task.simulate(episode_seeds(seed, episodes) * count)
-    actors = _Actors(found, episodes, seed, greedy)
+    actors = _Actors(found, episodes, seed, settings.greedy)
     observations = simulator.reset()
     shape = (count, episodes)
     rewards, first = np.zeros(shape), np.ones(shape, bool)
@@ -183,7 +181,7 @@ def evaluate(
         observations, reward, terminal, timeout = simulator.step(actions.reshape(copies, *wanted))
         rewards, first = reward.reshape(shape), np.zeros(shape, bool)
         returns += alive * rewards
-        if horizon is None or t < horizon:
+        if settings.horizon is None or t < settings.horizon:
             discounted += alive * rewards * discounts[:, None] ** t
         lengths += alive
         alive &= ~(terminal | timeout).reshape(shape)

@@ -10,23 +10,24 @@ import shlex
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
-from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
+from deadreckon.runs.attempt import Job
 from deadreckon.runs.clock import Clock
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.follow import Found, followed
 from deadreckon.runs.offline import NAME, checked, supports
+from deadreckon.runs.settings import RecommendOptions, RecommendSettings
 from deadreckon.runs.train import Run, load
 from deadreckon.stats.interval import PERCENT
 
@@ -77,17 +78,12 @@ def recommend(
     data: Dataset | str | Path,
     budget: float | str = "30m",
     *,
-    task: str | None = None,
-    discount: float = 0.99,
-    seed: int = 0,
     out: Path | str = "runs/recommend",
-    holdout: Holdout | float | None = None,
-    accept_model_based: bool = False,
-    columns: dict[str, Any] | None = None,
     page: Callable[[Path, bool], Any] | None = None,
     tell: Callable[[str], None] = lambda line: None,
     watch: Watcher = unwatched,
     began: float | None = None,
+    **options: Unpack[RecommendOptions],
 ) -> Recommendation:
     """Tries agents and settings on a log, judges all of them by episodes that taught none, and says whether to deploy which.
 
@@ -98,29 +94,19 @@ def recommend(
     Args:
         data: a log, the name of a known one, or a file.
         budget: seconds, or a time such as `30m`; all together, from reading the log to the card.
-        task: simulator to check the choice in; None: that of a known log, and none for others.
-        discount: of the returns.
-        seed: random seed.
         out: folder of the runs, of `estimates.json` and of the page; must not be there yet.
-        holdout: episodes that nothing learns from and the card judges by; None: a fifth at random, of a memory-mapped log the
-            latest.
-        accept_model_based: deploy also by estimates that no logged reward corrects.
-        columns: for tables, which column is what; see `Dataset.from_frame`.
         page: writes a page from the folder; gets whether it has to be quick. None: there is none.
         tell: gets lines as they come: how the time is divided first.
         watch: called while something is fitted, with its name, updates done and in all.
         began: when the time began to count, by `time.perf_counter()`; None: now.
+        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based` and `columns`; see
+            `runs.settings.RecommendSettings`.
 
     Raises:
         UserError: a log or options that do not fit, in one line; nothing is written then.
     """
     clock = Clock.of(budget, began)
-    if not 0.0 <= discount < 1.0:
-        raise UserError(f"discount must be in [0, 1), got {discount}")
-    if holdout is not None and not isinstance(holdout, Holdout):
-        holdout = Holdout(float(holdout))
-    if holdout is not None and not 0 < holdout.share < 1:
-        raise UserError(f"the share held out must lie between 0 and 1, got {holdout.share}: the card judges by it")
+    settings = RecommendSettings.of(options).checked()
     out = Path(out)
     with alone(out, what=str(out)):
         if out.exists():
@@ -128,23 +114,20 @@ def recommend(
         if not isinstance(data, Dataset) and not isinstance(data, Path) and not str(data):
             raise UserError("no log is named")
         tell(clock.divided())
-        given, options = str(data), dict(columns or {})
+        source, columns = str(data), settings.columns
         try:
             if isinstance(data, Dataset):
-                given = str(out / LOG)
-                write_folder(data, given)
-                options = {"mmap": isinstance(data.observations, np.memmap)}
+                source = str(out / LOG)
+                write_folder(data, source)
+                settings = replace(settings, columns={"mmap": isinstance(data.observations, np.memmap)})
             else:
                 try:
                     out.mkdir(parents=True)
                 except OSError as error:
                     raise UserError(f"cannot write {out}: {error.strerror or error}") from error
-            job = {
-                "data": given, "columns": options, "task": task, "discount": discount, "seed": seed, "out": str(out),
-                "holdout": None if holdout is None else holdout.told(), "accept": accept_model_based, "budget": clock.budget,
-                "began": time.time() - clock.spent(), "end": time.time() + clock.left(),
-            }  # fmt: skip
-            found = followed(job, clock, tell, watch)
+            now = time.time()
+            job = Job(source, str(out), clock.budget, now - clock.spent(), now + clock.left(), settings)
+            found = followed(job.as_json(), clock, tell, watch)
         finally:
             shutil.rmtree(out / LOG, ignore_errors=True)
         if found.refused and not found.state.get("candidates"):

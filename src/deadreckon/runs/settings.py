@@ -1,26 +1,27 @@
 """How a run is evaluated, kept and gone on with: what Python, the command line and suites share.
 
-Functions take these settings as keywords, `train(agent, log, chunk=500)`, and pass them on as one object. `TrainOptions` and
-`OnlineOptions` are the same keywords for type checkers.
+Functions take these settings as keywords, `train(agent, log, chunk=500)`, and pass them on as one object. The classes
+named `...Options` are the same keywords for type checkers.
 """
 
-import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self, TypedDict
+from typing import Any, Literal, Self, TypedDict
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import Fold, Holdout
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError
 from deadreckon.online import Online
+from deadreckon.ope.settings import DecisionOptions, DecisionSettings, EstimateOptions, EstimateSettings, EvidenceSettings
 from deadreckon.progress import unwatched
+from deadreckon.settings import Settings
 
 ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and the number of updates in all
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings:
+class RunSettings(Settings):
     """What runs on a log and runs in a simulator have in common."""
 
     evaluate_every: int | None = None
@@ -29,19 +30,6 @@ class RunSettings:
     chunk: int = 1000  # updates between checkpoints, which is also what a kill can lose
     resume: bool = False  # continue the run in the output folder; a finished one is made longer if more steps are asked for
     watch: ChunkWatcher = unwatched  # called after every chunk; ends the run there by raising `runs.recorder.StopTraining`
-
-    @classmethod
-    def of(cls, given: Mapping[str, Any]) -> Self:
-        """Settings from keywords.
-
-        Raises:
-            UserError: there is no such setting.
-        """
-        names = [field.name for field in dataclasses.fields(cls)]
-        for name in given:
-            if name not in names:
-                raise unknown("setting", name, names)
-        return cls(**given)
 
     def check(self, seed: int, **counts: int) -> None:
         """Refuses what no run can be made of.
@@ -87,6 +75,58 @@ class OnlineSettings(RunSettings):
     demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that learn from them (DAPG)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReturnSettings(Settings):
+    """Of the returns that a simulator measures; the same as an `Estimand`."""
+
+    discount: float | Sequence[float] = 0.99  # discount factor per step, one for all policies or one each
+    horizon: int | None = None  # number of first steps that are discounted and summed; None: all until an end or a time-out
+    greedy: bool = True  # whether actions are deterministic (greedy) instead of sampled
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgeSettings(DecisionSettings, EstimateSettings):
+    """Of policies that are evaluated from a log: what is estimated, what decides, on which episodes."""
+
+    horizon: int | Literal["auto"] | None = "auto"
+    """number of first steps of an episode that count; None: all; auto: all, or the length at which all were cut"""
+    out: Path | str | None = None  # folder of `estimates.json`, which has all results, and of checkpoints; None: none
+    cluster: str | None = None
+    """column whose values are resampled as one, such as a user; None: that of the holdout, if it has one"""
+    by_group: str | None = None  # column, such as a site, for whose values the gain is shown separately
+    unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
+    counted: bool = True  # whether this counts as a look at these episodes; the level falls with the number of looks
+    episodes: int = 100  # number of episodes per policy in the simulator that checks the choice
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecommendSettings(EvidenceSettings):
+    """Of a recommendation, from a log to a decision."""
+
+    task: str | None = None  # simulator to check the choice in; None: that of a known log, and none for others
+    discount: float = 0.99  # discount factor per step of the returns
+    seed: int = 0  # random seed of everything
+    holdout: Holdout | float | None = None
+    """Episodes that nothing learns from and that decide (`data.split.Holdout`, or its share alone). None: a fifth at random, of
+    a memory-mapped log the latest."""
+    columns: dict[str, Any] | None = None  # of tables, which column is what; see `Dataset.from_frame`
+
+    def checked(self) -> Self:
+        """The same with its holdout as an object.
+
+        Raises:
+            UserError: a value that is out of range.
+        """
+        if not 0.0 <= self.discount < 1.0:
+            raise UserError(f"discount must be in [0, 1), got {self.discount}")
+        if self.holdout is None:
+            return self
+        holdout = self.holdout if isinstance(self.holdout, Holdout) else Holdout(float(self.holdout))
+        if not 0 < holdout.share < 1:
+            raise UserError(f"the share held out must lie between 0 and 1, got {holdout.share}: the card judges by it")
+        return replace(self, holdout=holdout)
+
+
 class _Options(TypedDict, total=False):
     evaluate_every: int | None
     episodes: int
@@ -109,3 +149,32 @@ class OnlineOptions(_Options, total=False):
     threads: int | None
     settings: Online | None
     demonstrations: Dataset | str | Path | None
+
+
+class ReturnOptions(TypedDict, total=False):
+    """Keywords of `ReturnSettings`."""
+
+    discount: float | Sequence[float]
+    horizon: int | None
+    greedy: bool
+
+
+class JudgeOptions(EstimateOptions, DecisionOptions, total=False):
+    """Keywords of `JudgeSettings`."""
+
+    cluster: str | None
+    by_group: str | None
+    unseen: bool
+    counted: bool
+    episodes: int
+
+
+class RecommendOptions(TypedDict, total=False):
+    """Keywords of `RecommendSettings`."""
+
+    task: str | None
+    discount: float
+    seed: int
+    holdout: Holdout | float | None
+    accept_model_based: bool
+    columns: dict[str, Any] | None

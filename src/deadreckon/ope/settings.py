@@ -1,0 +1,104 @@
+"""What is asked of estimates and of a decision: settings that estimators, `decide` and `runs.offline.judge` share.
+
+Functions take them as keywords; `FitOptions`, `EstimateOptions` and `DecisionOptions` are these keywords for type checkers.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypedDict
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
+from deadreckon.ope.estimand import Estimand
+from deadreckon.ope.sensitivity import check_gamma
+from deadreckon.progress import Watcher, unwatched
+from deadreckon.settings import Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings(Settings):
+    """Of what estimators fit."""
+
+    seed: int = 0  # random seed of the estimates
+    out: Path | str | None = None  # folder of checkpoints, from which a killed fit continues; None: nothing is written
+    watch: Watcher = unwatched  # called with what is being fitted, the updates done and the updates in all
+
+    def check_values(self) -> None:
+        """Refuses seeds that no generator takes."""
+        super().check_values()
+        if not 0 <= self.seed < 2**32:
+            raise UserError(f"seed must be 0 .. 2^32 - 1, got {self.seed}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateSettings(FitSettings):
+    """Of estimates: what is estimated, and how. `Estimand` checks discount and horizon against the log."""
+
+    discount: float = 0.995  # discount factor per step; 1 where episodes end or there is a horizon
+    horizon: int | Literal["auto"] | None = None
+    """number of first steps of an episode that count; None: all; auto: all, or the length at which all were cut"""
+    greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
+
+    def estimand(self, log: Dataset) -> Estimand:
+        """What is estimated from a log; see `Estimand.of`.
+
+        Raises:
+            UserError: a discount or a horizon that is out of range, or without a finite value on this log.
+        """
+        return Estimand.of(log, self.discount, self.horizon, self.greedy)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvidenceSettings(Settings):
+    """Of which estimates may decide."""
+
+    accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionSettings(EvidenceSettings):
+    """Of a decision: by which estimates, and what must hold beside a gain."""
+
+    model: BehaviorModel = PROPENSITIES  # how the behaviour policy is learned, for checks and where no propensities were logged
+    guarantee: bool = False
+    """whether to deploy only by a bound of the gain that holds for any number of episodes; needs a return range"""
+    return_range: tuple[float, float] | None = None  # smallest and largest return that an episode can have
+    confounding: float | None = None
+    """factor by which the odds of logged actions may be off; deploy only if the gain stays positive"""
+    tail: float | None = None  # share of the worst episodes, such as 0.1, whose mean return is shown separately
+
+    def check_values(self) -> None:
+        """Refuses factors of odds and shares of episodes that are none."""
+        super().check_values()
+        if self.confounding is not None:
+            check_gamma(self.confounding)
+        if self.tail is not None and not 0 < self.tail <= 1:
+            raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {self.tail:g}")
+
+
+class FitOptions(TypedDict, total=False):
+    """Keywords of `FitSettings`."""
+
+    seed: int
+    out: Path | str | None
+    watch: Watcher
+
+
+class EstimateOptions(FitOptions, total=False):
+    """Keywords of `EstimateSettings`."""
+
+    discount: float
+    horizon: int | Literal["auto"] | None
+    greedy: bool
+
+
+class DecisionOptions(TypedDict, total=False):
+    """Keywords of `DecisionSettings`."""
+
+    accept_model_based: bool
+    model: BehaviorModel
+    guarantee: bool
+    return_range: tuple[float, float] | None
+    confounding: float | None
+    tail: float | None
