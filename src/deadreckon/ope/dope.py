@@ -138,8 +138,8 @@ def evaluate_log(
             "revisions": of_learning() | revisions_of(estimator),
         }  # fmt: skip
         # What a function does is not in its name, so its results are not kept.
-        kept = folder is not None and not isinstance(estimator, Function)
-        path = folder / f"{type(estimator).__name__}-{digest(identity, 4)}.json" if kept else None
+        name = f"{type(estimator).__name__}-{digest(identity, 4)}.json"
+        path = None if folder is None or isinstance(estimator, Function) else folder / name
         if path is not None and path.exists():
             result = _kept(path)
         else:
