@@ -12,10 +12,10 @@ from gymnasium.utils.env_checker import check_env
 import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon import tasks
 from deadreckon.data.formats.pickles import read_pickle
-from deadreckon.data.unpickle import load_pickle
 from deadreckon.policies import load_dapg
 from deadreckon.policies.deployed import first_actions
 from deadreckon.tasks.adroit import TASKS, _angles
+from deadreckon.unpickle import load_pickle
 
 every = pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 # From where to where gymnasium-robotics 1.4 pays for distance where D4RL charges for it, in `Scene`.

@@ -12,11 +12,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic, Gaussian, TanhGaussian
+from deadreckon.unpickle import load_pickle
 
 
 def load_dope(path: Path | str) -> EnvPolicy:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.data.unpickle import ArrayDouble, ObjectDouble, PlainUnpickler, unpickle
 from deadreckon.errors import UserError
+from deadreckon.unpickle import ArrayDouble, ObjectDouble, PlainUnpickler, unpickle
 
 
 def load_network(path: Path | str) -> Any:

@@ -7,8 +7,8 @@ import pytest
 from deadreckon.data.formats.io import read
 from deadreckon.data.formats.pickles import read_pickle
 from deadreckon.data.spec import Box
-from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
+from deadreckon.unpickle import load_pickle
 
 
 def episodes(lengths=(3, 2)):

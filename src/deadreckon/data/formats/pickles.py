@@ -10,8 +10,8 @@ from deadreckon.data.columns import COLUMNS, NEEDED
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, stem
 from deadreckon.data.spec import Box
-from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
+from deadreckon.unpickle import load_pickle
 
 
 def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from deadreckon.data.unpickle import load_pickle
 from deadreckon.errors import UserError
+from deadreckon.unpickle import load_pickle
 
 
 class Runs:
@@ -50,7 +50,7 @@ def test_plain_values_come_back(tmp_path, protocol):
 def test_arrays_of_other_things_than_numbers_are_refused(tmp_path, value):
     path = tmp_path / "x.pickle"
     path.write_bytes(pickle.dumps({"actions": value}))
-    program = f"from deadreckon.data.unpickle import load_pickle\nload_pickle({str(path)!r})"
+    program = f"from deadreckon.unpickle import load_pickle\nload_pickle({str(path)!r})"
     if isinstance(value, Runs):
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
         assert done.returncode == 1
