@@ -119,7 +119,7 @@ def announce(name, jobs, store, executor, each: bool):
     from deadreckon.runs.durations import in_words
 
     waiting = programs(store.undone(jobs))
-    cells, missing = sum(len(job.seeds) for job in jobs), sum(program.lanes for program in waiting)
+    cells, missing = len({cell for job in jobs for cell in job.cells}), sum(program.lanes for program in waiting)
     print(f"{name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.place}")
     seconds = forecast(waiting, store)
     for program in waiting if each else ():

@@ -119,14 +119,13 @@ class Designs:
                 raise UserError(f"{name}: {what} is of inputs, and {target} is the target")
         if table.num_rows == 0:
             raise UserError(f"{name}: the table has no rows")
-        y = numbers(name, table, target)
         inputs = [column for column in table.column_names if column != target and column not in ignore]
         if index := row_numbers(inputs):
             warnings.warn(f"{name}: column {index[0]!r} looks like a row number and is left out", stacklevel=2)
             inputs = [column for column in inputs if column not in index]
         if not inputs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
-        columns, variables = [], []
+        y, columns, variables = numbers(name, table, target), [], []
         for column in inputs:
             values, variable = variable_of(
                 name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column)
