@@ -15,27 +15,32 @@ from deadreckon.errors import UserError
 
 @dataclass
 class Bench:
-    """Run the missing cells of a suite: one of the package, by name, or your TOML file. See also bench list, bench show."""
+    """Run a benchmark suite of the package, or of your TOML file; finished runs are not repeated.
 
-    suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file, also one of a queue
-    out: str = "runs/bench"  # folder of results of any number of suites; existing results are not computed again
+    See also `deadreckon bench list` and `deadreckon bench show`.
+    """
+
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
+    """name of a suite (see `bench list`), or a TOML file of a suite or of a queue of suites"""
+    out: str = "runs/bench"  # folder of results, also of several suites; existing results are not computed again
     full: bool = False  # run the full size that the suite declares under [full]
     time: Annotated[str | None, tyro.conf.arg(name="for")] = None
     """time after which to stop, such as 90s, 30m, 8h; the same command continues later; None: until all is done"""
-    idle: bool = False  # take only the processor time that other programs leave, and pause while benchmarks measure
+    idle: bool = False  # use only idle processor time, and pause while a benchmark takes measurements
     executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine (local), or a Ray cluster
-    workers: int | None = None  # number of processes, with local; None: one per core, or one for a GPU
+    workers: int | None = None  # number of processes (local); None: one per core, or one for a GPU
     address: str | None = None  # address of the Ray cluster; None: RAY_ADDRESS, one on this machine, or a new one
-    cpus: int = 1  # cores per job, with ray
-    gpus: float = 0.0  # GPUs per job, with ray; a fraction where several jobs share one
-    dry_run: bool = False  # whether to print what would be run, and how long it may take, and run nothing
+    cpus: int = 1  # cores per job (ray)
+    gpus: float = 0.0  # GPUs per job (ray); a fraction if several jobs share a GPU
+    dry_run: bool = False  # print what would be run and the expected time, without running it
 
 
 @dataclass
 class Show:
     """Show a suite's available results as a table."""
 
-    suite: Annotated[str, tyro.conf.Positional]  # name of a suite (see `bench list`), or a TOML file
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
+    """name of a suite (see `bench list`), or a TOML file"""
     out: str = "runs/bench"  # folder of the results
     full: bool = False  # show results of the full size that the suite declares under [full]
     format: Literal["text", "markdown", "csv", "latex"] = "text"  # format of the table
@@ -44,7 +49,7 @@ class Show:
 
 @dataclass
 class List:
-    """The suites of the package."""
+    """List the suites of the package."""
 
 
 def bench(args: Sequence[str]) -> None:

@@ -25,7 +25,7 @@ _COLUMNS = tyro.conf.arg(metavar="COLUMN [COLUMN ...]")
 
 @dataclass
 class Collect:
-    """Collect a known log offline, from its recipe."""
+    """Collect a known log again on this machine."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as maze2d-umaze-v1
     steps: int | None = None  # number of rows; None: the full log
@@ -69,7 +69,7 @@ class Mapping:
 
 @dataclass
 class Info:
-    """Describe a log, and warn of problems before anything is learned from it."""
+    """Describe a log, and warn of possible problems."""
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
@@ -112,13 +112,13 @@ def _list(options: List) -> None:
     from deadreckon.collect import recipe
     from deadreckon.data.catalogue import ENTRIES, at_hand
 
-    rows = [["log", "steps", "task", "at hand", "original (D4RL)", "Minari twin"]]
+    rows = [["log", "steps", "task", "in the cache", "original (D4RL)", "Minari version"]]
     for e in ENTRIES.values():
         copies = ", ".join(at_hand(e)) or "-"
         rows.append([e.name, f"{recipe(e.recipe).steps:,}", e.task, copies, e.original or "-", e.minari or "-"])
     print(table(rows, right=(1,)))
-    print("\n`deadreckon data collect NAME` makes one, offline; it is named NAME@dr1, never the original.")
-    print("`deadreckon data get NAME --source d4rl|minari` downloads the original, NAME@d4rl, or its twin, NAME@minari.")
+    print("\n`deadreckon data collect NAME` collects a log again on this machine; its name is NAME@dr1, unlike the original.")
+    print("`deadreckon data get NAME --source d4rl|minari` downloads the original, NAME@d4rl, or the Minari version, NAME@minari.")
 
 
 def _collect(options: Collect) -> None:

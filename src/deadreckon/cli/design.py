@@ -20,21 +20,24 @@ _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 @dataclass
 class Design:
-    """Propose designs that should score high, by an ensemble or --method NAME. See also `design problems|get|methods|bench`."""
+    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default an ensemble of models.
+
+    See also `deadreckon design problems|get|methods|bench`.
+    """
 
     data: str | None = None  # CSV file of scored designs, one row per design
-    target: str | None = None  # column to maximise
+    target: str | None = None  # column of the scores, to be maximised
     kinds: dict[str, str] = dataclasses.field(default_factory=dict)
     """kinds of columns (continuous, integer or categorical), as COLUMN KIND pairs"""
     levels: dict[str, str] = dataclasses.field(default_factory=dict)
-    """all levels of a categorical column, where the data lacks some, as COLUMN A,B,C pairs"""
+    """all levels of a categorical column, if some are not in the data, as COLUMN A,B,C pairs"""
     bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    """bounds of columns, as COLUMN LOW HIGH; without: those of the data"""
+    """bounds of columns, as COLUMN LOW HIGH; default: the range of the data"""
     ignore: tuple[str, ...] = ()  # columns that are not inputs
     minimise: bool = False  # whether to minimise the target instead
     problem: str | None = None  # problem with an oracle, instead of --data (see `design problems`)
-    budget: Literal["full", "cpu"] | None = None  # sizes of what is fitted; None: full for a problem, cpu (minutes) for --data
-    path: str | None = None  # file of the problem, where it has one
+    budget: Literal["full", "cpu"] | None = None  # sizes of fitted models; None: full for a problem, cpu (minutes) for --data
+    path: str | None = None  # file with the data of the problem, if it needs one
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # number of designs to propose
     seed: int = 0  # random seed of the method
     out: str | None = None  # folder of the proposals, a page and checkpoints; None: runs/design/METHOD-DATA
@@ -48,12 +51,12 @@ class Bench:
     methods: Annotated[str, _NAMES] = "best,random,forward,ensemble,coms,ram,nemo"
     """names of methods with commas (see `design methods`)"""
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # number of designs that a method proposes
-    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted: published ones (full), or what one core can do (cpu)
+    budget: Literal["full", "cpu"] = "full"  # sizes of fitted models: published (full), or feasible on one core (cpu)
     seeds: int = 16  # number of consecutive random seeds
     seed: int = 0  # first random seed
     together: int | None = None  # seeds per compiled program; None: all. Fewer need less memory
     paths: dict[str, str] = dataclasses.field(default_factory=dict)
-    """files of problems, as PROBLEM FILE pairs; without: those in the package's folder of designs"""
+    """files of problems, as PROBLEM FILE pairs; default: those in the package's folder of designs"""
     out: str = "runs/design-bench"  # folder of results; existing results are not computed again
 
 
@@ -157,7 +160,7 @@ def problems(args: Sequence[str]) -> None:
 
 @dataclass
 class Get:
-    """Download the file of a problem; what is there goes on from where it stopped."""
+    """Download the file of a problem; an interrupted download is continued."""
 
     name: Annotated[str, tyro.conf.Positional]  # name of the problem
     force: bool = False  # whether to download the file again

@@ -15,24 +15,24 @@ from deadreckon.errors import UserError, unknown
 
 # name: (module, function, one line)
 COMMANDS = {
-    "demo": ("demo", "demo", "an end-to-end demo in minutes: collect a log, train five agents, decide, report"),
-    "tasks": ("show", "tasks", "the simulators that policies are evaluated in; logs and policies made in them, with scores"),
-    "agents": ("show", "agents", "the learning algorithms and their sources"),
+    "demo": ("demo", "demo", "run an end-to-end demo in minutes: collect a log, train five agents, decide, report"),
+    "tasks": ("show", "tasks", "list the simulators for evaluation, and the logs and policies made in them, with scores"),
+    "agents": ("show", "agents", "list the learning algorithms and their sources"),
     "data": ("data", "data", "list, collect, download, inspect and convert logs (data list|collect|get|info|convert)"),
-    "train": ("train", "train", "learn a policy from a log, or online in a simulator; several seeds as one program"),
-    "ope": ("ope", "ope", "estimate policies from a log alone, and choose one; ope bench compares the estimators"),
+    "train": ("train", "train", "learn a policy from a log, or online in a simulator, with several seeds in one program"),
+    "ope": ("ope", "ope", "estimate the values of policies from a log alone, and choose one; ope bench compares estimators"),
     "tune": ("tune", "tune", "choose an agent's settings by estimates from a log alone, or on training tasks"),
-    "recommend": ("recommend", "recommend", "a decision card from a log within a time budget: agents, settings, estimates"),
-    "design": ("design", "design", "propose designs that should score high, from scored ones alone; design problems|get|bench"),
-    "evaluate": ("evaluate", "evaluate", "run policies in a simulator: returns, scores, intervals"),
+    "recommend": ("recommend", "recommend", "recommend a policy to deploy, if any: learn and estimate on a log within a time budget"),
+    "design": ("design", "design", "propose designs expected to score high, from a table of scored ones; design problems|get|bench"),
+    "evaluate": ("evaluate", "evaluate", "run policies in a simulator, for returns and scores with intervals"),
     "bench": ("bench", "bench", "run a benchmark suite and show its table with published numbers; bench list, bench show"),
-    "theory": ("theory", "theory", "experiments for the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),
-    "report": ("report", "report", "one self-contained HTML page from run folders"),
+    "theory": ("theory", "theory", "run experiments on the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),
+    "report": ("report", "report", "write a self-contained HTML page about run folders"),
 }
 
 HELP = """usage: deadreckon COMMAND [OPTIONS]
 
-From logged data to decisions: learn policies from a fixed log, estimate their values, and decide.
+From logged data to decisions: learn policies from a fixed log, estimate their values, and decide which one to deploy, if any.
 
 commands:
 {commands}
@@ -41,7 +41,7 @@ commands:
   deadreckon --version        the version
   --debug                     with any command: full tracebacks
 
-start with: deadreckon demo
+start with: deadreckon demo, or with your own log: deadreckon data info FILE
 """
 
 

@@ -22,7 +22,7 @@ class Fits:
 
     steps: int | None = None  # updates of each estimator; None: its own default
     members: int | None = None
-    """networks per policy, each fitted on a bootstrap resample, whose spread is the interval; None: the default"""
+    """networks per policy, each fitted on a bootstrap sample; their spread gives the interval; None: the default"""
     batch_size: int | None = None  # batch size (transitions per update); None: the default of each estimator
     hidden: tuple[int, ...] | None = None  # width of each hidden layer; None: the default of each estimator
 
@@ -34,7 +34,7 @@ class Fits:
 
 @dataclass(frozen=True, kw_only=True)
 class _Judge(JudgeSettings):
-    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints; a killed run continues there
+    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints, to continue from
     model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
     counted: tyro.conf.Suppress[bool] = True
     episodes: tyro.conf.Suppress[int] = JudgeSettings.episodes
@@ -43,18 +43,18 @@ class _Judge(JudgeSettings):
 
 @dataclass
 class Ope:
-    """Estimate policies from a log alone, with confidence intervals, on episodes held out from training; --select decides.
+    """Estimate the values of policies from a log alone, with confidence intervals, on episodes held out from training.
 
-    See also `ope bench`.
+    --select prints a decision, --list the estimators; `deadreckon ope bench` compares them.
     """
 
     data: str  # log to estimate from: a known name, or a file
-    policies: tuple[str, ...]  # run folders, cross-fits, policy files (.npz; DOPE's .pkl), or a task of the package's policies
+    policies: tuple[str, ...]  # run or cross-fit folders, policy files (.npz; DOPE's .pkl), or a task with policies
     estimators: Annotated[str, _NAMES] = "auto"
-    """names with commas, the one to decide by first (see --list); auto: by the design of the log"""
+    """names of estimators with commas (see --list), of which the first one decides; auto: by properties of the log"""
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
-    episodes: int | None = None  # number of first episodes of the log to use; None: all
-    task: str | None = None  # simulator to check the choice in, where there is one
+    episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
+    task: str | None = None  # simulator in which to check the decision, if there is one
     settings: Annotated[_Judge, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Judge)
     fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
@@ -67,8 +67,8 @@ class Bench:
     kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
     logs: Annotated[str | None, _NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
     estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
-    public: bool = False  # whether weights are as in the public code: learned behaviour policy, log-ratios in [-6, 2]
-    budget: Literal["full", "cpu"] = "full"  # sizes of what is fitted: published ones (full), or what one core can do (cpu)
+    public: bool = False  # whether to compute weights as the public code: learned behaviour policy, log-ratios in [-6, 2]
+    budget: Literal["full", "cpu"] = "full"  # sizes of fitted models: published (full), or feasible on one core (cpu)
     clip: bool = False  # whether to clip normalised estimates at 2, as the public notebook does
     seeds: int = 1  # number of fits of each estimator; tables show their means
     seed: int = 0  # first random seed

@@ -26,10 +26,10 @@ class _Settings(RecommendSettings):
 
 @dataclass
 class Recommend:
-    """Try agents and settings on a log, estimate them on held-out episodes, and say in time which to deploy, if any."""
+    """Train agents on a log, estimate their values on held-out episodes, and recommend which to deploy, if any, within a time."""
 
-    data: Annotated[str, tyro.conf.Positional]  # log to learn from: a known name, or a file
-    budget: str = "30m"  # time for everything, such as 90s, 30m or 2h; a card is written when it is over
+    data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # log to learn from: a known name, or a file
+    budget: str = "30m"  # time of the whole command, such as 90s, 30m or 2h; a decision card is written at its end
     out: str = "runs/recommend"  # folder of the runs, the estimates and report.html, which must not exist yet
     settings: Annotated[_Settings, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Settings)
     map: Annotated[Mapping, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Mapping)  # columns of a table

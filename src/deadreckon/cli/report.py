@@ -12,9 +12,9 @@ from deadreckon.errors import UserError
 
 @dataclass
 class Report:
-    """One self-contained HTML page that opens without a network."""
+    """Write a self-contained HTML page about runs, and with --estimates about the decision between their policies."""
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders of one task
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]  # run folders of one task
     out: str = "report.html"  # HTML file to write
     title: str | None = None  # heading of the page
     estimates: str | None = None  # folder of `deadreckon ope --select --out`, to show the off-policy estimates and the decision

@@ -24,7 +24,7 @@ class _Online(OnlineSettings):
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _OnLog(TrainSettings):
     holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
-    """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 where a simulator evaluates"""
+    """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 if there is a simulator"""
     watch: tyro.conf.Suppress[Any] = None
 
 
@@ -46,14 +46,14 @@ class TrainOnline:
 
 @dataclasses.dataclass
 class Train:
-    """Learn a policy from a log; --agent NAME chooses the algorithm, --online one that acts in a simulator instead.
+    """Learn a policy from a log with the algorithm --agent NAME (required), or with --online by acting in a simulator.
 
-    --preset NAME begins from settings published for a log or domain; see `deadreckon agents`.
+    --preset NAME sets the hyperparameters to those published for a log or domain; see `deadreckon agents`.
     """
 
     data: str  # log to learn from: a known name, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
-    horizon: int | None = None  # steps after which an episode was cut, for logs that do not mark time limits
+    horizon: int | None = None  # number of steps after which episodes were cut off, for logs that do not mark time limits
     steps: int = 100_000  # number of updates per seed
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
     seed: int = 0  # first random seed
@@ -64,9 +64,9 @@ class Train:
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
     """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
     cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
-    """number of folds: one policy per fold, learned from all others, so that every episode is held out once"""
+    """number of folds: one policy per fold, trained on all other folds, so that every episode is held out once"""
     deliver: Literal["mixture", "refit"] = "mixture"
-    """policy of --cross-fit: one fold's drawn per episode (mixture), or one fitted once more on everything"""
+    """policy to deploy after --cross-fit: one fold's, sampled per episode (mixture), or one trained on all episodes (refit)"""
 
 
 def train(args: Sequence[str]) -> None:

@@ -59,7 +59,7 @@ class Forward(Designer):
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
 
     members: Count = static(1)  # number of networks, each fitted on a bootstrap resample of the designs
-    objective: Literal["mean", "min"] = static("mean")  # prediction that is ascended: mean or minimum over the networks
+    objective: Literal["mean", "min"] = static("mean")  # prediction to maximise: mean or minimum over the networks
     hidden: Sizes = static((2048, 2048))  # width of each hidden layer
     steps: Count = static(5000)  # updates of the networks
     batch_size: Count = static(128)  # batch size (designs per update)

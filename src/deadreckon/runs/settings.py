@@ -27,8 +27,8 @@ class RunSettings(Settings):
     evaluate_every: int | None = None
     """updates between evaluations; None: a tenth of the run; the last update is evaluated too"""
     episodes: int = 20  # number of episodes per evaluation
-    chunk: int = 1000  # updates between checkpoints, which is also what a kill can lose
-    resume: bool = False  # continue the run in the output folder; a finished one is made longer if more steps are asked for
+    chunk: int = 1000  # updates between checkpoints, the most that an interruption can lose
+    resume: bool = False  # continue the run in the output folder; a finished run is extended if --steps is larger
     watch: ChunkWatcher = unwatched  # called after every chunk; ends the run there by raising `runs.recorder.StopTraining`
 
     def check(self, seed: int, **counts: int) -> None:
@@ -55,7 +55,7 @@ class RunSettings(Settings):
 class TrainSettings(RunSettings):
     """Of a run on a log."""
 
-    stream: bool | None = None  # whether batches are fetched from the host; None: where the log does not fit on the device
+    stream: bool | None = None  # whether to keep the log in host memory; None: only if it does not fit on the device
     strict: bool = False  # whether to refuse logs with actions out of bounds instead of clipping them
     holdout: Holdout | Fold | float | None = None
     """Episodes to judge by, which are not learned from (`data.split.Holdout`, or its share alone; 0: none). None: a fifth at
@@ -69,7 +69,7 @@ class OnlineSettings(RunSettings):
 
     evaluate_every: int | None = None  # environment steps between evaluations; None: a fiftieth of the run
     episodes: int = 10  # number of episodes per evaluation, with greedy actions
-    chunk: int = 2000  # updates between checkpoints, which is also what a kill can lose
+    chunk: int = 2000  # updates between checkpoints, the most that an interruption can lose
     threads: int | None = None  # threads of the simulator; None: one per core; results do not depend on it
     settings: Online | None = None  # how acting and learning take turns; None: the agent's own, or the defaults of `Online`
     demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that learn from them (DAPG)
