@@ -118,7 +118,7 @@ def _list(options: List) -> None:
         rows.append([e.name, f"{recipe(e.recipe).steps:,}", e.task, copies, e.original or "-", e.minari or "-"])
     print(table(rows, right=(1,)))
     print("\n`deadreckon data collect NAME` collects a log again on this machine; its name is NAME@dr1, unlike the original.")
-    print("`deadreckon data get NAME --source d4rl|minari` downloads the original, NAME@d4rl, or the Minari version, NAME@minari.")
+    print("`deadreckon data get NAME --source d4rl|minari` downloads the original (NAME@d4rl) or Minari's (NAME@minari).")
 
 
 def _collect(options: Collect) -> None:

@@ -26,7 +26,7 @@ class _Settings(RecommendSettings):
 
 @dataclass
 class Recommend:
-    """Train agents on a log, estimate their values on held-out episodes, and recommend which to deploy, if any, within a time."""
+    """Train agents on a log, estimate their values on held-out episodes, and recommend which to deploy in a given time."""
 
     data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # log to learn from: a known name, or a file
     budget: str = "30m"  # time of the whole command, such as 90s, 30m or 2h; a decision card is written at its end
