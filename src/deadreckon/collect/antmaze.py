@@ -31,7 +31,7 @@ WALKER = library.ROOT / "ant-reach" / "walker.npz"
 def walker() -> EnvPolicy:
     """The policy that walks where it is told: of what `ahead` shows (27) to the motors (8).
 
-    Trained by SAC in the task `ant-reach` and shipped by `examples/antmaze_walker.py`; beside it lies how it was made.
+    Trained by SAC in the task `ant-reach` and shipped by `tools/antmaze_walker.py`; beside it lies how it was made.
     """
     return store.load(WALKER)
 

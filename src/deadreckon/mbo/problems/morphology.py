@@ -6,7 +6,7 @@ that what is done depends on the design; an ant's motors, which know torques alo
 once, on bodies drawn around the default, and is shipped.
 
 The 25,009 scored designs are our own, not Design-Bench's: what CMA-ES tried out, from the default design on, in several runs,
-rounded to 256 values a number. `examples/morphologies.py` finds the gaits and runs CMA-ES again.
+rounded to 256 values a number. `tools/morphologies.py` finds the gaits and runs CMA-ES again.
 """
 
 from functools import lru_cache

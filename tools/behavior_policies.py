@@ -1,7 +1,7 @@
 """The behaviour policies that come with the package: how their runs were made, published and drawn.
 
-    python examples/behavior_policies.py --train --only hopper         (an hour on one core; goes on where it was stopped)
-    python examples/behavior_policies.py --publish --episodes 1000         (measures all of them: hours)
+    python tools/behavior_policies.py --train --only hopper         (an hour on one core; goes on where it was stopped)
+    python tools/behavior_policies.py --publish --episodes 1000         (measures all of them: hours)
 """
 
 from dataclasses import dataclass

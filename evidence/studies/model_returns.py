@@ -1,7 +1,7 @@
 """Figure 5.4: what an MBPO run's model says of its policies, and how long it foretells a sequence of actions.
 
     deadreckon train --agent mbpo --online --task hopper --steps 30000 --out runs/mbpo/hopper/mbpo
-    python examples/model_returns.py --run runs/mbpo/hopper/mbpo --picture docs/results/model-returns.svg
+    python evidence/studies/model_returns.py --run runs/mbpo/hopper/mbpo --picture docs/results/model-returns.svg
 
 Policies that the run kept act in the simulator and in the run's last model, drawing their actions in both, from the same
 kind of first observation. Then actions of a real episode are done again in the model, many times over: its draws are the fan.

@@ -1,8 +1,8 @@
 """DOPE's policies of Maze2D and Adroit (thesis 8.4): how the runs of DAPG were made, and how their snapshots are published.
 
-    python examples/dapg_policies.py --train --only maze2d-umaze-dense --budget cpu       (goes on where it was stopped)
-    python examples/dapg_policies.py --publish --only maze2d-umaze-dense --budget cpu --episodes 200
-    python examples/dapg_policies.py --table
+    python tools/dapg_policies.py --train --only maze2d-umaze-dense --budget cpu       (goes on where it was stopped)
+    python tools/dapg_policies.py --publish --only maze2d-umaze-dense --budget cpu --episodes 200
+    python tools/dapg_policies.py --table
 
 Demonstrations are the planner's in Maze2D, people's of the door, and of the other hands, whose human demonstrations are not at
 hand, episodes of the policy that DAPG's authors published.

@@ -3,7 +3,7 @@
     deadreckon data collect maze2d-umaze-v1 --steps 200000 --out umaze.hdf5
     deadreckon train --agent bc --data umaze.hdf5 --task maze2d-umaze --steps 25000 --seeds 2 \\
         --agent.hidden 64 64 --out runs/umaze-bc
-    python examples/mmd_floor.py runs/umaze-bc umaze.hdf5
+    python evidence/studies/mmd_floor.py runs/umaze-bc umaze.hdf5
 
 A threshold below this floor cannot be met by any policy with the clone's spread, and the multiplier climbs to its cap.
 """

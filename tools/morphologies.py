@@ -1,7 +1,7 @@
 """The gaits and the data of the two morphology problems: how they were made.
 
-    python examples/morphologies.py --gait
-    python examples/morphologies.py --collect          (three quarters of an hour for the kitty on one core)
+    python tools/morphologies.py --gait
+    python tools/morphologies.py --collect          (three quarters of an hour for the kitty on one core)
 
 The ant's data were made when some of its runs stopped one iteration earlier than here.
 """
@@ -44,7 +44,7 @@ def main(options: Options) -> None:
     try:
         import cma
     except ImportError:
-        raise UserError("examples/morphologies.py searches with CMA-ES: pip install cma") from None
+        raise UserError("tools/morphologies.py searches with CMA-ES: pip install cma") from None
     for name in options.only:
         if options.gait:
             find_gait(ROBOTS[name], SWING[name], ITERATIONS[name], options.seed, cma.CMAEvolutionStrategy)

@@ -1,7 +1,7 @@
 """DOPE's policies of AntMaze: snapshots of behaviour cloning from a planner whose ants all go to the goal (thesis 8.4).
 
-    python examples/antmaze_policies.py --train --only umaze --rows 200000 --steps 22000        (goes on where it was stopped)
-    python examples/antmaze_policies.py --publish --only umaze --rows 200000 --steps 22000 --episodes 100
+    python tools/antmaze_policies.py --train --only umaze --rows 200000 --steps 22000        (goes on where it was stopped)
+    python tools/antmaze_policies.py --publish --only umaze --rows 200000 --steps 22000 --episodes 100
 
 The thesis imitates in the large maze alone, and takes snapshots of DAPG in the others. These clones are clipped Gaussians: of
 the planner's actions many lie at the bounds, where a tanh-Gaussian would not draw what it was shown.

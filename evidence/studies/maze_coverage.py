@@ -1,6 +1,6 @@
 """Where the logs of the mazes have been: trajectories (thesis D.7), and AntMaze beside Maze2D (thesis D.6).
 
-    python examples/maze_coverage.py --trajectories antmaze-trajectories.svg --coverage antmaze-coverage.svg
+    python evidence/studies/maze_coverage.py --trajectories antmaze-trajectories.svg --coverage antmaze-coverage.svg
 
 Logs that are missing are collected first.
 """

@@ -1,8 +1,8 @@
 """The walker of the AntMaze logs: how it was trained, shipped and judged.
 
-    python examples/antmaze_walker.py --train                 (45 minutes on a core; goes on where it was stopped)
-    python examples/antmaze_walker.py --publish 260416        (ships the policy that was kept after so many updates)
-    python examples/antmaze_walker.py --judge                 (what becomes of its errands in mazes)
+    python tools/antmaze_walker.py --train                 (45 minutes on a core; goes on where it was stopped)
+    python tools/antmaze_walker.py --publish 260416        (ships the policy that was kept after so many updates)
+    python tools/antmaze_walker.py --judge                 (what becomes of its errands in mazes)
 """
 
 from dataclasses import dataclass, replace

@@ -1,6 +1,6 @@
 """Properties of the elements H to Rn, for the features of the superconductor problem: writes the table that the package ships.
 
-    pip install mendeleev && python examples/element_table.py src/deadreckon/mbo/problems/elements.csv
+    pip install mendeleev && python tools/element_table.py src/deadreckon/mbo/problems/elements.csv
 
 Needed only to make the table again. An empty field: mendeleev knows no value. Valence is the highest of the main oxidation
 states.

@@ -1,0 +1,84 @@
+"""The studies of docs/results, on a short setting."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.mark.slow
+def test_nemo_sine_measures_and_draws(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.nml_sine as example
+
+    options = example.Options(
+        queries=16, bins=8, points=80, hidden=(8,), steps=200, lr=0.02, seeds=1, picture=str(tmp_path / "sine.svg")
+    )
+    example.main(options)
+    assert "| NML |" in capsys.readouterr().out
+    assert (tmp_path / "sine.svg").read_text().startswith("<svg")
+    # The point of the figure: outside of the data NML is less sure than inside, and less surprised than the ensemble.
+    _, _, queries, nml, boot = example.beliefs(options, 0)
+    inside = np.any([(queries >= low) & (queries <= high) for low, high in example.SEEN], 0)
+    truth = np.minimum((np.sin(queries) + 1) / 2 * 8, 7).astype(int)
+    surprise = lambda probs: -np.log(probs[np.arange(16), truth])[~inside].mean()  # noqa: E731
+    assert example.entropy(nml)[~inside].mean() > example.entropy(nml)[inside].mean()
+    assert surprise(nml) < surprise(boot)
+
+
+@pytest.mark.slow
+def test_model_returns_measures_and_draws(tmp_path, monkeypatch, capsys, home):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import deadreckon as dr
+    import evidence.studies.model_returns as example
+    from deadreckon.errors import UserError
+    from deadreckon.online import Online
+
+    small = {"hidden": (8,), "batch_size": 16}
+    model = {"model_hidden": (16,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 3,
+             "model_train_freq": 50}  # fmt: skip
+    settings = Online(copies=2, explore=200, updates_per_step=0.2, block=50)
+    plan = {"steps": 300, "settings": settings, "evaluate_every": 50, "episodes": 1}
+    agent = dr.agents.MBPO(**small, **model, rollouts_per_step=2, retain_steps=50)
+    run = dr.train_online(agent, "hopper", out=tmp_path / "run", **plan)
+    options = example.Options(
+        str(run.path), policies=2, rows=300, episodes=20, horizon=30, sequence=10, picture=str(tmp_path / "fan.svg")
+    )
+    example.main(options)
+    said = capsys.readouterr().out
+    assert "| 0 | " in said
+    assert "| 300 | " in said
+    assert "| 10 | " in said
+    assert "correlation over the policies" in said
+    assert "<svg" in (tmp_path / "fan.svg").read_text()
+    plain = dr.train_online(dr.agents.SAC(**small), "hopper", out=tmp_path / "sac", **plan)
+    with pytest.raises(UserError, match="a run of SAC, which has no model"):
+        example.main(example.Options(str(plain.path)))
+
+
+@pytest.mark.slow
+def test_pictures_of_mazes(tmp_path, home):
+    command = [sys.executable, str(ROOT / "evidence" / "studies" / "maze_coverage.py"), "--steps", "1500", "--shown", "2"]
+    files = {name: tmp_path / f"{name}.svg" for name in ("trajectories", "coverage")}
+    command += [str(word) for name, path in files.items() for word in (f"--{name}", path)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280).stdout
+    assert len(re.findall(r"-v[12]: \d+% of the free ground", told)) == 6
+    assert [path.read_text().count('class="maze"') for path in files.values()] == [6, 6]
+
+
+@pytest.mark.slow
+def test_a_model_of_more_data_errs_less(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.model_shift as study
+
+    Options = study.Options
+    monkeypatch.setattr(study, "Options", lambda **given: Options(**given, collected=2_000, judged=500, epochs=5))
+    few, many = (study.error("hopper medium", seed=0, rows=rows) for rows in (200, 2_000))
+    assert set(few) == {"own", "far", "slope"}
+    assert np.isfinite(list(few.values())).all()
+    assert many["own"] < few["own"]
