@@ -69,7 +69,8 @@ def curves(name: str, files: dict[str, bytes]) -> str:
             own = [curve for curve in own if len(curve) == suite.evaluations]
             if own:
                 steps = np.array([step for step, _ in own[0]], float)
-                series.append(charts.Series.over_seeds(method, slot, steps, np.array([[y for _, y in curve] for curve in own])))
+                scores = np.array([[score for _, score in curve] for curve in own]).T
+                series.append(charts.Series.over_seeds(method, slot, steps, scores))
         if series:
             panels[on] = charts.lines(series, title=on, unit="normalised score", size=PANEL)
     if not panels:
@@ -151,7 +152,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
             if not missing:
                 continue
             known = [seconds for seconds in forecast(missing, store).values() if seconds is not None]
-            hours = f"{sum(known) / len(known) * len(missing) / 3600:,.1f}" if known else "not measured"
+            hours = f"{'' if len(known) == len(missing) else '> '}{sum(known) / 3600:,.1f}" if known else "not measured"
             command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}"
             size, count = "full" if full else "CPU", f"{len(missing):,} of {len(jobs):,}"
             rows.append(f"| {suite.about} | {size} | {count} | {hours} | `{command}` |")
