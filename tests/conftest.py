@@ -1,5 +1,6 @@
 """What every test shares: checked shapes, the compilation cache, a private home, and real files where they are at hand."""
 
+import gc
 import html
 import json
 import os
@@ -59,6 +60,8 @@ def _programs_are_forgotten():
         import jax
 
         jax.clear_caches()
+    gc.collect()
+    gc.freeze()  # what is left are programs and modules: the next collection need not look through them again
 
 
 @pytest.fixture(scope="session")
@@ -107,8 +110,10 @@ LONGEST = ("tests/test_golden.py", "tests/agents/", "tests/ope/", "tests/mbo/", 
 def pytest_configure(config):
     """Programs of fast tests run for moments: to compile them fully costs more than it saves. Slow ones run as a user's do.
 
-    XLA's emitters of fused kernels alone are half of the time that compiling takes.
+    XLA's emitters of fused kernels alone are half of the time that compiling takes. Garbage is collected after each file:
+    to look through all traced programs again and again takes a tenth.
     """
+    gc.disable()
     if config.option.markexpr == "not slow":
         os.environ.setdefault(QUICK, "1")  # commands that tests start inherit both
         if metadata.version("jaxlib").startswith(EMITTERS_KNOWN_BY):

@@ -70,7 +70,7 @@ def test_bounds_hold_more_often_than_promised(interval):
     rng = np.random.default_rng(0)
     estimator = ImportanceSampling(normalised=False, interval=interval, return_range=(0.0, 1.0), max_weight=1.5)
     inside, widths = [], []
-    for _ in range(300):
+    for _ in range(150):
         log = one_state(200, np.ones(200, int), np.ones(200, bool), 0.5, rng)
         found = estimator.estimate(log, as_policy(np.array([[0.75, 0.25]])), discount=0.0)
         inside.append(found.low[0] <= 0.75 <= found.high[0])
