@@ -113,7 +113,7 @@ def _reads(verdict: Verdict) -> str:
         return "open: its cells are not declared yet"
     if verdict.missing:
         return f"open: {verdict.cells - verdict.missing:,} of {verdict.cells:,} scores"
-    return f"**{verdict.state}**"
+    return f"**{verdict.state}**" if verdict.state != "open" else "**open**: all scores are there, and do not decide"
 
 
 def _effect(one: Comparison) -> str:

@@ -77,7 +77,7 @@ def test_a_model_of_more_data_errs_less(monkeypatch):
     import evidence.studies.model_shift as study
 
     Options = study.Options
-    monkeypatch.setattr(study, "Options", lambda **given: Options(**given, collected=2_000, judged=500, epochs=5))
+    monkeypatch.setattr(study, "Options", lambda **given: Options(**given, collected=2_000, judged=500, epochs=100))
     few, many = (study.error("hopper medium", seed=0, rows=rows) for rows in (200, 2_000))
     assert set(few) == {"own", "far", "slope"}
     assert np.isfinite(list(few.values())).all()
