@@ -8,11 +8,13 @@ import time
 import numpy as np
 import pytest
 
-from deadreckon import train_together
+from deadreckon import read, train_together
 from deadreckon.agents import BC
 from deadreckon.cli.main import main
 from deadreckon.errors import BusyError
+from deadreckon.files import alone
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.offline import judge
 
 
 def small_csv(path):
@@ -45,3 +47,10 @@ def test_runs_side_by_side_are_locked_with_their_folders(tmp_path, name):
     with Folder(tmp_path / name).alone(), pytest.raises(BusyError, match=f"at work on .*{name} already"):
         train_together({"a": BC(), "b": BC()}, small_csv(tmp_path / "log.csv"), out=tmp_path / "both", steps=1)
     assert sorted(path.name for path in tmp_path.iterdir() if path.name != "home") == ["log.csv"]
+
+
+def test_estimates_are_written_by_one_process_at_a_time(tmp_path):
+    out = tmp_path / "estimates"
+    with alone(out), pytest.raises(BusyError, match=f"at work on {out} already"):
+        judge([], read(small_csv(tmp_path / "log.csv")), out=out)
+    assert not out.exists()

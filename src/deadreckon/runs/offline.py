@@ -12,7 +12,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.split import RANDOM, TIME
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
-from deadreckon.files import digest, read_json, write_json
+from deadreckon.files import alone, digest, read_json, write_json
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, check, decide
 from deadreckon.ope.estimates import Estimates
@@ -68,9 +68,20 @@ def judge(
             `seed`, `episodes` (of a policy in the simulator), `out` and `watch`. See `runs.settings.JudgeSettings`.
 
     Raises:
+        BusyError: another process writes to `out`.
         UserError: input that does not fit, in one line.
     """
     settings = JudgeSettings.of(options)
+    if settings.out is None:
+        return _judge(policies, data, estimators, task, settings)
+    with alone(Path(settings.out), what=str(settings.out)):
+        return _judge(policies, data, estimators, task, settings)
+
+
+def _judge(
+    policies: Sequence[Any], data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
+) -> Judged:
+    """See `judge`."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
     task = find_task(task) if isinstance(task, str) else task
