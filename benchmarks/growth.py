@@ -13,6 +13,7 @@ import jax
 import protocol
 
 from deadreckon.agents import agent_class
+from deadreckon.bench.idle import measuring
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
@@ -101,4 +102,5 @@ def report() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(protocol.told(report))
+    with measuring():
+        raise SystemExit(protocol.told(report))

@@ -111,9 +111,11 @@ def ranking(name: str, files: dict[str, bytes]) -> str:
 def _reads(verdict: Verdict) -> str:
     if not verdict.comparisons:
         return "open: its cells are not declared yet"
+    if verdict.state != "open":
+        return f"**{verdict.state}**"  # also where scores are missing: one comparison contradicts a claim
     if verdict.missing:
         return f"open: {verdict.cells - verdict.missing:,} of {verdict.cells:,} scores"
-    return f"**{verdict.state}**" if verdict.state != "open" else "**open**: all scores are there, and do not decide"
+    return "**open**: all scores are there, and do not decide"
 
 
 def _effect(one: Comparison) -> str:

@@ -1,11 +1,14 @@
 """What the repository declares as evidence can be read, and its pages say what the ledger says."""
 
+from math import nan
 from pathlib import Path
 
-from deadreckon.bench.claims import claims
+from deadreckon.bench import claims as declared
+from deadreckon.bench.claims import Claim, Comparison, Verdict, claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan_all
 from deadreckon.bench.suite import queue
+from deadreckon.stats.interval import Interval
 from evidence import pages
 
 ROOT = Path(__file__).resolve().parent.parent / "evidence"
@@ -48,3 +51,12 @@ def test_a_changed_number_in_a_page_is_noticed(monkeypatch, capsys, tmp_path):
     assert "claims.md is not what the ledger says: run python -m evidence.pages" in capsys.readouterr().out
     assert pages.main([]) == 0
     assert (tmp_path / "results" / "claims.md").read_text() == text
+
+
+def test_a_claim_that_is_contradicted_says_so_before_all_scores_are_there():
+    test = declared.Test(ROOT / "gym.toml", "BC", ("TD3",), ("hopper-medium-v2",))
+    low, nothing = Interval(-5.0, -6.0, -4.0), Interval(nan, nan, nan)
+    there, missing = (Comparison(test, "TD3", test.on, gain, gain, 6, lacks) for gain, lacks in ((low, 0), (nothing, 2)))
+    claim = Claim("C", "says", "place", (test,))
+    assert pages._reads(Verdict(claim, (there, missing))) == "**contradicted**"
+    assert pages._reads(Verdict(claim, (missing,))) == "open: 4 of 6 scores"

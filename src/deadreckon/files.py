@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import tempfile
+import tomllib
 import unicodedata
 import warnings
 from collections.abc import Iterator
@@ -137,6 +138,20 @@ def read_json(path: Path | str) -> Any:
         raise UserError(f"{path} is not valid JSON: {error}") from error
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """Reads a TOML file.
+
+    Raises:
+        UserError: the file cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text("utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path} is not TOML: {error}") from error
 
 
 def digest(value: Any, size: int) -> str:

@@ -19,9 +19,11 @@ def imported(path: str, what: str, form: str) -> Any:
         form: what stands behind the colon, such as `Class`, for the error.
 
     Raises:
-        UserError: the module cannot be imported.
+        UserError: it is not named so, or the module cannot be imported.
     """
     module, _, attribute = path.partition(":")
+    if not module or module.startswith(".") or not attribute:
+        raise UserError(f"{what} {path!r} must be named module:{form}")
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)  # a command that pip installs does not look there
     try:

@@ -14,12 +14,14 @@ import pytest
 
 from deadreckon.bench.executor import run
 from deadreckon.bench.idle import is_measured, measuring
+from deadreckon.bench.jobs import programs
 from deadreckon.bench.ledger import Ledger, store_of
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
 from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import queue, read
 from deadreckon.bench.tables import tables
+from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
 STUDY = '''
@@ -89,6 +91,26 @@ def test_a_cell_is_a_file_that_tells_all_and_is_never_changed(folder):
     filled(folder)
     assert {file: file.read_text() for file in files} == before
     assert len((folder / "done.txt").read_text().splitlines()) == 16
+
+
+def test_seconds_before_a_lost_result_count(folder):
+    """A process that ends between a program's end and its results leaves them to another one."""
+    suite = read("study.toml")
+    store, program = store_of([suite], folder / "runs"), programs(plan(suite, 1))[0]
+    (first,), (again,) = (perform(program, store.folder(program)) for _ in range(2))
+    assert again.rows[0]["seconds"] > first.rows[0]["seconds"] > 0.0
+
+
+def test_a_file_that_is_added_is_read(folder):
+    store = filled(folder)
+    rows = store.results().to_pylist()
+    [other] = (folder / "ledger").rglob(f"*-{rows[0]['cell']}.json")
+    text = other.read_text()
+    other.unlink()
+    cells = lambda: [row["cell"] for row in store.results().to_pylist()]  # noqa: E731
+    assert cells() == [row["cell"] for row in rows[1:]]
+    other.write_text(text)
+    assert cells() == [row["cell"] for row in rows]
 
 
 def test_a_log_without_a_simulator_has_no_score(folder):

@@ -25,7 +25,6 @@ hold. It is contradicted where one of its k comparisons is, whose interval has l
 """
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -33,11 +32,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, read
 from deadreckon.bench.tables import number
 from deadreckon.errors import UserError, unknown
+from deadreckon.files import read_toml
 from deadreckon.stats.comparison import paired
 from deadreckon.stats.interval import ALPHA, Interval
 
@@ -153,12 +154,7 @@ def claims(path: Path | str) -> list[Claim]:
         UserError: the file cannot be read, or says something that cannot be: one line says what.
     """
     path = Path(path)
-    try:
-        found = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path} is not TOML: {error}") from error
+    found = read_toml(path)
     suites: dict[str, Suite] = {}
     return [_claim(path, one, found.get("tuned", {}), suites) for one in found.get("claims", ())]
 
@@ -214,17 +210,31 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
         for rival in (test.than if isinstance(test.than, tuple) else (None,))
         for on in ([(each,) for each in test.on] if test.each else [test.on])
     ]
-    return Verdict(claim, tuple(_compared(test, rival, on, store, full, len(pairs)) for test, rival, on in pairs))
+    plans = {path: plan(read(path, full)) for path in dict.fromkeys(test.suite for test in claim.tests)}
+    rows = {row["cell"]: row for row in store.results().to_pylist()}  # the newest last
+    return Verdict(claim, tuple(_compared(*pair, plans[pair[0].suite], rows, len(pairs)) for pair in pairs))
 
 
-def _compared(test: Test, rival: str | None, on: tuple[str, ...], store: Store, full: bool, count: int) -> Comparison:
-    suite = read(test.suite, full)
-    scores = _scores(suite, (test.method, *((rival,) if rival else ())), on, test.metric, store)
-    ours = scores[test.method]
-    other = test.than if isinstance(test.than, float) else math.nan
-    theirs = scores[rival] if rival else {log: np.full_like(values, other) for log, values in ours.items()}
-    missing = sum(int(np.isnan(values).sum()) for method in scores.values() for values in method.values())
-    cells = sum(values.size for method in scores.values() for values in method.values())
+def _compared(
+    test: Test, rival: str | None, on: tuple[str, ...], jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]], count: int
+) -> Comparison:
+    """One of `count` comparisons of a claim, from the plan of its suite and all results by cell."""
+
+    def scores(method: str) -> dict[str, np.ndarray]:
+        """A number a seed by log, NaN where there is none."""
+        cells = {log: [cell for job in jobs if (job.method, job.on) == (method, log) for cell in job.cells] for log in on}
+        have = lambda cell: number(rows[cell], test.metric) if cell in rows else math.nan  # noqa: E731
+        return {log: np.array([have(cell) for cell in own]) for log, own in cells.items()}
+
+    ours = scores(test.method)
+    judged = [ours]
+    if rival is None:
+        theirs = {log: np.full_like(values, test.than) for log, values in ours.items()}
+    else:
+        theirs = scores(rival)
+        judged.append(theirs)
+    values = np.concatenate([each for method in judged for each in method.values()])
+    cells, missing = len(values), int(np.isnan(values).sum())
     if missing:
         nothing = Interval(math.nan, math.nan, math.nan)
         return Comparison(test, rival, on, nothing, nothing, cells, missing)
@@ -233,16 +243,3 @@ def _compared(test: Test, rival: str | None, on: tuple[str, ...], store: Store, 
     gain, strict = (paired(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
     return Comparison(test, rival, on, gain, strict, cells, 0)
 
-
-def _scores(
-    suite: Suite, methods: Sequence[str], on: Sequence[str], metric: str, store: Store
-) -> dict[str, dict[str, np.ndarray]]:
-    """Method -> log -> a number a seed, NaN where there is none."""
-    jobs = [job for job in plan(suite) if job.method in methods and job.on in on]
-    rows = {row["cell"]: row for row in store.of(jobs).to_pylist()}
-    out: dict[str, dict[str, np.ndarray]] = {method: {log: np.full(suite.seeds, np.nan) for log in on} for method in methods}
-    for job in jobs:
-        for seed, cell in zip(job.seeds, job.cells):
-            if cell in rows:
-                out[job.method][job.on][seed] = number(rows[cell], metric)
-    return out

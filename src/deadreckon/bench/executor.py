@@ -14,7 +14,6 @@ from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
 from deadreckon.progress import Progress
 
-POLL = 1.0  # seconds after which a run looks at the clock
 TRIES = 3  # of a program whose process dies; what went on until then is on disk and is not done again
 
 
@@ -87,7 +86,7 @@ def run(jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor
             while waiting and executor.room:
                 executor.begin(waiting.popleft())
                 running += 1
-            event = executor.wait(None if end is None else min(POLL, max(end - time.monotonic(), 0.0)))
+            event = executor.wait(None if end is None else end - time.monotonic())
             if event is None:
                 continue
             if event.what in ("begun", "progress"):

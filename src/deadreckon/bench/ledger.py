@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +39,12 @@ class Ledger(Store):
         """Where results lie."""
         return self.cells
 
-    def file(self, row: dict[str, Any]) -> Path:
-        """Where a cell's file lies."""
+    def _file(self, row: dict[str, Any]) -> Path:
         return self.cells / row["kind"] / file_name(row["on"]) / f"{file_name(row['method'])}-{row['cell']}.json"
 
     def _write(self, job: Job, rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> None:
         for row in rows:
-            path = self.file(row)
+            path = self._file(row)
             if path.exists():
                 continue  # another process has done the same cell; what is there is never changed
             curve = [[point[name] for name in CURVE.names[1:]] for point in curves if point["cell"] == row["cell"]]
@@ -57,16 +56,15 @@ class Ledger(Store):
 
     def results(self) -> pa.Table:
         """All rows, the oldest first."""
-        rows = [{name: _flat(cell, name) for name in RESULT.names} for cell in self._all_cells()]
-        return pa.Table.from_pylist(rows, schema=RESULT)
+        return _results(self._files())
 
     def curves(self) -> pa.Table:
         """All curves."""
-        points = [(cell["cell"], *point) for cell in self._all_cells() for point in cell["curve"]]
+        points = [(cell["cell"], *point) for cell in map(_read, self._files()) for point in cell["curve"]]
         return pa.Table.from_pylist([dict(zip(CURVE.names, point)) for point in points], schema=CURVE)
 
-    def _all_cells(self) -> list[dict[str, Any]]:
-        return sorted(map(_read, self.cells.absolute().glob("*/*/*.json")), key=lambda cell: (cell["finished"], cell["cell"]))
+    def _files(self) -> tuple[Path, ...]:
+        return tuple(sorted(self.cells.absolute().glob("*/*/*.json")))
 
 
 def store_of(suites: Sequence[Suite], path: Path) -> Store:
@@ -89,6 +87,13 @@ def store_of(suites: Sequence[Suite], path: Path) -> Store:
 @cache
 def _read(path: Path) -> dict[str, Any]:
     return read_json(path)
+
+
+@lru_cache(maxsize=1)
+def _results(files: tuple[Path, ...]) -> pa.Table:
+    """The rows of these files, which never change: made again only where there is another file."""
+    cells = sorted(map(_read, files), key=lambda cell: (cell["finished"], cell["cell"]))
+    return pa.Table.from_pylist([{name: _flat(cell, name) for name in RESULT.names} for cell in cells], schema=RESULT)
 
 
 def _flat(cell: dict[str, Any], name: str) -> Any:

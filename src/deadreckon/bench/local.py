@@ -10,11 +10,13 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
-from deadreckon.bench.executor import POLL, Event, Work, attempt
+from deadreckon.bench.executor import Event, Work, attempt
 from deadreckon.bench.idle import give_way, is_measured, stand_still
 from deadreckon.bench.jobs import Program
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
+
+POLL = 1.0  # seconds between two looks whether somebody measures
 
 
 def shares(workers: int | None, accelerator: bool) -> list[list[int]]:

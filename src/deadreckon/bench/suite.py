@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from deadreckon.errors import UserError, unknown
+from deadreckon.files import read_toml
 
 Kind = Literal["learn", "online", "design", "ope", "study"]
 # What a suite of a kind lists.
@@ -167,19 +168,11 @@ def queue(name: Path | str, full: bool = False) -> list[Suite]:
 def _toml(name: Path | str) -> tuple[Path, str, dict[str, Any]]:
     """A file's path, what it is called in errors, and what it says."""
     path = Path(name)
-    if path.suffix != ".toml":
-        if str(name) not in names():
-            raise unknown("suite", str(name), names())
-        text, where = _shipped().joinpath(f"{name}.toml").read_text("utf-8"), str(name)
-    else:
-        try:
-            text, where = path.read_text("utf-8"), str(path)
-        except (OSError, UnicodeDecodeError) as error:
-            raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
-    try:
-        return path, where, tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{where} is not TOML: {error}") from error
+    if path.suffix == ".toml":
+        return path, str(path), read_toml(path)
+    if str(name) not in names():
+        raise unknown("suite", str(name), names())
+    return path, str(name), tomllib.loads(_shipped().joinpath(f"{name}.toml").read_text("utf-8"))
 
 
 def _shipped() -> Any:
@@ -229,17 +222,17 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     return suite
 
 
-def _metrics(where: str, kind: str, document: Any) -> dict[str, tuple[Metric, ...]]:
+def _metrics(where: str, kind: str, table: Any) -> dict[str, tuple[Metric, ...]]:
     """Of a study, from `[metrics]`: NAME = { words = "...", higher = false, digits = 2 }."""
     if kind != "study":
         return {}
     kinds = {"words": str, "higher": bool, "digits": int}
-    if not isinstance(document, dict) or not document:
+    if not isinstance(table, dict) or not table:
         raise UserError(f"{where}: a study must say its [metrics], such as error = {{ words = 'mean error', higher = false }}")
-    for name, one in document.items():
+    for name, one in table.items():
         if not isinstance(one, dict) or "words" not in one or any(not isinstance(one[k], kinds.get(k, ())) for k in one):
             raise UserError(f"{where}: metric {name!r} must say its words, and may say higher (true or false) and digits")
-    return {"metrics": tuple(Metric(name, joint=False, **one) for name, one in document.items())}
+    return {"metrics": tuple(Metric(name, joint=False, **one) for name, one in table.items())}
 
 
 def _check_count(where: str, what: str, value: Any) -> None:
@@ -247,9 +240,9 @@ def _check_count(where: str, what: str, value: Any) -> None:
         raise UserError(f"{where}: {what} must be a whole number of 1 or more, got {value!r}")
 
 
-def _steps(where: str, document: Any, on: list[str]) -> dict[str, int]:
+def _steps(where: str, steps: Any, on: list[str]) -> dict[str, int]:
     """Of each of `on`, from one number for all or one each."""
-    each: dict[str, Any] = document if isinstance(document, dict) else dict.fromkeys(on, document)
+    each: dict[str, Any] = steps if isinstance(steps, dict) else dict.fromkeys(on, steps)
     if set(each) != set(on):
         raise UserError(f"{where}: steps must be one number, or name each of {', '.join(on)}; it names {', '.join(each)}")
     for name, value in each.items():
@@ -257,24 +250,32 @@ def _steps(where: str, document: Any, on: list[str]) -> dict[str, int]:
     return {name: each[name] for name in on}
 
 
-def _method(where: str, kind: str, name: str, document: Any) -> Method:
+def _method(where: str, kind: str, name: str, table: Any) -> Method:
     kinds = {"agent": str, "fields": dict, "preset": bool} | ({"acting": dict} if kind == "online" else {})
-    if not isinstance(document, dict) or "agent" not in document:
+    if not isinstance(table, dict) or "agent" not in table:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
-    for key in document:
+    for key in table:
         if key not in kinds:
             raise UserError(f"{where}: {unknown(f'key of method {name!r}', key, kinds)}")
-    for key, value in document.items():
+    for key, value in table.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
-    for key, value in document.get("fields", {}).items():
+    for key, value in table.get("fields", {}).items():
         if not isinstance(value, bool | int | float | str | list):
             raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
-    known = ("copies", "explore", "updates_per_step", "block")
-    for key, value in document.get("acting", {}).items():
-        if key not in known:
-            raise UserError(f"{where}: {unknown(f'key of acting of method {name!r}', key, known)}")
-        if isinstance(value, bool) or not isinstance(value, int | float if key == "updates_per_step" else int):
-            whole = "" if key == "updates_per_step" else "whole "
-            raise UserError(f"{where}: {key} of acting of method {name!r} must be a {whole}number, got {value!r}")
-    return Method(name, **document)
+    if acting := table.get("acting"):
+        _check_acting(where, f"acting of method {name!r}", acting)
+    return Method(name, **table)
+
+
+def _check_acting(where: str, whose: str, acting: dict[str, Any]) -> None:
+    """Refuses what `online.Online` does not have."""
+    from deadreckon.online import Online
+
+    defaults = {f.name: f.default for f in fields(Online)}
+    for key, value in acting.items():
+        if key not in defaults:
+            raise UserError(f"{where}: {unknown(f'key of {whose}', key, defaults)}")
+        whole = not isinstance(defaults[key], float)
+        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+            raise UserError(f"{where}: {key} of {whose} must be a {'whole ' if whole else ''}number, got {value!r}")

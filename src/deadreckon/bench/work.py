@@ -1,10 +1,8 @@
 """What a program does: runs that go on where they were stopped, and their numbers as rows."""
 
-import contextlib
 import json
 import math
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,20 +36,24 @@ def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list
         if (here := revisions_of(each)) != each.revisions:
             planned = f"{each.method} on {each.on} was planned at revisions {each.revisions}, where it would run are {here}"
             raise UserError(f"{planned}; install the same package there, or run the command again")
-    with _stopwatch(folder) as spent:
+    spent = _Spent(folder.with_name(f"{folder.name}.seconds"))
 
-        def noted(done: int, total: int | None) -> None:
-            spent.keep()
-            watch(done, total)
+    def noted(done: int, total: int | None) -> None:
+        spent.keep()
+        watch(done, total)
 
-        results = _learn_together(program, folder, noted) if others else [_PERFORM[job.kind](job, folder, noted)]
-        for row in (row for found in results for row in found.rows):
-            row["seconds"] = spent.seconds
-        return results
+    results = _learn_together(program, folder, noted) if others else [_PERFORM[job.kind](job, folder, noted)]
+    spent.keep()
+    for row in (row for found in results for row in found.rows):
+        row["seconds"] = spent.seconds
+    return results
 
 
 class _Spent:
-    """Seconds that a program has taken so far, kept in a file, so that those before a kill count."""
+    """Seconds that a program has taken so far, kept in a file beside its folder, so that those before a kill count.
+
+    The file stays: results may be lost with the process that has to write them, when the runs behind them are done.
+    """
 
     def __init__(self, path: Path):
         import jax
@@ -67,14 +69,6 @@ class _Spent:
 
     def keep(self) -> None:
         write_json(self.path, {"seconds": self.seconds})
-
-
-@contextlib.contextmanager
-def _stopwatch(folder: Path) -> Iterator[_Spent]:
-    """What a program takes, kept beside its folder until it is done."""
-    spent = _Spent(folder.with_name(f"{folder.name}.seconds"))
-    yield spent
-    spent.path.unlink(missing_ok=True)
 
 
 def source(job: Job) -> Path | str:

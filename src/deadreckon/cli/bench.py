@@ -109,6 +109,8 @@ def _run(options: Bench) -> None:
         own = [job for job in jobs if job.suite == suite.name]
         if len(suites) == 1:
             print("\n" + rendered(tables(suite, own, store)))
+        elif not store.of(own).num_rows:
+            continue  # of a queue that has not come to it
         if page := _page(suite, own, store):
             print(page)
     if left := store.undone(jobs):

@@ -166,21 +166,21 @@ def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
 def flags(name: str, table: pa.Table, column: str) -> np.ndarray:
     """(rows,) bool of a column of truth values, or of 0 and 1."""
     values = numbers(name, table, column)
-    wrong = (values != 0) & (values != 1)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, 0 or 1 is needed")
+    _refuse(name, column, values, (values != 0) & (values != 1), "0 or 1")
     return values != 0
 
 
 def log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
     """(rows,) logarithms of a column of probabilities in (0, 1]."""
     values = numbers(name, table, column)
-    wrong = (values <= 0) | (values > 1)
+    _refuse(name, column, values, (values <= 0) | (values > 1), "a probability in (0, 1]")
+    return np.log(values).astype(np.float32)
+
+
+def _refuse(name: str, column: str, values: np.ndarray, wrong: np.ndarray, needed: str) -> None:
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, a probability in (0, 1] is needed")
-    return np.log(values).astype(np.float32)
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, {needed} is needed")
 
 
 def is_category(kind: pa.DataType) -> bool:
