@@ -18,7 +18,7 @@ from deadreckon.cli.main import main
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import alone, read_json
 from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
 from deadreckon.runs import follow as module
@@ -239,7 +239,8 @@ def attempt(tmp_path, log, seconds=300.0, **options):
     sent = []
     (out := tmp_path / "out").mkdir()
     job = job_of(str(tmp_path / "log"), out, seconds, **options)
-    work.attempt(job, lambda what, value: sent.append((what, json.loads(json.dumps(value)))))
+    with alone(out):  # as whoever asked for it does
+        work.attempt(job, lambda what, value: sent.append((what, json.loads(json.dumps(value)))))
     return sent, out
 
 

@@ -38,7 +38,7 @@ from deadreckon.runs import offline
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, usual
 from deadreckon.runs.recorder import StopTraining
-from deadreckon.runs.settings import RecommendSettings
+from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
@@ -367,11 +367,12 @@ class Attempt:
             rate = pilots[0].rate / (MEMBERS * len(runs))  # an update of so many critics
             steps = min(max(int(0.3 * left * rate), FEWEST_FITS), MOST_FITS)
             estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, tau=0.02)]
-        judged = offline.judge(
-            runs, log, estimators, out=self.out, discount=self.settings.discount, seed=self.settings.seed, model=model,
+        settings = JudgeSettings(
+            out=self.out, discount=self.settings.discount, seed=self.settings.seed, model=model,
             accept_model_based=self.settings.accept_model_based,
             watch=lambda what, step, steps: self.send("watch", [what, step, steps]),
         )  # fmt: skip
+        judged = offline.judge_alone(runs, log, estimators, None, settings)  # the process that asked for it holds the lock
         self.send("state", {"judged": True})
         return judged
 

@@ -73,15 +73,15 @@ def judge(
     """
     settings = JudgeSettings.of(options)
     if settings.out is None:
-        return _judge(policies, data, estimators, task, settings)
+        return judge_alone(policies, data, estimators, task, settings)
     with alone(Path(settings.out), what=str(settings.out)):
-        return _judge(policies, data, estimators, task, settings)
+        return judge_alone(policies, data, estimators, task, settings)
 
 
-def _judge(
+def judge_alone(
     policies: Sequence[Any], data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
 ) -> Judged:
-    """See `judge`."""
+    """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
     task = find_task(task) if isinstance(task, str) else task
