@@ -96,7 +96,8 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     here = Store(tmp_path / "local")
     run(jobs, here, lambda event: None, Local(here.path, workers=2))
     for kind in ("results", "curves"):
-        tables = [getattr(each, kind)().drop_columns(["seconds", "finished"] if kind == "results" else []) for each in (store, here)]
+        apart = ["seconds", "finished"] if kind == "results" else []
+        tables = [getattr(each, kind)().drop_columns(apart) for each in (store, here)]
         by = [("cell", "ascending"), ("seed" if kind == "results" else "step", "ascending")]
         assert tables[0].sort_by(by).equals(tables[1].sort_by(by)), kind  # bit by bit
     time.sleep(1)

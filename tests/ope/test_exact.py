@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.ope import DICE, FQE, FQED, VPM, DoublyRobust, ImportanceSampling, OPEInput
+from deadreckon.ope import DICE, FQE, FQED, VPM, DoublyRobust, ImportanceSampling, LinearFQE, OPEInput
 from deadreckon.theory import MDP, chain, garnet, gridworld
 from tests.ope.worlds import as_policy, keep_nuisances, tables
 
@@ -205,6 +205,19 @@ def test_magic_corrects_where_that_is_worth_it():
     promised = (far * critics).sum(1)[log.observations.argmax(1)[log.starts]].mean()
     corrected, blended = full.on(right).value[0] - promised, magic.on(right).value[0] - promised
     assert abs(blended) < 0.5 * abs(corrected)
+
+
+def test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised():
+    """Critics of one log share its luck: an interval that only knows the corrections contained the truth 14 times of 100."""
+    true, inside = WORLDS["chain"], []
+    policies = [tables(true, 1, 0.2)[0], tables(true, 2, 0.6, seed=1)[1]]
+    exact = np.array([true.value(p, DISCOUNT) for p in policies])
+    for seed in range(30):
+        log = true.log(policies[0], 200, 40, np.random.default_rng(seed))
+        case = OPEInput(log, [as_policy(p) for p in policies], discount=DISCOUNT)
+        found = DoublyRobust(kind="magic", fqe=LinearFQE()).on(case)
+        inside.append((found.low <= exact) & (exact <= found.high))
+    assert (np.mean(inside, 0) >= 0.85).all()
 
 
 def test_magic_of_one_critic_knows_no_interval():

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from deadreckon.stats import bootstrap, means
+from deadreckon.stats.interval import NORMAL
 
 
 def test_constants_by_hand():
@@ -42,3 +43,15 @@ def test_percentiles_and_what_lies_beyond_them():
     # Skewed samples give a skewed interval, also beyond.
     low, high = bootstrap.percentile_interval(np.exp(normal), np.inf, 0.05 / 200)
     assert 3.0 * (1.0 - low) < high - 1.0
+
+
+def test_the_jackknife_knows_the_error_of_a_mean():
+    """Of one that leaves out each row it is s / sqrt(n), made larger for Student's t; of few groups it is right on average."""
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((400, 200))
+    student = stats.t.ppf(0.975, 399) / NORMAL
+    without = (x.sum(0) - x) / 399
+    np.testing.assert_allclose(bootstrap.jackknife_error(without, 1 / 400), student * x.std(0, ddof=1) / 20, rtol=1e-9)
+    parts = x.reshape(5, 80, 200).sum(1)
+    errors = bootstrap.jackknife_error((x.sum(0) - parts) / 320, 1 / 5) / (stats.t.ppf(0.975, 4) / NORMAL)
+    assert np.sqrt(np.square(errors).mean()) == pytest.approx(1 / 20, rel=0.1)

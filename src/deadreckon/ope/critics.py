@@ -152,6 +152,8 @@ class OutOfFold:
         weights: (policies, rows) these ratios, whose mean over rows is one; likewise.
         settled: (policies,) whether the critics' backup converged.
         fitted: (policies,) mean square of the errors on rows that taught the critics: what `errors` are compared with.
+        by_fold: (folds, policies) mean value of the initial observations by the critics that have not seen each fold; empty
+            where one set of critics saw all.
     """
 
     begins: np.ndarray
@@ -160,13 +162,14 @@ class OutOfFold:
     weights: np.ndarray | None
     settled: np.ndarray
     fitted: np.ndarray
+    by_fold: np.ndarray
 
     @classmethod
-    def empty(cls, policies: int, episodes: int, rows: int, marginal: bool) -> "OutOfFold":
+    def empty(cls, policies: int, episodes: int, rows: int, marginal: bool, folds: int = 0) -> "OutOfFold":
         """Room for them."""
         more = lambda: np.zeros((policies, rows)) if marginal else None  # noqa: E731
         begins, errors, fitted = np.zeros((policies, episodes)), np.zeros((policies, rows)), np.zeros(policies)
-        return cls(begins, errors, more(), more(), np.ones(policies, bool), fitted)
+        return cls(begins, errors, more(), more(), np.ones(policies, bool), fitted, np.zeros((folds, policies)))
 
     @classmethod
     def of_values(cls, case: Any, begins: np.ndarray, now: np.ndarray, last: np.ndarray, chosen: np.ndarray) -> "OutOfFold":

@@ -36,9 +36,9 @@ from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.shrinkage import shrinkage_scores
 from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
-from deadreckon.ope.weights import Episodes, Sums, few
+from deadreckon.ope.weights import Sums, few
 from deadreckon.randomness import generator
-from deadreckon.stats.bootstrap import ensemble_interval
+from deadreckon.stats.bootstrap import ensemble_interval, jackknife_error
 from deadreckon.stats.interval import NORMAL
 from deadreckon.training.hyperparameters import Count, UnitInterval, static
 
@@ -50,7 +50,7 @@ OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warn
 class DoublyRobust(Estimator):
     """FQE corrected by importance sampling."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2  # 2: MAGIC's interval knows the uncertainty of cross-fitted critics
 
     takes_horizon = True
 
@@ -98,13 +98,10 @@ class DoublyRobust(Estimator):
             sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
             start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
-                value, redrawn, pulled, uncorrected = self._blend(episodes, sums, start, drawn)
-                if uncorrected > 0 and begins is not None:
-                    # What is not corrected is as uncertain as the critics are among themselves, on the bootstrap's scale. Of
-                    # one critic that is not known, and there is no interval.
-                    low, high = ensemble_interval(begins[:, i].mean(-1))
+                value, redrawn, pulled, uncorrected = self._blend(case, sums, start, drawn)
+                if uncorrected > 0:
                     noise = generator(case.seed, "uncorrected", i).standard_normal(len(redrawn))
-                    redrawn = redrawn + uncorrected * (high - low) / (2 * NORMAL) * noise
+                    redrawn = redrawn + uncorrected * self._critics_error(case, nuisances, begins, i) * noise
                     doubts.append(i)
             else:
                 value, redrawn, pulled = start + sums.value(), drawn + sums.redraw(episodes.counts), sums.influence()
@@ -120,8 +117,6 @@ class DoublyRobust(Estimator):
             average.append(episodes.average(log_rho))
         ess = np.asarray(ess)
         warnings = self._warnings(case, ess, nuisances)
-        if self.kind == "magic" and begins is None:
-            warnings.append("its interval knows the variance of the blended corrections and not the bias of what is left out")
         found = Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
             corrected=case.beyond <= TAIL, warnings=tuple(warnings), inflation=_beyond(case),
@@ -319,16 +314,31 @@ class DoublyRobust(Estimator):
             warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | means,
         )  # fmt: skip
 
+    def _critics_error(self, case: OPEInput, nuisances: OutOfFold, begins: np.ndarray | None, policy: int) -> float:
+        """Standard error of the critics' mean initial value: by the ensemble, or by the critics of the folds (the jackknife).
+
+        Of one critic it is not known (NaN), and there is no interval.
+        """
+        if begins is not None:
+            low, high = ensemble_interval(begins[:, policy].mean(-1))
+            return float(high - low) / (2 * NORMAL)
+        teaching = case.teaching()
+        total = case.data.episodes + (0 if teaching is None else teaching.data.episodes)
+        left_out = case.data.episodes / len(nuisances.by_fold) / total
+        return float(jackknife_error(nuisances.by_fold[:, policy], left_out))
+
     def _blend(
-        self, episodes: Episodes, sums: Sums, begin: float, drawn: np.ndarray
+        self, case: OPEInput, sums: Sums, begin: float, drawn: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray, float]:
         """Corrections of several lengths, weighted so that variance plus squared bias is least.
 
         Returns:
-            The estimate, its bootstrap samples, the influence of the corrections, and the weight of no correction at all.
+            The estimate, its bootstrap samples, the influence of the corrections, and how much of an error of the critics
+            remains in it: that of a state after j steps counts discount^j times, in the episodes that go on so long.
         """
         from scipy.optimize import nnls  # half a second, for this kind alone
 
+        episodes = case.episodes
         ends = np.unique(np.geomspace(1, episodes.steps, self.lengths).round().astype(int)) - 1
         partial = np.concatenate([[0.0], sums.partial()[ends]])
         steps = np.cumsum(sums.redraw_steps(episodes.counts), 1)
@@ -343,7 +353,9 @@ class DoublyRobust(Estimator):
         x = nnls(np.vstack([root, np.full(len(partial), heavy)]), np.append(np.zeros(len(partial)), heavy))[0]
         x /= x.sum()
         pulls = np.cumsum(sums.influence_steps(), 1)[:, ends] @ x[1:]
-        return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(x[0])
+        goes_on = (case.data.lengths[:, None] > ends + 1).mean(0)
+        uncorrected = x[0] + x[1:] @ (case.discount ** (ends + 1) * goes_on)
+        return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(uncorrected)
 
 
 def _beyond(case: OPEInput) -> np.ndarray | None:

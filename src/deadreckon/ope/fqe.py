@@ -209,7 +209,8 @@ class FQE(Estimator):
             own, final, taken = (of(x, lane).astype(np.float64) for x, lane in ((now, of_row), (last, fold), (chosen, of_row)))
             return OutOfFold.of_values(case, own[:, data.starts], own, final, taken)
 
-        return dataclasses.replace(told(0), fitted=np.square(told(1).errors).mean(1))
+        by_fold = now[:, :, data.starts].mean(-1, dtype=np.float64)
+        return dataclasses.replace(told(0), fitted=np.square(told(1).errors).mean(1), by_fold=by_fold)
 
     @property
     def label(self) -> str:

@@ -253,7 +253,7 @@ class Fit:
         judged: Sums = case.once(key, lambda: self._judged_and_taught(fold, folds, marginal))
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
         count = case.count
-        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
+        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal, folds)
         ridges: dict[tuple[int, int], float] = {}
         for k in range(folds):
             weight = np.ones(len(judged.rows))
@@ -294,6 +294,11 @@ class Fit:
             phi = self.features.expected(data.observations[data.starts[part]], first[part])
             for i, critic in enumerate(critics):
                 out.begins[i, part] = self.std * (phi[:, i] @ critic.weights[-1])
+        # Critics of all folds are compared at the same initial observations; a block of these is enough.
+        episodes = data.episodes
+        some = generator(case.seed, "compared starts").choice(episodes, min(episodes, BLOCK), replace=False)
+        phi = self.features.expected(data.observations[data.starts[some]], first[some])
+        out.by_fold[k] = [self.std * (phi[:, i] @ critic.weights[-1]).mean() for i, critic in enumerate(critics)]
 
         def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
             phi = self.features.taken(data.observations[part], data.actions[part])

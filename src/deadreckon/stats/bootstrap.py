@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special
 
-from deadreckon.stats.interval import ALPHA
+from deadreckon.stats.interval import ALPHA, NORMAL
 
 RESAMPLES = 1000
 TAIL = 10  # bootstrap samples beyond a percentile that it takes to know it
@@ -23,6 +23,22 @@ def percentile_interval(draws: np.ndarray, ess: float, alpha: float = ALPHA) -> 
     tail = 100.0 * float(special.ndtr(-safe))
     middle, low, high = np.percentile(draws, [50.0, tail, 100.0 - tail])
     return float(middle - wanted / safe * (middle - low)), float(middle + wanted / safe * (high - middle))
+
+
+def jackknife_error(values: np.ndarray, left_out: float) -> np.ndarray:
+    """Standard errors (...) of estimates, from (groups, ...) values of which each leaves out one group of the data.
+
+    The delete-a-group jackknife (Shao and Wu 1989): with a share d of the data left out, the variance is (1/d - 1) times the
+    mean square of the values around their mean. It is made larger as Student's t asks for, so that `NORMAL` of these errors are
+    a 95 % interval.
+
+    Args:
+        values: with at least two groups.
+        left_out: share of the data that each leaves out, in (0, 1).
+    """
+    groups = len(values)
+    wider = special.stdtrit(groups - 1, 1 - ALPHA / 2) / NORMAL
+    return wider * np.sqrt((1.0 / left_out - 1.0) * np.square(values - values.mean(0)).mean(0))
 
 
 def ensemble_interval(values: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
