@@ -12,7 +12,7 @@ import deadreckon
 from deadreckon.randomness import NUMBERS, generator, key_for, keys, number, sequence
 
 SOURCE = Path(deadreckon.__file__).parent
-METHODS = ("agents", "ope", "mbo", "dynamics", "policies", "training", "online")
+METHODS = ("agents", "ope", "mbo", "dynamics", "policies", "training", "online", "data", "stats")
 KEY = jax.random.key(7)
 
 

@@ -28,7 +28,8 @@ def imported(path: str, what: str, form: str) -> Any:
         sys.path.append(here)  # a command that pip installs does not look there
     try:
         found = importlib.import_module(module)
-    except ImportError as error:
+    except Exception as error:  # whatever the user's module raises is the user's to mend
+        what_of = error if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
         article = "an" if what[0] in "aeiou" else "a"
-        raise UserError(f"{what} {path}: {error}; {article} {what} of your own is named module:{form}") from error
+        raise UserError(f"{what} {path}: {what_of}; {article} {what} of your own is named module:{form}") from error
     return getattr(found, attribute, None)

@@ -1,10 +1,14 @@
 """The commands as a user types them, on small settings."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from deadreckon.cli.main import COMMANDS, main
+from deadreckon.files import read_json, write_json
 
 
 def test_help_names_every_command(capsys):
@@ -56,6 +60,11 @@ def test_collect_info_convert_train_evaluate_report(tmp_path, monkeypatch, capsy
     assert len(table) == 6
     assert np.isfinite(table["score"].to_numpy()).all()
     assert main(["evaluate", "run/policies/seed0.npz", "--task", "maze2d-umaze", "--episodes", "2"]) == 0
+    shutil.copytree("run", "other")
+    config = read_json(Path("other/run.json"))
+    write_json(Path("other/run.json"), config | {"task": "maze2d-large"})
+    assert main(["evaluate", "run", "other", "--episodes", "2"]) == 2
+    assert "the runs are of several tasks (maze2d-large, maze2d-umaze)" in capsys.readouterr().err
     assert main(["report", "run", "--out", "page.html"]) == 0
     assert (tmp_path / "page.html").stat().st_size > 10_000
 

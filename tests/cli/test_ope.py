@@ -66,6 +66,7 @@ def test_bad_input_in_one_line(made, capsys):
     data, policies = ["--data", str(made / "log.hdf5")], ["--policies", str(made / "bc")]
     for args, words in [
         ([*data, *policies, "--estimators", "fqa"], "unknown estimator 'fqa'"),
+        ([*data, *policies, "--estimators", "auto"], "sizes are set for estimators that are named"),
         ([*data, *policies, "--episodes", "99"], "--episodes must be 1 .. 40"),
         ([*data, "--policies", "hoper"], "there are no policies of 'hoper'"),
         ([*data, "--policies", str(made / "none.npz")], "no file"),
@@ -73,7 +74,7 @@ def test_bad_input_in_one_line(made, capsys):
         ([*data, *policies, "--horizon", "0"], "horizon must be a number of steps, 1 or more, got 0"),
         (["--policies", "hopper"], "--data"),
     ]:
-        assert main(["ope", *args, *SMALL]) == 2
+        assert main(["ope", *([] if "--estimators" in args else ["--estimators", "fqe"]), *args, *SMALL]) == 2
         err = capsys.readouterr().err
         assert words in err
         assert len([line for line in err.splitlines() if line.startswith("deadreckon: ")]) == 1

@@ -317,3 +317,16 @@ def test_what_cannot_be_kept(keep, words):
     table = {**TABLE, "site": ["n", None, "s", "s", "s"], "name": ["n"] * 5, "lists": [[1]] * 5}
     with pytest.raises(UserError, match=words):
         Dataset.from_frame(table, **NAMED, observations="x", keep=keep)
+
+
+@pytest.mark.parametrize(("seen", "words"), [(["x", "r"], "column r is the reward"), (["a", "x"], "column a is an action")])
+def test_what_has_another_part_is_no_observation(seen, words):
+    table = pa.table({"x": [0.1, 0.2], "a": [0.5, 0.6], "r": [1.0, 2.0]})
+    with pytest.raises(UserError, match=words):
+        Dataset.from_frame(table, action="a", reward="r", observations=seen)
+
+
+def test_dimensions_of_one_name_are_refused():
+    table = pa.table({"x": [1.0, None, 3.0], "x_missing": [5.0, 6.0, 7.0], "a": [0.5, 0.6, 0.7], "r": [1.0, 2.0, 3.0]})
+    with pytest.raises(UserError, match="two dimensions of the observation are called x_missing"):
+        Dataset.from_frame(table, action="a", reward="r")

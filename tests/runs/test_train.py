@@ -120,6 +120,17 @@ def test_other_versions_are_told_on_resume(run, log, tmp_path):
         dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
 
 
+def test_a_run_of_code_that_learns_otherwise_is_not_gone_on_with(run, log, tmp_path):
+    import shutil
+
+    shutil.copytree(run.path, tmp_path / "r")
+    config = read_json(tmp_path / "r" / "run.json")
+    config["revisions"]["training"] -= 1
+    write_json(tmp_path / "r" / "run.json", config)
+    with pytest.raises(dr.UserError, match=r"begun by code that learns otherwise: revisions.training was"):
+        dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
+
+
 def test_an_evaluation_lost_to_a_kill_is_done_again(run, log, tmp_path):
     import shutil
 

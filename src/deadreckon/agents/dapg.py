@@ -50,7 +50,7 @@ class State(NamedTuple):
 class DAPG(Agent):
     """Natural policy gradients from cloned demonstrations, whose likelihood counts for a while."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2  # 2: cloning draws from a stream of its own
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "return_to_go")

@@ -45,7 +45,7 @@ class ModelBasedAgent(Agent):
     model_lr: NonNegative = 1e-3  # learning rate of the model
     model_weight_decay: Weights = static((2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4))
     """weight decay of each layer of the model (L2 penalty, halved)"""
-    model_patience: Count = static(5)  # epochs without improvement after which a fit of the model stops
+    model_patience: Count = static(5)  # epochs in a row without improvement that a fit of the model goes on after
     model_epochs: Count = static(1000)  # largest number of epochs of a fit of the model
     termination: str | None = static(None)
     """task whose rule ends episodes in the model, or "learned"; None: this task's, if observations show it"""

@@ -114,8 +114,9 @@ def _run(options: Bench) -> None:
         if page := _page(suite, own, store):
             print(page)
     if left := store.undone(jobs):
-        if seconds is not None:
-            print(f"{sum(len(job.seeds) for job in left):,} cells are left; the same command goes on with them")
+        waits = sum(store.failure(job, seed) is None for job in left for seed in job.seeds)
+        if seconds is not None and waits:
+            print(f"{waits:,} cells are left; the same command goes on with them")
         raise SystemExit(1)
 
 

@@ -148,7 +148,7 @@ def problems(args: Sequence[str]) -> None:
     from deadreckon.mbo import PROBLEMS
     from deadreckon.mbo.problems.download import SOURCES
 
-    parse(Nothing, args, "design problems")
+    parse(Problems, args, "design problems")
     rows = [["problem", "file", "what"]]
     for name, known in PROBLEMS.items():
         there = "" if known.file is None or (home() / "designs" / known.file).is_file() else " (missing)"
@@ -183,13 +183,18 @@ def methods(args: Sequence[str]) -> None:
     from deadreckon.cli.show import table
     from deadreckon.mbo import DESIGNERS
 
-    parse(Nothing, args, "design methods")
+    parse(Methods, args, "design methods")
     print(table([["method", "algorithm and source"], *([name, line] for name, (_, line) in DESIGNERS.items())]))
 
 
 @dataclass
-class Nothing:
+class Problems:
     """List the problems."""
+
+
+@dataclass
+class Methods:
+    """List the methods."""
 
 
 def bench(args: Sequence[str]) -> None:

@@ -44,7 +44,10 @@ def evaluate(args: Sequence[str]) -> None:
         else:
             policies.append(store.load(path))
             names.append(path.stem)
-    task = options.task or next((t for t in tasks if t), None)
+    found = sorted({task for task in tasks if task})
+    if options.task is None and len(found) > 1:
+        raise UserError(f"the runs are of several tasks ({', '.join(found)}); evaluate those of one, or name one with --task")
+    task = options.task or next(iter(found), None)
     if task is None:
         raise UserError("missing --task: the policies do not say where they belong")
     result = run_evaluation(

@@ -93,6 +93,9 @@ def ope(args: Sequence[str]) -> None:
     from deadreckon.ope.registry import titled, with_fields
     from deadreckon.runs.offline import checked, grounds, groups, judge, supports
 
+    if options.estimators == "auto" and options.fits.given:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in options.fits.given)
+        raise UserError(f"{names}: sizes are set for estimators that are named (--estimators fqe), not for auto")
     wanted = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
     data = catalogue.load(options.data)
     if options.episodes is not None:

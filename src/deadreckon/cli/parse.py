@@ -127,4 +127,6 @@ def _options(kind: type) -> list[str]:
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
         tyro.cli(kind, args=["--help"])
-    return re.findall(r"--[\w.-]+", out.getvalue())
+    rows = re.findall(r"^[│ ]*(?=-)(.*)", out.getvalue(), re.MULTILINE)  # options begin a row; prose behind them names others
+    names = (re.match(r"(?:-\w, )?--[\w.-]+(?:(?:, |\|)--[\w.-]+)*", row) for row in rows)
+    return [option for found in names if found for option in re.findall(r"--[\w.-]+", found[0])]

@@ -38,27 +38,35 @@ class Encoder:
         columns: dict[str, np.ndarray] = {}
         levels: dict[str, list[Any]] = {}
         missing: dict[str, int] = {}
+        rows = np.zeros(self.table.num_rows, bool)  # with something missing
+
+        def add(key: str, values: np.ndarray) -> None:
+            if key in columns:
+                raise UserError(f"{self.name}: two dimensions of the observation are called {key}; rename that column")
+            columns[key] = values
+
         for column in names:
             values = _flat(self.table, column)
             if is_category(values.type):
                 codes, found = category_codes(self.name, column, values)
                 levels[column] = found
-                columns |= {f"{column}={level}": codes == code for code, level in enumerate(found)}
+                for code, level in enumerate(found):
+                    add(f"{column}={level}", codes == code)
                 absent = codes < 0
             else:
                 number, absent = _numbers(self.name, column, values)
                 if absent.all():
                     raise UserError(f"{self.name}: column {column} is empty; leave it out of the observations")
                 # In float64, so that the mean of large numbers is not lost.
-                columns[column] = np.where(absent, number[~absent].mean(), number) if absent.any() else number
+                add(column, np.where(absent, number[~absent].mean(), number) if absent.any() else number)
             if absent.any():
-                columns[f"{column}_missing"] = absent
+                add(f"{column}_missing", absent)
+                rows |= absent
                 missing[column] = int(absent.sum())
         if missing:
             counts = ", ".join(f"{column} {count}" for column, count in missing.items())
-            rows = self.table.num_rows
-            text = f"missing values in {rows} rows are replaced by the mean or by no level, and marked: {counts}"
-            self.warnings.append(text)
+            where = f"missing values in {rows.sum()} of {len(rows)} rows"
+            self.warnings.append(f"{where} are replaced by the mean or by no level, and marked: {counts}")
         out = np.empty((self.table.num_rows, len(columns)), np.float32)
         with np.errstate(over="ignore"):
             for index, (key, column) in enumerate(columns.items()):

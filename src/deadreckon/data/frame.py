@@ -90,6 +90,10 @@ def frame_columns(
         seen, warnings = _plausible(table, [column for column in table.column_names if column not in taken], propensity)
     else:
         seen, warnings = [column for column in _columns_like(table, observations, name) if column not in ignored], []
+        parts = {reward: "the reward", terminal: "terminal", timeout: "timeout", propensity: "the propensity"}
+        for column in seen:
+            if part := "an action" if column in actions else parts.get(column):
+                raise UserError(f"{name}: column {column} is {part} and an observation; ignore it, or name other observations")
     if not seen:
         raise UserError(f"{name}: no column is left to be an observation; name them with observations")
 

@@ -78,7 +78,7 @@ class Trainer(eqx.Module):
     elites: Count = static(5)  # members that are believed
     holdout: Annotated[float, Range(gt=0, lt=1)] = static(0.2)  # share of the rows that are held out
     most_holdout: Count = static(5000)  # of them
-    patience: Count = static(5)  # epochs without a better member before a fit ends
+    patience: Count = static(5)  # epochs in a row without a better member that a fit goes on after
     better: UnitInterval = static(0.01)  # share by which an error must fall to count
     most_epochs: Count = static(1000)  # of a fit
 

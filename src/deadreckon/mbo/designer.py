@@ -23,6 +23,7 @@ from deadreckon.progress import Watcher, unwatched
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.hyperparameters import check_fields, described, on_device
+from deadreckon.training.revisions import revisions
 
 # Standardised means and deviations of coordinates (n, size); either may be None.
 Belief = Callable[[Array], tuple[Any, Any]]
@@ -91,6 +92,7 @@ class DesignInput(NamedTuple):
         for column in points.columns.values():
             data.update(np.ascontiguousarray(column).tobytes())
         trained = described(on_device(learner))
+        trained = {"settings": trained, "revisions": revisions(learner)}
         asked = {"learner": trained, "steps": steps, "n": self.n, "seeds": self.seeds, "data": data.hexdigest()}
         folder = folder_of(self.out, what, asked)
         inherit(folder)

@@ -24,6 +24,7 @@ from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.stats.interval import Interval
 from deadreckon.stats.means import mean_interval
+from deadreckon.training.revisions import of_learning, revisions
 
 REVISION = 1  # of how designers are asked and judged; raised where scores change (see bench/identity.py)
 PERCENTILES = {100: "Best of the designs", 50: "Median design"}
@@ -113,7 +114,10 @@ def evaluate_designers(
     results = []
     for name, designer in designers:
         settings = designer.settings_text(visible)
-        asked = {"name": name, "settings": settings, "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about}
+        asked = {
+            "name": name, "settings": settings, "n": n, "seeds": list(seeds), "data": data, "oracle": problem.about,
+            "revisions": of_learning() | {"method": revisions(designer), "protocol": REVISION},
+        }  # fmt: skip
         folder = None if out is None else Path(out) / file_part(problem.name)
         path = None if folder is None else folder / f"{file_part(name)}-{digest(asked, 4)}.json"
         if path is not None and path.exists():

@@ -14,6 +14,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.errors import DivergedError
 from deadreckon.online.on_policy import OnPolicy, observing
+from deadreckon.randomness import key_for
 from deadreckon.training.fit import fit
 from deadreckon.training.learner import lift
 
@@ -52,7 +53,9 @@ class Demonstrated(OnPolicy):
         action = self.shared[0]["action"]
         center, spread = action.mean(0), jnp.maximum(action.std(0), STD_FLOOR)
         lanes = [Cloning(float(lr), center, spread, self.agent.hidden) for lr in learner.bc_lr]
-        result = fit(lanes, TransitionSource(log, lanes[0].needs(log.spec)), self.seeds, self.agent.bc_steps)
+        # Seeds of their own: with the run's, cloning would draw what the run draws.
+        seeds = [int(jax.random.bits(key_for(jax.random.key(seed), "cloning"), dtype=jnp.uint32)) for seed in self.seeds]
+        result = fit(lanes, TransitionSource(log, lanes[0].needs(log.spec)), seeds, self.agent.bc_steps)
         if any(result.failures):
             raise DivergedError(f"behavior_error: cloning {log.name} gave numbers that are not finite; lower bc_lr")
         return lift(lanes), result.states

@@ -26,6 +26,7 @@ from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
+from deadreckon.training.revisions import of_learning, revisions
 from deadreckon.versions import versions
 
 
@@ -86,6 +87,7 @@ def _train_online(
         "steps": updates,
         "evaluation": {"every": job.stops, "episodes": asked.episodes},
         "versions": versions() | {"lanes": seeds},
+        "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
     if shown is not None:
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}

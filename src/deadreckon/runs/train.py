@@ -30,6 +30,7 @@ from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Failure, Fit
+from deadreckon.training.revisions import of_learning, revisions
 from deadreckon.versions import versions
 
 
@@ -193,6 +194,7 @@ def _train(
         "steps": steps,
         "evaluation": {"every": every, "episodes": settings.episodes},
         "versions": versions() | {"lanes": len(lanes)},
+        "revisions": of_learning() | {"method": revisions(lanes[0])},
     }  # fmt: skip
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]

@@ -11,6 +11,7 @@ import numpy as np
 from deadreckon._version import __version__
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, replacing, write_json
+from deadreckon.training.revisions import of_learning
 
 _META = "meta.json"
 
@@ -18,9 +19,9 @@ _META = "meta.json"
 def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
     """Where the checkpoints of a fit lie: a folder of its own for everything that was asked for, with a note that says it.
 
-    Another version of the package has its own, for its updates may be others.
+    Another version of the package, or other revisions of the training loop, have their own, for their updates may be others.
     """
-    asked = asked | {"version": __version__}
+    asked = asked | {"version": __version__, "revisions": of_learning()}
     folder = out / f"{what}-{digest(asked, 6)}"
     if not (folder / "asked.json").exists():
         write_json(folder / "asked.json", asked)

@@ -26,6 +26,38 @@ def test_a_log_comes_back_exactly(variant, tmp_path, ending):
     assert again.name == variant.name
 
 
+@pytest.mark.parametrize("extra", ["reward", "terminal", "episode", "final_observation_0"])
+def test_a_column_that_would_be_another_in_a_table_is_refused(extra, tmp_path):
+    """It would be read back as the log's reward, and the reward would be lost."""
+    rows = np.arange(6, dtype=np.float32)
+    log = Dataset.from_arrays(
+        observations=rows[:, None], actions=rows[:, None] / 10, rewards=rows, terminals=rows == 5, name="a", **{extra: rows + 7}
+    )
+    for path in (tmp_path / "a.csv", tmp_path / "a.parquet"):
+        with pytest.raises(UserError, match=f"column {extra} would be the table's column {extra}"):
+            (write_csv if path.suffix == ".csv" else write_parquet)(log, path)
+        assert not path.exists()
+
+
+def test_a_number_behind_a_name_of_ours_is_ambiguous(tmp_path):
+    (tmp_path / "a.csv").write_text("observation_0,action,reward,reward_1\n0.5,0.1,1,99\n0.6,0.2,2,98\n")
+    with pytest.raises(UserError, match="there are columns reward and reward_1"):
+        read_csv(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text("observation_0,action,reward,goal,goal_1\n0.5,0.1,1,99,3\n0.6,0.2,2,98,4\n")
+    log = read_csv(tmp_path / "b.csv")
+    assert (log.extras["goal"].tolist(), log.extras["goal_1"].tolist()) == ([99, 98], [3, 4])
+
+
+def test_an_empty_text_is_missing_in_csv_as_in_parquet(tmp_path):
+    (tmp_path / "a.csv").write_text("x,arm,r\n1,l,0\n2,,1\n3,r,1\n")
+    with pytest.raises(UserError, match="column arm is empty in row 1"):
+        read_csv(tmp_path / "a.csv", action="arm", reward="r")
+    (tmp_path / "b.csv").write_text("site,arm,r\na,l,0\n,l,1\nb,r,1\n")
+    log = read_csv(tmp_path / "b.csv", action="arm", reward="r")
+    assert log.provenance.extra["observation_names"] == ["site=a", "site=b", "site_missing"]
+    assert any("missing values in 1 of 3 rows" in text for text in log.warnings)
+
+
 def test_csv_brings_back_the_values(variant, tmp_path):
     write_csv(variant, tmp_path / "log.csv")
     again = read(tmp_path / "log.csv")

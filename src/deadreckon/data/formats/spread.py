@@ -34,7 +34,7 @@ def to_table(log: Dataset) -> pa.Table:
     known = columns.pop("final_known")
     final = columns.pop("final_observations")
     for key, column in columns.items():
-        _spread(table, _SINGULAR.get(key, key), column)
+        _spread(table, _SINGULAR.get(key, key), column, log.name)
     if log.successors is None:
         rows = log.ends[known]
         elsewhere = np.ones(len(log), bool)
@@ -46,12 +46,15 @@ def to_table(log: Dataset) -> pa.Table:
     return pa.table(table)
 
 
-def _spread(table: dict[str, Any], name: str, column: np.ndarray) -> None:
-    if column.ndim == 1:
-        table[name] = np.asarray(column)
-        return
-    for index, values in enumerate(np.asarray(column).reshape(len(column), -1).T):
-        table[f"{name}_{index}"] = np.ascontiguousarray(values)
+def _spread(table: dict[str, Any], name: str, column: np.ndarray, log: str) -> None:
+    parts = {name: np.asarray(column)} if column.ndim == 1 else {
+        f"{name}_{index}": np.ascontiguousarray(values)
+        for index, values in enumerate(np.asarray(column).reshape(len(column), -1).T)
+    }  # fmt: skip
+    for key, values in parts.items():
+        if key in table or key.startswith("final_observation"):
+            raise UserError(f"{log}: column {name} would be the table's column {key}, which is another; write .npz or .hdf5")
+        table[key] = values
 
 
 def shapes_of(log: Dataset) -> dict[str, Any]:
@@ -78,7 +81,7 @@ def from_anybody(path: Path | str, table: pa.Table, mapping: dict[str, Any], hor
         path: named in errors.
         table: (rows,) of each column.
         mapping: which column is what, as for `frame_columns`, or None; where nothing is given, columns have our names.
-        horizon: whether one was given, which says where the episodes of columns with our names end.
+        horizon: steps after which episodes of columns with our names are cut off, or None.
 
     Raises:
         UserError: one line with file, column and row.
@@ -131,7 +134,7 @@ def from_table(path: Path | str, table: pa.Table, shapes: Shapes | None = None) 
         raise UserError(f"{path}: the log has no rows")
     shapes = shapes or {}
     columns: dict[str, np.ndarray] = {}
-    for name, parts in _groups(table.column_names, shapes).items():
+    for name, parts in _groups(path, table.column_names, shapes).items():
         key = _PLURAL.get(name, name)
         if name in ("episode", "final_observation"):
             continue
@@ -157,7 +160,7 @@ def from_table(path: Path | str, table: pa.Table, shapes: Shapes | None = None) 
             )
         terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
         columns["timeouts"] = np.asarray(columns.get("timeouts", np.zeros(rows, bool))) | (change & (terminals == 0))
-    finals = _groups(table.column_names, shapes).get("final_observation")
+    finals = _groups(path, table.column_names, shapes).get("final_observation")
     if finals and "next_observations" not in columns:
         columns |= _finals(path, table, finals, columns)
     return columns
@@ -179,13 +182,19 @@ def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[s
     return {"final_observations": final, "final_known": known}
 
 
-def _groups(names: list[str], shapes: Shapes) -> dict[str, list[str]]:
-    """{column of the log: its columns in the table}: name_0, name_1, ... belong together if all are there."""
+def _groups(path: Path | str, names: list[str], shapes: Shapes) -> dict[str, list[str]]:
+    """{column of the log: its columns in the table}: name_0, name_1, ... belong together if all are there and `name` is not."""
     scalars = {key for key, (shape, _) in shapes.items() if not shape}
     groups: dict[str, list[str]] = {}
     for column in names:
         prefix, _, number = column.rpartition("_")
         together = number.isdecimal() and prefix and column not in scalars
+        if together and prefix in names:  # a column of its own, unless it might be a part of what a log needs
+            if prefix in _PLURAL:
+                raise UserError(
+                    f"{path}: there are columns {prefix} and {column}; rename one, or name all columns (--action, --reward)"
+                )
+            together = False
         groups.setdefault(prefix if together else column, []).append(column)
     return {key: parts if parts == [key] else numbered(parts, key) for key, parts in groups.items()}
 

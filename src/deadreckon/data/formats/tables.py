@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute
 from pyarrow import csv, parquet
 
 from deadreckon.data.dataset import Dataset
@@ -15,6 +16,7 @@ from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, 
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 
+_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header as JSON
 
 
@@ -56,9 +58,18 @@ def read_csv(
         file.seek(0)
         # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
         source = gzip.GzipFile(fileobj=file) if packed else file
-        table = csv.read_csv(source)
+        table = _without_empty_texts(csv.read_csv(source))
     columns, extra, warnings = from_anybody(path, table, mapping, horizon)
     return build(path, columns, source="csv", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon)
+
+
+def _without_empty_texts(table: pa.Table) -> pa.Table:
+    """An empty cell is missing, of texts as of numbers; pyarrow reads it as a text of no letters."""
+    for index, column in enumerate(table.columns):
+        if pa.types.is_string(column.type):
+            filled = _compute.if_else(_compute.equal(column, ""), pa.scalar(None, column.type), column)
+            table = table.set_column(index, table.column_names[index], filled)
+    return table
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
