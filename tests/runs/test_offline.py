@@ -206,3 +206,19 @@ def test_a_cross_fit_is_judged_on_every_episode(noise):
     each = 3 * probs[fold, np.arange(300), log.actions] * log.rewards
     found = judge([crossed], log, [ImportanceSampling(normalised=False)], **QUICK).estimates[0]
     assert found.value[0] == pytest.approx(each.mean(), rel=1e-4)
+
+
+def test_a_log_whose_levels_mean_something_else_is_refused(tmp_path):
+    """Site b would be read as site a: both logs have two sites and two doses, under other names."""
+    rng = np.random.default_rng(0)
+
+    def table(sites):
+        rows = 40
+        return {
+            "site": rng.choice(sites, rows), "dose": rng.choice(["high", "low"], rows), "gain": rng.normal(size=rows),
+        }  # fmt: skip
+
+    known, other = (Dataset.from_frame(table(sites), action="dose", reward="gain") for sites in (["a", "b"], ["b", "c"]))
+    run = train(BC(hidden=(4,)), known, steps=4, out=tmp_path / "run")
+    with pytest.raises(UserError, match=r"run learned from a log whose observations are \['site=a', 'site=b'\]"):
+        judge([run], other)

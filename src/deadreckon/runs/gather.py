@@ -1,6 +1,7 @@
 """Policies to judge, from runs, folders and files, and the episodes that none of them has learned from."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ class Gathered(NamedTuple):
         taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
         by: column whose values its run kept together when it held episodes out; None: none.
         file: where it is saved; None: nowhere that is known.
+        encoded: what the table's columns became in the log that it learned from: `provenance.extra`; empty where not known.
     """
 
     policy: Any
@@ -39,6 +41,7 @@ class Gathered(NamedTuple):
     taught: np.ndarray | None
     by: str | None = None
     file: Path | None = None
+    encoded: Mapping[str, Any] = {}
 
 
 def gather(given: Sequence[Any]) -> list[Gathered]:
@@ -61,14 +64,14 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            known = cross.path.name, cross.config["by"], cross.policy_path
+            known = cross.path.name, cross.config["by"], cross.policy_path, _encoded(cross.runs[0])
             found += [Gathered((cross, seed), known[0], seed, None, *known[1:]) for seed in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout")
             by, folder = None if held is None else held["by"], Folder(run.path)
             found += [
-                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed))
+                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), _encoded(run))
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
@@ -83,6 +86,30 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
     if not found:
         raise UserError("no policy to judge")
     return found
+
+
+def _encoded(run: Run) -> dict[str, Any]:
+    return run.config["data"].get("provenance", {}).get("extra", {})
+
+
+def check_encoding(found: Sequence[Gathered], data: Dataset) -> None:
+    """Refuses a log of a table whose columns became other numbers than those of the log that a policy learned from.
+
+    Raises:
+        UserError: names the policy, and what differs.
+    """
+    words = {
+        "observation_names": "observations are", "observation_levels": "levels of observations are",
+        "action_levels": "levels of actions are",
+    }  # fmt: skip
+    here = json.loads(json.dumps(data.provenance.extra, default=str))
+    for each in found:
+        for key, what in words.items():
+            if key in each.encoded and key in here and each.encoded[key] != here[key]:
+                raise UserError(
+                    f"{each.run} learned from a log whose {what} {each.encoded[key]}; those of {data.name} are {here[key]}: "
+                    "its policies would misread them"
+                )
 
 
 class Fresh(NamedTuple):
