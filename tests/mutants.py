@@ -506,6 +506,24 @@ MUTANTS = (
         "key-split-and-folded", "agents/awac.py", 'keys(key, "target", "actor_loss")', "jax.random.split(key)",
         "a method splits its key in place of naming purposes", ("test_randomness.py",),
     ),
+    Mutant(
+        "recommend-nested-lock", "runs/attempt.py", "offline.judge_alone(runs, log, estimators, None, settings)",
+        "offline.judge(runs, log, estimators, **vars(settings))", "the work takes the lock that whoever asked for it holds",
+        ("runs/test_recommend.py::test_policies_learn_from_one_part_and_are_judged_by_the_other",),
+    ),
+    Mutant(
+        "jackknife-share", "stats/bootstrap.py", "(1.0 / left_out - 1.0)", "(1.0 - left_out)",
+        "the jackknife forgets how little each part leaves out", ("stats/test_means.py",),
+    ),
+    Mutant(
+        "magic-critics", "ope/doubly_robust.py", "uncorrected * self._critics_error(case, nuisances, begins, i) * noise",
+        "0.0 * noise", "MAGIC's interval takes its critics for true",
+        ("ope/test_exact.py::test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised",),
+    ),
+    Mutant(
+        "csv-empty-text", "data/formats/tables.py", "_without_empty_texts(csv.read_csv(source))", "csv.read_csv(source)",
+        "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
+    ),
 )
 
 
