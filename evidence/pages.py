@@ -115,6 +115,8 @@ def _reads(verdict: Verdict) -> str:
         return f"**{verdict.state}**"  # also where scores are missing: one comparison contradicts a claim
     if verdict.missing:
         return f"open: {verdict.cells - verdict.missing:,} of {verdict.cells:,} scores"
+    if verdict.undefined:
+        return f"**open**: all scores are there, {verdict.undefined:,} of them not finite"
     return "**open**: all scores are there, and do not decide"
 
 
@@ -124,7 +126,10 @@ def _effect(one: Comparison) -> str:
     where = f" on {', '.join(one.on)}" if len(one.on) < len(read(test.suite).on) else ""
     words = f"{test.metric}{' (less is better)' if test.less else ''}: {test.method} against {rival}{where}"
     margin = f", margin {test.margin:g}" if test.margin else ""
-    return f"`{test.suite.name}`, {words}: " + ("not there yet" if one.missing else f"gain {one.gain:.3g}{margin}, {one.state}")
+    found = f"gain {one.gain:.3g}{margin}, {one.state}"
+    if one.undefined:
+        found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
+    return f"`{test.suite.name}`, {words}: " + ("not there yet" if one.missing else found)
 
 
 def claimed(name: str, files: dict[str, bytes]) -> str:

@@ -108,6 +108,13 @@ def test_they_are_open_until_all_cells_are_there(folder):
     assert math.isnan(a.comparisons[1].gain.value)
 
 
+def test_a_score_that_is_not_finite_is_there_and_decides_nothing(folder):
+    store = kept({("BEAR", "walker2d"): [math.nan, *BEAR[1:]], ("BC", "walker2d"): BC})
+    beside, missing = verdict(claims("claims.toml")[0], store).comparisons
+    assert (beside.state, beside.missing, beside.undefined) == ("open", 0, 1)
+    assert (missing.missing, missing.undefined) == (4, 1)
+
+
 def test_they_hold_and_are_contradicted_by_the_interval_of_the_gain(folder):
     every = {("BC", "walker2d"): BC, ("TD3", "walker2d"): TD3, ("BEAR", "walker2d"): BEAR, ("BC", "hopper"): BC}
     store = kept(every | {("TD3", "hopper"): [41.0, 40.0, 43.0, 44.0], ("BEAR", "hopper"): [0.0] * 4})

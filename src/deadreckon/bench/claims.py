@@ -20,7 +20,7 @@
 
 A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
 same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
-*contradicted* where it lies below, and is *open* else, or where cells are missing. A claim holds where all its comparisons
+*contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number. A claim holds where all its comparisons
 hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then (Bonferroni).
 """
 
@@ -101,6 +101,7 @@ class Comparison:
         strict: the same at the level at which one of many comparisons contradicts the claim.
         cells: that it needs.
         missing: of these, that are not there.
+        undefined: of these, that are there and have no finite number for the metric, such as a correlation of equal estimates.
     """
 
     test: Test
@@ -110,11 +111,12 @@ class Comparison:
     strict: Interval
     cells: int
     missing: int
+    undefined: int
 
     @property
     def state(self) -> State:
         """What it says."""
-        if self.missing or not math.isfinite(self.gain.low):
+        if self.missing or self.undefined or not math.isfinite(self.gain.low):
             return "open"
         if self.gain.low > self.test.margin:
             return "holds"
@@ -145,6 +147,11 @@ class Verdict:
     def missing(self) -> int:
         """Of these, that are not there."""
         return sum(each.missing for each in self.comparisons)
+
+    @property
+    def undefined(self) -> int:
+        """Of these, that are there without a finite number."""
+        return sum(each.undefined for each in self.comparisons)
 
 
 def claims(path: Path | str) -> list[Claim]:
@@ -220,9 +227,13 @@ def _compared(
 ) -> Comparison:
     """One of `count` comparisons of a claim, from the plan of its suite and all results by cell."""
 
+    missing = 0
+
     def scores(method: str) -> dict[str, np.ndarray]:
         """A number a seed by log, NaN where there is none."""
+        nonlocal missing
         cells = {log: [cell for job in jobs if (job.method, job.on) == (method, log) for cell in job.cells] for log in on}
+        missing += sum(cell not in rows for own in cells.values() for cell in own)
         have = lambda cell: number(rows[cell], test.metric) if cell in rows else math.nan  # noqa: E731
         return {log: np.array([have(cell) for cell in own]) for log, own in cells.items()}
 
@@ -234,12 +245,11 @@ def _compared(
         theirs = scores(rival)
         judged.append(theirs)
     values = np.concatenate([each for method in judged for each in method.values()])
-    cells, missing = len(values), int(np.isnan(values).sum())
-    if missing:
+    if lacking := int((~np.isfinite(values)).sum()):
         nothing = Interval(math.nan, math.nan, math.nan)
-        return Comparison(test, rival, on, nothing, nothing, cells, missing)
+        return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing)
     if test.less:
         ours, theirs = theirs, ours
     gain, strict = (paired(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
-    return Comparison(test, rival, on, gain, strict, cells, 0)
+    return Comparison(test, rival, on, gain, strict, len(values), 0, 0)
 
