@@ -99,7 +99,7 @@ def ranking(name: str, files: dict[str, bytes]) -> str:
     series = []
     for slot, method in enumerate(whole):
         profile = performance_profile(whole[method], grid)
-        series.append(charts.Series(method, slot, grid, profile.value, profile.low, profile.high))
+        series.append(charts.Series(method, slot, grid, profile.share, profile.low, profile.high))
     chart = charts.lines(series, title="Performance profiles", unit="share of runs above", size=PANEL, across="score")
     with tempfile.TemporaryDirectory() as folder:
         path = sheet(Path(folder) / "profiles.svg", {"Performance profiles": chart}, list(whole))
@@ -178,17 +178,14 @@ def made(text: str, files: dict[str, bytes]) -> str:
 
 def main(args: Sequence[str]) -> int:
     """Writes, or checks."""
-    wrong, check = [], "--check" in args
-    for path in sorted(PAGES.glob("*.md")):
-        files: dict[str, bytes] = {}
-        text = path.read_text()
-        wanted = {path: made(text, files).encode()} | {PAGES / name: data for name, data in files.items()}
-        for target, data in wanted.items():
-            if not target.exists() or target.read_bytes() != data:
-                wrong.append(target)
-                if not check:
-                    target.write_bytes(data)
+    check, files, wanted = "--check" in args, {}, {}
+    for path in sorted(PAGES.glob("*.md")):  # all are made before any is written
+        wanted[path] = made(path.read_text(), files).encode()
+    wanted |= {PAGES / name: data for name, data in files.items()}
+    wrong = [path for path, data in wanted.items() if not path.exists() or path.read_bytes() != data]
     for path in wrong:
+        if not check:
+            path.write_bytes(wanted[path])
         print(f"{path} {'is not what the ledger says: run python -m evidence.pages' if check else 'written'}")
     return int(check and bool(wrong))
 

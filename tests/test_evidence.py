@@ -56,7 +56,11 @@ def test_a_changed_number_in_a_page_is_noticed(monkeypatch, capsys, tmp_path):
 def test_a_claim_that_is_contradicted_says_so_before_all_scores_are_there():
     test = declared.Test(ROOT / "gym.toml", "BC", ("TD3",), ("hopper-medium-v2",))
     low, nothing = Interval(-5.0, -6.0, -4.0), Interval(nan, nan, nan)
-    there, missing = (Comparison(test, "TD3", test.on, gain, gain, 6, lacks) for gain, lacks in ((low, 0), (nothing, 2)))
+    there, missing, undefined = (
+        Comparison(test, "TD3", test.on, gain, gain, 6, *lacks)
+        for gain, lacks in ((low, (0, 0)), (nothing, (2, 0)), (nothing, (0, 1)))
+    )
     claim = Claim("C", "says", "place", (test,))
     assert pages._reads(Verdict(claim, (there, missing))) == "**contradicted**"
     assert pages._reads(Verdict(claim, (missing,))) == "open: 4 of 6 scores"
+    assert pages._reads(Verdict(claim, (undefined,))) == "**open**: all scores are there, 1 of them not finite"

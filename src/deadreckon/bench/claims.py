@@ -20,8 +20,9 @@
 
 A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
 same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
-*contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number. A claim holds where all its comparisons
-hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then (Bonferroni).
+*contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number. A claim holds where
+all its comparisons hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then
+(Bonferroni).
 """
 
 import math
