@@ -93,7 +93,7 @@ def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
     """Names with their lines, as many a row as fit, and the height that they take."""
     parts, x, y = [], 12, 20
     for slot, name in enumerate(names):
-        needed = 44 + 8 * len(name)
+        needed = 48 + 9 * len(name)  # capitals are wide
         if x + needed > width and x > 12:
             x, y = 12, y + 22
         line = tag("path", d=f"M{x} {y - 4}h26", class_="line dashed" if slot >= COLOURS else "line")
