@@ -66,10 +66,11 @@ def curves(name: str, files: dict[str, bytes]) -> str:
         for slot, method in enumerate(names):
             jobs = [job for job in plan(suite) if job.on == on and job.method == method]
             own = [sorted(points[cell]) for job in jobs for cell in job.cells if cell in known]
-            own = [curve for curve in own if len(curve) == suite.evaluations]
             if own:
-                steps = np.array([step for step, _ in own[0]], float)
-                scores = np.array([[score for _, score in curve] for curve in own]).T
+                steps = np.array([step for step, _ in max(own, key=len)], float)
+                # A seed that diverged ends early and keeps its last good policy, whose score goes on.
+                held = [np.pad([score for _, score in curve], (0, len(steps) - len(curve)), "edge") for curve in own]
+                scores = np.array(held).T
                 series.append(charts.Series.over_seeds(method, slot, steps, scores))
         if series:
             panels[on] = charts.lines(series, title=on, unit="normalised score", size=PANEL)
@@ -77,7 +78,7 @@ def curves(name: str, files: dict[str, bytes]) -> str:
         return "No curve yet.\n"
     with tempfile.TemporaryDirectory() as folder:
         files[picture := f"{suite.name}-curves.svg"] = sheet(Path(folder) / "curves.svg", panels, names, 3).read_bytes()
-    text = "Line: mean over seeds; band: lowest to highest."
+    text = "Line: mean over seeds; band: lowest to highest. Seeds that diverged keep the score of their last good policy."
     return f"![Normalised score against updates, a panel for each log]({picture})\n\n{text}\n"
 
 
@@ -139,7 +140,7 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
     for claim in claims(HERE / "claims.toml"):
         store = store_of([read(test.suite) for test in claim.tests], HERE) if claim.tests else Store(HERE)
         own = verdict(claim, store)
-        sized = bool(claim.tests) and all(read(test.suite).full for test in claim.tests)
+        sized = any(read(test.suite).full for test in claim.tests)
         full = _reads(verdict(claim, store, full=True)) if sized else "the same"
         rows.append(f"| {claim.id} | {claim.says} | {claim.place} | {_reads(own)} | {full if claim.tests else ''} |")
         details += [f"- {claim.id}, {_effect(each)}" for each in own.comparisons]
@@ -178,6 +179,9 @@ def made(text: str, files: dict[str, bytes]) -> str:
 
 def main(args: Sequence[str]) -> int:
     """Writes, or checks."""
+    if unknown := [arg for arg in args if arg != "--check"]:
+        print(f"python -m evidence.pages takes --check or nothing, got {unknown[0]}", file=sys.stderr)
+        return 2
     check, files, wanted = "--check" in args, {}, {}
     for path in sorted(PAGES.glob("*.md")):  # all are made before any is written
         wanted[path] = made(path.read_text(), files).encode()

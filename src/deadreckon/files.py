@@ -30,8 +30,12 @@ def home() -> Path:
 
 
 @contextlib.contextmanager
-def replacing(path: Path | str) -> Iterator[Path]:
+def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
     """Gives a temporary path beside `path`; on success it is synced to disk and renamed over `path` in one step.
+
+    Args:
+        path: of the file.
+        keep: whether a file that is there by then stays as it is, and the new one is dropped.
 
     Raises:
         UserError: the folder cannot be made, or the disk is full or read-only. Nothing is left behind.
@@ -51,7 +55,11 @@ def replacing(path: Path | str) -> Iterator[Path]:
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
+        if keep:
+            with contextlib.suppress(FileExistsError):
+                os.link(temporary, path)
+        else:
+            temporary.replace(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
@@ -154,9 +162,15 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise UserError(f"{path} is not TOML: {error}") from error
 
 
-def digest(value: Any, size: int) -> str:
-    """`size` bytes in hexadecimal that tell JSON values apart, the same in every process: for names of files."""
-    return hashlib.blake2b(json.dumps(value).encode(), digest_size=size).hexdigest()
+def digest(value: Any, size: int, *, sort_keys: bool = False) -> str:
+    """`size` bytes in hexadecimal that tell JSON values apart, the same in every process: for names of files.
+
+    Args:
+        value: of JSON's types.
+        size: bytes.
+        sort_keys: whether objects are the same in whatever order their keys stand.
+    """
+    return hashlib.blake2b(json.dumps(value, sort_keys=sort_keys).encode(), digest_size=size).hexdigest()
 
 
 def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:

@@ -146,6 +146,29 @@ def test_of_many_comparisons_each_contradicts_at_a_level_of_its_own(folder):
     assert states(store)["A"] == "open"
 
 
+def test_equal_gains_of_all_seeds_decide_nothing(folder):
+    """Three goals of three: too few runs to see any doubt, and not a proof."""
+    store = kept({("TD3", "walker2d"): [10.0] * 4})
+    [low] = verdict(claims("claims.toml")[2], store).comparisons
+    assert (low.gain.value, low.missing, low.state) == (10.0, 0, "open")
+
+
+def test_a_metric_that_no_result_has_is_refused(folder):
+    text = CLAIMS.replace("than = 20.0", 'metric = "scores", than = 20.0')
+    (folder / "claims.toml").write_text(text)
+    claim = claims("claims.toml")[2]
+    assert verdict(claim, kept({})).state == "open"
+    with pytest.raises(UserError, match="suite.toml: unknown metric 'scores': did you mean score"):
+        verdict(claim, kept({("TD3", "walker2d"): TD3}))
+
+
+def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):
+    (folder / "other.toml").write_text(SUITE.partition("[full]")[0])
+    both = 'tests = [{ suite = "other.toml", method = "TD3", than = 20.0 }, { suite'
+    (folder / "claims.toml").write_text(CLAIMS.replace("tests = [{ suite", both))
+    assert [one.cells for one in verdict(claims("claims.toml")[2], kept({}), full=True).comparisons] == [8, 6]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -153,6 +176,14 @@ def test_of_many_comparisons_each_contradicts_at_a_level_of_its_own(folder):
         ('place = "1"\n', "", "claim A: place is missing"),
         ("margin = -10.0", "margins = 3", "claim B: unknown key 'margins'"),
         ('on = ["walker2d-medium-v2"]', 'on = ["ant"]', "claim C: unknown log, task, problem or case of suite.toml 'ant'"),
+        ('than = 20.0', 'than = "BC"', "claim C: than must be a list of methods, or a number, got 'BC'"),
+        ('on = ["walker2d-medium-v2"]', 'on = "walker2d-medium-v2"', "claim C: on must be a list of names, got 'walker2d-"),
+        ("less = true", "less = 1", "claim C: less must be true or false, got 1"),
+        ('id = "B"', 'id = "A"', "claims.toml: 2 claims have the id A; give each its own"),
+        ("[[claims]]", "[[claim]]", "claims.toml: unknown key 'claim': did you mean claims?"),
+        ("bear = [", "BEAR = [", "claims.toml, [tuned]: unknown agent 'BEAR'"),
+        ('["hopper-medium-v2"]', '["hoper-medium-v2"]', "claims.toml, [tuned], bear: unknown log 'hoper-medium-v2'"),
+        ('["hopper-medium-v2"]', '"hopper-medium-v2"', "claims.toml, [tuned]: bear must be a list of logs, got 'hopper-"),
         ("bear = [", 'td3 = ["walker2d-medium-v2"]\nbear = [', "claim A: all its logs are ones on which an agent was tuned"),
     ],
 )

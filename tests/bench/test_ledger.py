@@ -1,5 +1,6 @@
 """A ledger holds finished cells as files that are added and never changed; queues fill it, whatever happens to them."""
 
+import dataclasses
 import json
 import math
 import os
@@ -14,13 +15,14 @@ import pytest
 
 from deadreckon.bench.executor import run
 from deadreckon.bench.idle import is_measured, measuring
-from deadreckon.bench.jobs import programs
+from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.ledger import Ledger, store_of
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
-from deadreckon.bench.store import JobResult
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import queue, read
 from deadreckon.bench.tables import tables
+from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
@@ -144,10 +146,16 @@ def test_a_queue_is_its_suites_in_their_order(folder):
     assert [suite.name for suite in suites] == ["study", "other"]
     assert [suite.name for suite in queue("queue.toml", full=True)] == ["study"]  # the other has no full size
     jobs = plan_all(suites)
-    assert [job.suite for job in jobs] == ["study"] * 4 + ["other"] * 4
-    assert [job.program for job in jobs] == list(range(8))
+    assert [job.suite for job in jobs] == ["study"] * 16 + ["other"] * 4
+    assert [job.program for job in jobs] == list(range(20))
     store = store_of(suites, folder / "runs")
-    assert [job.suite for job in store.undone(jobs)] == ["study"] * 4  # the other's cells are among these
+    assert [job.suite for job in store.undone(jobs)] == ["study"] * 16  # the other's cells are among these
+    (folder / "small.toml").write_text('suites = ["other.toml"]\n')
+    with pytest.raises(UserError, match=r"small.toml: none of its suites says what differs at full size, in a .*full"):
+        queue("small.toml", full=True)
+    (folder / "twice.toml").write_text('suites = ["study.toml", "study.toml"]\n')
+    with pytest.raises(UserError, match="twice.toml: 2 of its suites are named study; give each a name of its own"):
+        queue("twice.toml")
     for text, message in (
         ("suites = []", "suites must be a list of files or names of suites, got []"),
         ('suites = ["study.toml"]\nseeds = 3', "a queue has the key suites alone, got seeds too"),
@@ -159,6 +167,53 @@ def test_a_queue_is_its_suites_in_their_order(folder):
     (folder / "away.toml").write_text(STUDY.replace('"ledger"', '"elsewhere"'))
     with pytest.raises(UserError, match="suites of one queue must have one ledger, got .*elsewhere, .*ledger"):
         store_of([read("study.toml"), read("away.toml")], folder)
+
+
+def test_results_of_earlier_revisions_are_shown_from_a_ledger_too(folder, monkeypatch):
+    """Its files have their settings in the order of the alphabet."""
+    text = STUDY.replace("size = 1.0", "zoom = 1.0, size = 1.0").replace("size = 2.0", "zoom = 2.0, size = 2.0")
+    text = text.replace("studies_of_tests", "zoomed_studies_of_tests")
+    (folder / "study.toml").write_text(text)
+    (folder / "zoomed_studies_of_tests.py").write_text(CODE.replace("seed, size", "seed, size, zoom"))
+    store, suite = filled(folder), read("study.toml")
+    assert store.undone(plan(suite)) == []
+    later = [dataclasses.replace(job, revisions={"study": 2}) for job in plan(suite)]
+    assert tables(suite, later, store)[0].cells["two"]["b"].missing == 4
+    [table] = tables(suite, later, store, any_revision=True)
+    assert table.cells["two"]["b"].scores == pytest.approx([3.0, 3.01, 3.02, 3.03])
+    swapped = text.replace("zoom = 1.0, size = 1.0", "size = 1.0, zoom = 1.0")
+    (folder / "swapped.toml").write_text(swapped)
+    assert [job.cells for job in plan(read("swapped.toml"))] == [job.cells for job in plan(suite)]
+
+
+def test_a_case_that_no_file_can_be_called_is_done_once(folder):
+    (folder / "study.toml").write_text(STUDY.replace('cases = ["a", "b"]', f'cases = ["..", "{"é" * 150}"]'))  # two bytes each
+    store = filled(folder)
+    assert store.undone(plan(read("study.toml"))) == []
+
+
+def test_a_finished_cell_is_not_written_over(folder):
+    store, job = filled(folder), plan(read("study.toml"))[0]
+    row = {"seed": 0, "score": 99.0, "raw": 99.0, "steps": 0, "seconds": 1.0, "failure": "", "versions": "{}"}
+    before = {path: path.read_text() for path in (folder / "ledger").rglob("*.json")}
+    store.keep(job, JobResult([row], []))
+    assert {path: path.read_text() for path in (folder / "ledger").rglob("*") if path.is_file()} == before
+
+
+def test_times_are_of_programs_of_the_same_sizes(folder):
+    job = Job("learn", "BC", "bc", {"lr": 1e-3, "hidden": [32]}, "", "a", "a", {"steps": 100, "episodes": 1, "every": 50}, (0,))
+    store = Store(folder / "store")
+    row = {"seed": 0, "score": 1.0, "raw": 1.0, "steps": 100, "seconds": 10.0, "failure": "", "versions": "{}"}
+    store.keep(job, JobResult([row], []))
+
+    def seconds(**changes):
+        program = Program((dataclasses.replace(job, **changes),))
+        return forecast([program], store)[program.name]
+
+    assert seconds(options=job.options | {"steps": 500, "every": 100}, settings=job.settings | {"lr": 3e-4}) == 50.0
+    assert seconds(on="b", data="b") == 10.0
+    assert seconds(settings=job.settings | {"hidden": [256]}) is None
+    assert seconds(options=job.options | {"acting": {"updates_per_step": 20.0}}) is None
 
 
 def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):

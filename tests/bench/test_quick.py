@@ -43,7 +43,7 @@ def test_quick_runs_through_and_every_element_of_its_page_works(tmp_path, capsys
     assert main(["bench", "quick", "--out", str(out)]) == 0
     told = capsys.readouterr().out
     assert "12 cells, 0 of them done" in told
-    assert "not run yet" not in told
+    assert "without a result yet" not in told
     found, console = browse(out / "reports" / "quick-maze2d-umaze-v1.html", CHECK)
     assert found["errors"] == console == found["requests"] == []
     assert {"BC", "TD3+BC", "IQL", "BEAR"} <= {row.split("\n")[0] for row in found["rows"]}

@@ -151,10 +151,10 @@ def test_results_of_other_revisions_are_shown_when_asked_for_and_told(suite, tmp
     jobs = at(2)
     assert len(store.of(jobs)) == 0
     assert len(store.of(jobs, any_revision=True)) == 6
-    assert "not run yet: 4 of 4 cells" in rendered(tables(suite, jobs, store))
+    assert "without a result yet: 4 of 4 cells" in rendered(tables(suite, jobs, store))
     shown = rendered(tables(suite, jobs, store, any_revision=True))
     assert "5.5" in shown  # the newest
-    assert "not run yet: 2 of 4 cells" in shown
+    assert "without a result yet: 2 of 4 cells" in shown
     assert "2 of 2 results are of other revisions of their method or of the protocol" in shown
     shown = rendered(tables(suite, at(4), store, any_revision=True))
     assert "3.5" in shown  # the present revision's, though another is newer
@@ -282,4 +282,4 @@ def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):
     assert "did you mean quick" in capsys.readouterr().err
     assert main(["bench", "quick", "--workers", "0"]) == 2
     assert main(["bench", "show", "quick", "--out", str(tmp_path / "out"), "--format", "markdown"]) == 0
-    assert "not run yet: 12 of 12 cells" in capsys.readouterr().out
+    assert "without a result yet: 12 of 12 cells" in capsys.readouterr().out

@@ -20,13 +20,16 @@
 
 A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
 same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
-*contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number. A claim holds where
+*contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number, or where all
+differences are equal: an interval of no width says that there are too few runs, not that there is no doubt. A claim holds where
 all its comparisons hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then
 (Bonferroni).
 """
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -117,7 +120,7 @@ class Comparison:
     @property
     def state(self) -> State:
         """What it says."""
-        if self.missing or self.undefined or not math.isfinite(self.gain.low):
+        if self.missing or self.undefined or not self.gain.low < self.gain.high:  # also where they are NaN
             return "open"
         if self.gain.low > self.test.margin:
             return "holds"
@@ -163,8 +166,38 @@ def claims(path: Path | str) -> list[Claim]:
     """
     path = Path(path)
     found = read_toml(path)
+    _check_keys(str(path), found, {"claims", "tuned"}, ("claims",))
     suites: dict[str, Suite] = {}
-    return [_claim(path, one, found.get("tuned", {}), suites) for one in found.get("claims", ())]
+    all_claims = [_claim(path, one, found.get("tuned", {}), suites) for one in found["claims"]]
+    for name, count in Counter(claim.id for claim in all_claims).items():
+        if count > 1:
+            raise UserError(f"{path}: {count} claims have the id {name}; give each its own")
+    _check_tuned(path, found.get("tuned", {}), suites.values())
+    return all_claims
+
+
+def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterable[Suite]) -> None:
+    """Refuses names that mean nothing, as the logs that were tuned on would decide claims then."""
+    from deadreckon.agents import AGENTS
+    from deadreckon.collect.recipes import recipe_names
+
+    agents = {*AGENTS, *(method.agent for suite in suites for method in suite.methods)}
+    logs = {*recipe_names(), *(on for suite in suites for on in suite.on)}
+    for agent, own in tuned.items():
+        if agent not in agents:
+            raise UserError(f"{path}, [tuned]: {unknown('agent', agent, agents)}")
+        if not isinstance(own, list):
+            raise UserError(f"{path}, [tuned]: {agent} must be a list of logs, got {own!r}")
+        for log in own:
+            if log not in logs:
+                raise UserError(f"{path}, [tuned], {agent}: {unknown('log', str(log), logs)}")
+
+
+_TEXT, _NAMES, _TRUTH = (str, "text"), (list, "a list of names"), (bool, "true or false")
+_KINDS: dict[str, tuple[Any, str]] = {
+    "suite": _TEXT, "method": _TEXT, "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES,
+    "metric": _TEXT, "less": _TRUTH, "margin": (int | float, "a number"), "each": _TRUTH,
+}  # fmt: skip
 
 
 def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]], suites: dict[str, Suite]) -> Claim:
@@ -176,6 +209,10 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         name = test["suite"]
         suite = suites.setdefault(name, read(path.parent / name))
         methods = {method.name: method.agent for method in suite.methods}
+        for key, value in test.items():
+            wanted, kind = _KINDS[key]
+            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool):
+                raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         than = test["than"] if isinstance(test["than"], list) else float(test["than"])
         for method in [test["method"], *(than if isinstance(than, list) else ())]:
             if method not in methods:
@@ -207,10 +244,10 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     Args:
         claim: the claim.
         store: the results.
-        full: at the full size of its suites, else at their own.
+        full: at the full size of those of its suites that have one, else at their own.
 
     Raises:
-        UserError: as `plan` does, or a suite has no full size.
+        UserError: as `plan` does, or there are results and none has the metric of a test.
     """
     pairs = [
         (test, rival, on)
@@ -218,9 +255,17 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
         for rival in (test.than if isinstance(test.than, tuple) else (None,))
         for on in ([(each,) for each in test.on] if test.each else [test.on])
     ]
-    plans = {path: plan(read(path, full)) for path in dict.fromkeys(test.suite for test in claim.tests)}
+    plans = {path: plan(read(path, full and read(path).full)) for path in dict.fromkeys(test.suite for test in claim.tests)}
     rows = {row["cell"]: row for row in store.results().to_pylist()}  # the newest last
     return Verdict(claim, tuple(_compared(*pair, plans[pair[0].suite], rows, len(pairs)) for pair in pairs))
+
+
+def _check_metric(test: Test, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
+    """Refuses a metric that no sound result of the suite has: it would be open for ever."""
+    sound = [rows[cell] for job in jobs for cell in job.cells if cell in rows and not rows[cell]["failure"]]
+    known = {name for row in sound for name in (*row, *json.loads(row["more"] or "{}"))}
+    if sound and test.metric not in known:
+        raise UserError(f"{test.suite}: {unknown('metric', test.metric, known)}")
 
 
 def _compared(
@@ -245,6 +290,7 @@ def _compared(
     else:
         theirs = scores(rival)
         judged.append(theirs)
+    _check_metric(test, jobs, rows)
     values = np.concatenate([each for method in judged for each in method.values()])
     if lacking := int((~np.isfinite(values)).sum()):
         nothing = Interval(math.nan, math.nan, math.nan)

@@ -49,8 +49,8 @@ class Job:
         return digest([*self._content(seed), self.revisions], 10)
 
     def content(self, seed: int) -> str:
-        """The same whatever the revisions."""
-        return digest(self._content(seed), 10)
+        """The same whatever the revisions, and in whatever order settings and options are written."""
+        return digest(self._content(seed), 10, sort_keys=True)
 
     def _content(self, seed: int) -> list[Any]:
         return [self.kind, self.agent, self.settings, self.data, self.options, seed]
@@ -105,8 +105,9 @@ def programs(jobs: Sequence[Job]) -> list[Program]:
 
 
 def file_name(text: str) -> str:
-    """A name as a part of a file's."""
-    return "".join(c if c.isalnum() or c in "-+." else "_" for c in text)[:80].lstrip(".")
+    """A name as a part of a file's: letters, digits and a few signs, 80 bytes at most; "_" where nothing is left of it."""
+    plain = "".join(c if c.isalnum() or c in "-+." else "_" for c in text)
+    return plain.encode()[:80].decode(errors="ignore").lstrip(".") or "_"
 
 
 # ---- methods of jobs -----------------------------------------------------------------------------------------------

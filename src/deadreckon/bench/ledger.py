@@ -45,13 +45,11 @@ class Ledger(Store):
     def _write(self, job: Job, rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> None:
         for row in rows:
             path = self._file(row)
-            if path.exists():
-                continue  # another process has done the same cell; what is there is never changed
             curve = [[point[name] for name in CURVE.names[1:]] for point in curves if point["cell"] == row["cell"]]
             whole = {name: json.loads(value) if name in _OBJECTS else value for name, value in row.items()}
             exact = {name: whole.pop(name) for name in ("settings", "asked")}  # which identify the cell
             text = json.dumps(_short(whole | {"curve": curve}) | exact, sort_keys=True, allow_nan=False)
-            with replacing(path) as temporary:
+            with replacing(path, keep=True) as temporary:
                 temporary.write_text(text + "\n")
 
     def results(self) -> pa.Table:

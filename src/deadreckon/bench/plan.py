@@ -30,7 +30,8 @@ def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
         UserError: an unknown method, log, task or problem, or a setting that a method does not have.
     """
     describe = {"learn": _learn, "online": _online, "design": _design, "ope": _ope, "study": _study}[suite.kind]
-    together, jobs = suite.lanes or lanes or MOST, []
+    # Seeds of a study are called one after the other, so a job of several would only lose them together.
+    together, jobs = 1 if suite.kind == "study" else suite.lanes or lanes or MOST, []
     for on in suite.on:
         for method in suite.methods:
             one = describe(suite, method, on)

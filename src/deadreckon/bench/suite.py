@@ -20,10 +20,11 @@ A file that has `suites = ["a.toml", ...]` instead is a queue: its suites in the
 """
 
 import tomllib
+from collections import Counter
 from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
@@ -151,7 +152,7 @@ def queue(name: Path | str, full: bool = False) -> list[Suite]:
         full: at full size: of suites that say what that is.
 
     Raises:
-        UserError: as `read` does; or a queue has no suites.
+        UserError: as `read` does; a queue has no suites, none of a full size, or two of one name.
     """
     path, where, found = _toml(name)
     if "suites" not in found:
@@ -162,7 +163,13 @@ def queue(name: Path | str, full: bool = False) -> list[Suite]:
     if not isinstance(listed, list) or not listed or not all(isinstance(one, str) for one in listed):
         raise UserError(f"{where}: suites must be a list of files or names of suites, got {listed!r}")
     each = [_toml(path.parent / one if one.endswith(".toml") else one) for one in listed]
-    return [_suite(*parts, full) for parts in each if not full or "full" in parts[2]]
+    suites = [_suite(*parts, full) for parts in each if not full or "full" in parts[2]]
+    if not suites:
+        raise UserError(f"{where}: none of its suites says what differs at full size, in a section [full]")
+    for name, count in Counter(suite.name for suite in suites).items():
+        if count > 1:
+            raise UserError(f"{where}: {count} of its suites are named {name}; give each a name of its own")
+    return suites
 
 
 def _toml(name: Path | str) -> tuple[Path, str, dict[str, Any]]:
@@ -263,9 +270,14 @@ def _method(where: str, kind: str, name: str, table: Any) -> Method:
     for key, value in table.get("fields", {}).items():
         if not isinstance(value, bool | int | float | str | list):
             raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
+    if table.get("preset") and kind not in ("learn", "online"):
+        has = "only agents have published settings, in suites of kind learn or online"
+        raise UserError(f"{where}: preset of method {name!r}: {has}")
     if acting := table.get("acting"):
         _check_acting(where, f"acting of method {name!r}", acting)
-    return Method(name, **table)
+    # A cell is the same in whatever order its settings are written.
+    parts = cast(dict[str, Any], table).items()
+    return Method(name, **{key: dict(sorted(value.items())) if isinstance(value, dict) else value for key, value in parts})
 
 
 def _check_acting(where: str, whose: str, acting: dict[str, Any]) -> None:

@@ -180,7 +180,7 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     failures = [(job, store.failure(job, seed)) for job, seed in missing]
     notes += dict.fromkeys(f"FAILED: {job.method} on {job.on}: {failure['error']}" for job, failure in failures if failure)
     if waiting := sum(failure is None for _, failure in failures):
-        notes.append(f"not run yet: {waiting:,} of {sum(len(job.seeds) for job in jobs):,} cells")
+        notes.append(f"without a result yet: {waiting:,} of {sum(len(job.seeds) for job in jobs):,} cells")
     for row in (row for row in found if row["failure"]):
         told = row["failure"] + ("; its last good policy counts" if row["kind"] in ("learn", "online") else "")
         notes.append(f"seed {row['seed']} of {row['method']} on {row['on']} failed: {told}")
