@@ -21,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.bench.claims import Comparison, Verdict, claims, verdict
+from deadreckon.bench.claims import Comparison, Verdict, verdict
+from deadreckon.bench.claims_file import claims
 from deadreckon.bench.forms import rendered
 from deadreckon.bench.jobs import programs
 from deadreckon.bench.ledger import store_of

@@ -4,7 +4,8 @@ from math import nan
 from pathlib import Path
 
 from deadreckon.bench import claims as declared
-from deadreckon.bench.claims import Claim, Comparison, Verdict, claims
+from deadreckon.bench.claims import Claim, Comparison, Verdict
+from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan_all
 from deadreckon.bench.suite import queue

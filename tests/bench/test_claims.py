@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from deadreckon.bench.claims import claims, verdict
+from deadreckon.bench.claims import verdict
+from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult

@@ -1,22 +1,4 @@
-"""Claims, declared with the cells and the rule that decide them, and what the results say of each.
-
-    [tuned]                                 # logs on which the defaults of an agent were chosen: they decide nothing about it
-    bear = ["hopper-medium-v2"]
-
-    [[claims]]
-    id = "C3"
-    says = "BEAR is better than BC and TD3 on medium data."
-    place = "thesis 4.6, Figure 4.3"
-
-    [[claims.tests]]
-    suite = "constraint.toml"               # beside this file
-    method = "BEAR"
-    than = ["BC", "TD3"]                    # methods of the suite; or one number
-    on = ["walker2d-medium-v2"]             # of the suite's logs, tasks, problems or cases; all where it is absent
-    metric = "score"                        # a column of results, or a name in their `more`
-    less = false                            # whether less is better
-    margin = 0.0                            # the gain that is claimed; below zero where it is "no worse"
-    each = false                            # whether it is claimed of each log by itself, and not of their mean
+"""Claims, and what the results say of each; how they are written is in `claims_file.py`.
 
 A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
 same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
@@ -28,9 +10,8 @@ all its comparisons hold. It is contradicted where one of its k comparisons is, 
 
 import json
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -39,10 +20,9 @@ import numpy as np
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
-from deadreckon.bench.suite import Suite, read
+from deadreckon.bench.suite import read
 from deadreckon.bench.tables import number
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_toml
 from deadreckon.stats.comparison import paired
 from deadreckon.stats.interval import ALPHA, Interval
 
@@ -156,86 +136,6 @@ class Verdict:
     def undefined(self) -> int:
         """Of these, that are there without a finite number."""
         return sum(each.undefined for each in self.comparisons)
-
-
-def claims(path: Path | str) -> list[Claim]:
-    """Those of a file, without the logs that decide nothing.
-
-    Raises:
-        UserError: the file cannot be read, or says something that cannot be: one line says what.
-    """
-    path = Path(path)
-    found = read_toml(path)
-    _check_keys(str(path), found, {"claims", "tuned"}, ("claims",))
-    suites: dict[str, Suite] = {}
-    all_claims = [_claim(path, one, found.get("tuned", {}), suites) for one in found["claims"]]
-    for name, count in Counter(claim.id for claim in all_claims).items():
-        if count > 1:
-            raise UserError(f"{path}: {count} claims have the id {name}; give each its own")
-    _check_tuned(path, found.get("tuned", {}), suites.values())
-    return all_claims
-
-
-def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterable[Suite]) -> None:
-    """Refuses names that mean nothing, as the logs that were tuned on would decide claims then."""
-    from deadreckon.agents import AGENTS
-    from deadreckon.collect.recipes import recipe_names
-
-    agents = {*AGENTS, *(method.agent for suite in suites for method in suite.methods)}
-    logs = {*recipe_names(), *(on for suite in suites for on in suite.on)}
-    for agent, own in tuned.items():
-        if agent not in agents:
-            raise UserError(f"{path}, [tuned]: {unknown('agent', agent, agents)}")
-        if not isinstance(own, list):
-            raise UserError(f"{path}, [tuned]: {agent} must be a list of logs, got {own!r}")
-        for log in own:
-            if log not in logs:
-                raise UserError(f"{path}, [tuned], {agent}: {unknown('log', str(log), logs)}")
-
-
-_TEXT, _NAMES, _TRUTH = (str, "text"), (list, "a list of names"), (bool, "true or false")
-_KINDS: dict[str, tuple[Any, str]] = {
-    "suite": _TEXT, "method": _TEXT, "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES,
-    "metric": _TEXT, "less": _TRUTH, "margin": (int | float, "a number"), "each": _TRUTH,
-}  # fmt: skip
-
-
-def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]], suites: dict[str, Suite]) -> Claim:
-    where = f"{path}, claim {said.get('id', '?')}"
-    _check_keys(where, said, {f.name for f in fields(Claim)}, ("id", "says", "place"))
-    tests = []
-    for test in said.get("tests", ()):
-        _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "than"))
-        name = test["suite"]
-        suite = suites.setdefault(name, read(path.parent / name))
-        methods = {method.name: method.agent for method in suite.methods}
-        for key, value in test.items():
-            wanted, kind = _KINDS[key]
-            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool):
-                raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
-        than = test["than"] if isinstance(test["than"], list) else float(test["than"])
-        for method in [test["method"], *(than if isinstance(than, list) else ())]:
-            if method not in methods:
-                raise UserError(f"{where}: {unknown(f'method of {name}', method, methods)}")
-        for on in test.get("on", ()):
-            if on not in suite.on:
-                raise UserError(f"{where}: {unknown(f'log, task, problem or case of {name}', on, suite.on)}")
-        judged = {methods[method] for method in [test["method"], *(than if isinstance(than, list) else ())]}
-        void = {log for agent in judged for log in tuned.get(agent, ())}
-        left = tuple(on for on in test.get("on", suite.on) if on not in void)
-        if not left:
-            raise UserError(f"{where}: all its logs are ones on which an agent was tuned, so they decide nothing")
-        given = test | {"suite": path.parent / name, "than": tuple(than) if isinstance(than, list) else than, "on": left}
-        tests.append(Test(**given))
-    return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
-
-
-def _check_keys(where: str, said: dict[str, Any], known: set[str], needed: Sequence[str]) -> None:
-    for key in said:
-        if key not in known:
-            raise UserError(f"{where}: {unknown('key', key, known)}")
-    if missing := [key for key in needed if key not in said]:
-        raise UserError(f"{where}: {missing[0]} is missing")
 
 
 def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:

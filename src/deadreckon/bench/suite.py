@@ -24,7 +24,7 @@ from collections import Counter
 from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
@@ -276,8 +276,8 @@ def _method(where: str, kind: str, name: str, table: Any) -> Method:
     if acting := table.get("acting"):
         _check_acting(where, f"acting of method {name!r}", acting)
     # A cell is the same in whatever order its settings are written.
-    parts = cast(dict[str, Any], table).items()
-    return Method(name, **{key: dict(sorted(value.items())) if isinstance(value, dict) else value for key, value in parts})
+    given: dict[str, Any] = {key: dict(sorted(v.items())) if isinstance(v, dict) else v for key, v in table.items()}
+    return Method(name, **given)
 
 
 def _check_acting(where: str, whose: str, acting: dict[str, Any]) -> None:

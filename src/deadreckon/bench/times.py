@@ -20,7 +20,7 @@ def forecast(waiting: Sequence[Program], store: Store) -> dict[str, float | None
     done: dict[str, list[dict[str, Any]]] = {}
     for row in store.results().to_pylist():
         done.setdefault(row["job"].partition("/")[0], []).append(row)
-    same: dict[tuple[str, str, int, str], list[float]] = {}
+    same: dict[tuple[str, str, str, int, str], list[float]] = {}
     for first, *others in done.values():
         each = first["seconds"] / max(max(row["steps"] for row in (first, *others)), 1)
         sizes = _sizes(json.loads(first["settings"]), json.loads(first["asked"]))
