@@ -14,6 +14,7 @@ import pytest
 
 from deadreckon.agents import agent_class
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import EnvPolicy, store
@@ -146,9 +147,21 @@ def test_policy_acts_in_bounds_and_survives_its_file(trained, tmp_path):
     if jax.tree.leaves(policy.start(1)):  # what remembers needs the package
         return
     play = load_portable(tmp_path / "p.npz")
-    if type(policy.inner).__name__ not in ("GreedyQ", "OneStep"):  # which draw from another generator
-        np.testing.assert_allclose(play(observations), actions, atol=1e-5)
+    np.testing.assert_allclose(play(observations), actions, atol=1e-5)
     assert play(observations[0]).shape == (1,)
+
+
+def test_greedy_actions_are_a_function_of_the_state(trained):
+    """And of nothing else: not of the place in a batch, its size, or a key."""
+    agent, rows, result, _ = trained
+    policy = EnvPolicy.of(agent.policy(result.lane(0)), rows.view)
+    observations = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
+    actions, order = policy(observations), np.random.default_rng(0).permutation(9)
+    np.testing.assert_allclose(policy(observations[order]), actions[order], atol=1e-5)
+    np.testing.assert_allclose(np.concatenate([policy(part) for part in np.split(observations, 3)]), actions, atol=1e-5)
+    step = Step(jnp.asarray(observations), jnp.zeros(9), jnp.ones(9, bool))
+    other, _ = policy.act(step, policy.start(9), jax.random.key(7), greedy=True)
+    np.testing.assert_allclose(other, actions, atol=1e-5)
 
 
 def test_floats_are_traced_and_all_else_is_static(trained):

@@ -299,11 +299,11 @@ def test_fql_actor_and_targets(batch):
     np.testing.assert_allclose(loss, 3.0 * away - value.mean() / np.abs(value).mean(), rtol=1e-3)
 
 
-def test_fql_draws_from_noise_also_when_it_is_greedy():
+def test_fql_acts_from_the_middle_of_the_noise_when_it_is_greedy():
     _, state = made(FQL(**SMALL))
     policy = OneStep(state.actor)
-    seen = jnp.zeros((5, 1))
-    drawn = policy.pre_actions(seen, KEY, greedy=True, count=(7,))
-    assert drawn.shape == (7, 5, 1)
-    np.testing.assert_array_equal(drawn, policy.pre_actions(seen, KEY, greedy=False, count=(7,)))
-    assert float(drawn.std()) > 0
+    seen = jnp.linspace(-1.0, 1.0, 5)[:, None]
+    expected = numpy_mlp(state.actor, np.concatenate([seen, np.zeros((5, 1))], -1))
+    found = policy.pre_actions(seen, KEY, greedy=True, count=(7,))
+    np.testing.assert_allclose(np.tanh(found), np.broadcast_to(np.clip(expected, -1, 1), (7, 5, 1)), atol=1e-5)
+    assert float(policy.pre_actions(seen, KEY, greedy=False, count=(7,)).std(0).min()) > 0

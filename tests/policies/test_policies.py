@@ -22,6 +22,7 @@ from deadreckon.policies.kinds import (
     ClippedGaussian,
     Deterministic,
     GreedyQ,
+    OneStep,
     PerturbedPolicy,
     TanhGaussian,
     ThresholdedPolicy,
@@ -36,19 +37,26 @@ VIEW = Normalizer(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.arra
 
 def make(kind):
     actor = MLP.create(3, (8, 8), 4, KEY)
+    perturbed = PerturbedPolicy(VAE.create(3, 2, (8,), KEY), MLP.create(5, (8,), 2, KEY), jnp.asarray(0.3))
     inner = {
         "deterministic": Deterministic(MLP.create(3, (8,), 2, KEY, activation="swish")),
         "gaussian": TanhGaussian(actor),
         "clipped": ClippedGaussian.of(MLP.create(3, (8,), 2, KEY), jnp.zeros(2)),
         "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
-        "perturbed": PerturbedPolicy(VAE.create(3, 2, (8,), KEY), MLP.create(5, (8,), 2, KEY), jnp.asarray(0.3)),
+        "perturbed": perturbed,
         "normalised": Deterministic(MLP.create(3, (8, 8), 2, KEY, normalise=True)),
-        "greedy": GreedyQ(TanhGaussian(actor), MLP.create(5, (8,), 1, KEY), 5),
+        "greedy": GreedyQ.of(TanhGaussian(actor), MLP.create(5, (8,), 1, KEY), 5),
+        "greedy of perturbed": GreedyQ.of(perturbed, MLP.create(5, (8,), 1, KEY), 5),
+        "greedy of a VAE": GreedyQ.of(VAEDecoder(VAE.create(3, 2, (8,), KEY)), MLP.create(5, (8,), 1, KEY), 5),
+        "one step": OneStep(MLP.create(5, (8,), 2, KEY)),
     }[kind]
     return EnvPolicy.of(inner, VIEW)
 
 
-@pytest.mark.parametrize("kind", ["deterministic", "gaussian", "clipped", "vae", "perturbed", "normalised", "greedy"])
+DRAWING = ["gaussian", "clipped", "vae", "perturbed", "greedy", "greedy of perturbed", "greedy of a VAE", "one step"]
+
+
+@pytest.mark.parametrize("kind", ["deterministic", "normalised", *DRAWING])
 def test_file_round_trip_and_numpy_player(kind, tmp_path):
     policy = make(kind)
     assert isinstance(policy, Policy)
@@ -56,13 +64,36 @@ def test_file_round_trip_and_numpy_player(kind, tmp_path):
     x = np.random.default_rng(0).normal(size=(6, 3)).astype("f4")
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(x), policy(x))
     play = portable.load(tmp_path / "p.npz")
-    if kind != "greedy":
-        np.testing.assert_allclose(play(x), policy(x), atol=1e-5)
-    else:  # other candidates, the same choice among them: the distribution of many draws agrees
-        many = np.repeat(x[:1], 4000, 0)
-        ours = np.asarray(policy.act(Step(jnp.asarray(many), None, None), (), jax.random.key(1), greedy=True)[0])
-        np.testing.assert_allclose(play(many).mean(0), ours.mean(0), atol=0.06)
+    np.testing.assert_allclose(play(x), policy(x), atol=1e-5)
     assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
+
+
+@pytest.mark.parametrize("kind", DRAWING)
+def test_draws_of_the_numpy_player_are_distributed_as_ours(kind, tmp_path):
+    policy = make(kind)
+    store.save(tmp_path / "p.npz", policy)
+    many = np.repeat(np.random.default_rng(0).normal(size=(1, 3)).astype("f4"), 4000, 0)
+    ours = np.asarray(policy.act(Step(jnp.asarray(many), None, None), (), jax.random.key(1), greedy=False)[0])
+    theirs = portable.load(tmp_path / "p.npz")(many, np.random.default_rng(1), greedy=False)
+    assert ours.std(0).min() > 0
+    np.testing.assert_allclose(theirs.mean(0), ours.mean(0), atol=0.06)
+    np.testing.assert_allclose(theirs.std(0), ours.std(0), atol=0.06)
+
+
+def test_files_whose_candidates_have_no_noise_are_read(tmp_path):
+    """Files of 0.1.0's first months have the number of candidates alone, which were drawn anew at every call."""
+    for kind in ("greedy", "greedy of perturbed"):
+        policy = make(kind)
+        store.save(tmp_path / "now.npz", policy)
+        with np.load(tmp_path / "now.npz") as file:
+            arrays = {name: file[name] for name in file.files}
+        tree = json.loads(arrays.pop("policy.json").tobytes())
+        noise = arrays.pop(tree["policy"]["inner"].pop("noise")[1:])
+        tree["policy"]["inner"]["samples"] = len(noise)
+        np.savez(tmp_path / "old.npz", **{"policy.json": np.frombuffer(json.dumps(tree).encode(), np.uint8)}, **arrays)
+        x = np.random.default_rng(0).normal(size=(6, 3)).astype("f4")
+        np.testing.assert_array_equal(store.load(tmp_path / "old.npz")(x), policy(x))
+        np.testing.assert_allclose(portable.load(tmp_path / "old.npz")(x), policy(x), atol=1e-5)
 
 
 OLD = {now: (old, {new: before for before, new in fields.items()}) for old, (now, fields) in portable.RENAMED.items()}
@@ -84,8 +115,7 @@ def test_files_with_old_names_are_read(kind, tmp_path):
     inner = {
         "thresholded": ThresholdedPolicy(Categorical(net), net, jnp.asarray(0.3)),
         "planner": Planner(net, jnp.zeros((2, 2)), jnp.zeros(3), jnp.ones(3), 1, "learned", 3, 4, 2, 1, 2, 0.1),
-        "greedy of perturbed": GreedyQ(make("perturbed").inner, MLP.create(5, (8,), 1, KEY), 5),
-    }.get(kind)
+            }.get(kind)
     policy = Mixture.of([make("perturbed"), make("gaussian")]) if kind == "mixture" else (
         make(kind) if inner is None else EnvPolicy.of(inner, VIEW))  # fmt: skip
     store.save(tmp_path / "now.npz", policy)

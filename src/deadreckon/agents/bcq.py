@@ -39,7 +39,7 @@ class State(NamedTuple):
 class BCQ(Agent):
     """Batch-constrained Q-learning."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {
         "reach": "max_perturbation", "phi": "max_perturbation", "share": "threshold", "lambda": "min_weight",
@@ -127,7 +127,7 @@ class BCQ(Agent):
         if isinstance(state.behavior, Categorical):
             return ThresholdedPolicy(state.behavior, first, jnp.asarray(self.threshold))
         actor = PerturbedPolicy(state.behavior, state.mover, jnp.asarray(self.max_perturbation))
-        return GreedyQ(actor, first, self.test_samples)
+        return GreedyQ.of(actor, first, self.test_samples)
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""

@@ -45,7 +45,7 @@ class State(NamedTuple):
 class BEAR(Agent):
     """Bootstrapping error accumulation reduction, with every option that the thesis describes."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"epsilon": "threshold", "lambda": "min_weight"}
 
     base: Literal["td3", "sac"] = static("td3")  # base algorithm: "td3" has no entropy (Algorithm 1), "sac" a bonus for it
@@ -243,7 +243,7 @@ class BEAR(Agent):
         actor = TanhGaussian(state.actor)
         if self.test_action == "actor":
             return actor
-        return GreedyQ(actor, jax.tree.map(lambda w: w[0], state.critics), self.test_samples)
+        return GreedyQ.of(actor, jax.tree.map(lambda w: w[0], state.critics), self.test_samples)
 
     def q_value(self, state, observation, action):
         """The mixed value that the targets use."""

@@ -39,7 +39,7 @@ class State(NamedTuple):
 class FQL(Agent):
     """Flow Q-learning."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"imitation": "alpha"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -86,7 +86,7 @@ class FQL(Agent):
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
         """r + discount mean_j Q'_j(s', a'), a' of the actor."""
-        action = OneStep(state.actor).drawn(batch.next_observation, key)
+        action = OneStep(state.actor).actions(batch.next_observation, jax.random.normal(key, batch.action.shape))
         return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action).mean(0))
 
     def actor_loss(self, actor: MLP, state, batch, key) -> tuple[Array, Array]:

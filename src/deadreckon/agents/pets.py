@@ -25,7 +25,7 @@ class State(NamedTuple):
 class PETS(OnlineModelBasedAgent):
     """Planning with trajectory sampling; its settings are those published for HalfCheetah."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     online: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"chosen": "cem_elites", "iterations": "cem_iterations"}
 

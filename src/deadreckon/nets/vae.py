@@ -40,8 +40,11 @@ class VAE(eqx.Module):
     def sample(self, observation: Float[Array, "b o"], key: PRNGKeyArray, count: tuple[int, ...] = ()) -> Array:
         """Decoded actions BEFORE the tanh, `count` a state, from clamped standard-normal latents."""
         size = self.decoder.weights[0].shape[0] - observation.shape[-1]
-        latent = jax.random.normal(key, (*count, *observation.shape[:-1], size))
-        return self.decode(observation, jnp.clip(latent, -LATENT_CLIP, LATENT_CLIP))
+        return self.from_noise(observation, jax.random.normal(key, (*count, *observation.shape[:-1], size)))
+
+    def from_noise(self, observation: Float[Array, "b o"], noise: Float[Array, "*n b z"]) -> Float[Array, "*n b a"]:
+        """Actions before the tanh, decoded from standard normal noise that is clamped."""
+        return self.decode(observation, jnp.clip(noise, -LATENT_CLIP, LATENT_CLIP))
 
     def loss(
         self, observation: Float[Array, "b o"], action: Float[Array, "b a"], key: PRNGKeyArray, kl_weight: float = 0.5

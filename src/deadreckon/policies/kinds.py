@@ -5,6 +5,7 @@ from typing import Any, Self
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from deadreckon.data.normalizer import EDGE
@@ -27,7 +28,29 @@ class Deterministic(NormalizedPolicy):
         return jnp.broadcast_to(out, (*count, *out.shape))
 
 
-class TanhGaussian(NormalizedPolicy):
+class Sampler(NormalizedPolicy):
+    """A policy whose draws are a function of the observation and of noise: it implements `from_noise` and `noise_size`."""
+
+    @property
+    def noise_size(self) -> int:
+        """Numbers of noise an action takes."""
+        raise NotImplementedError
+
+    def from_noise(self, observation: Float[Array, "n o"], noise: Float[Array, "*c #n z"]) -> Float[Array, "*c n a"]:
+        """Draws before the tanh from standard normal noise."""
+        raise NotImplementedError
+
+    def drawn(self, observation: Float[Array, "n o"], key: PRNGKeyArray, count: tuple[int, ...]) -> Float[Array, "*c n a"]:
+        """`count` draws before the tanh at every observation."""
+        return self.from_noise(observation, jax.random.normal(key, (*count, len(observation), self.noise_size)))
+
+
+def fixed_noise(count: int, size: int) -> Float[Array, "c z"]:
+    """Standard normal noise that a policy keeps, so that its greedy actions are a function of the state: always the same."""
+    return jnp.asarray(np.random.default_rng(0).standard_normal((count, size)), jnp.float32)
+
+
+class TanhGaussian(Sampler):
     """a = tanh(mean + std * noise); greedy is tanh(mean).
 
     Attributes:
@@ -48,6 +71,16 @@ class TanhGaussian(NormalizedPolicy):
         if greedy:
             return jnp.broadcast_to(d.mean, (*count, *d.mean.shape))
         return dist.sample(d, key, count)
+
+    @property
+    def noise_size(self):
+        """See `Sampler`."""
+        return self.net.biases[-1].shape[-1] // 2
+
+    def from_noise(self, observation, noise):
+        """See `Sampler`."""
+        d = self._head(observation)
+        return d.mean + jnp.exp(d.log_std) * noise
 
     def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
         """Log-density over [-1, 1] of actions, clipped to the open interval."""
@@ -104,7 +137,7 @@ class ClippedGaussian(Gaussian):
         return jnp.where(jnp.abs(action) >= EDGE, beyond, _log_densities(mean, log_std, action)).sum(-1)
 
 
-class VAEDecoder(NormalizedPolicy):
+class VAEDecoder(Sampler):
     """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
 
     vae: VAE
@@ -112,9 +145,17 @@ class VAEDecoder(NormalizedPolicy):
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
         if greedy:
-            size = self.vae.decoder.weights[0].shape[0] - observation.shape[-1]
-            return self.vae.decode(observation, jnp.zeros((*count, *observation.shape[:-1], size)))
-        return self.vae.sample(observation, key, count)
+            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
+        return self.drawn(observation, key, count)
+
+    @property
+    def noise_size(self):
+        """See `Sampler`."""
+        return self.vae.encoder.biases[-1].shape[-1] // 2
+
+    def from_noise(self, observation, noise):
+        """See `Sampler`."""
+        return self.vae.from_noise(observation, noise)
 
 
 def perturbed(
@@ -124,7 +165,7 @@ def perturbed(
     return jnp.clip(action + largest * jnp.tanh(network.beside(observation, action)), -1.0, 1.0)
 
 
-class PerturbedPolicy(NormalizedPolicy):
+class PerturbedPolicy(Sampler):
     """Actions of a VAE, each changed a little by a perturbation network (BCQ's).
 
     Attributes:
@@ -139,25 +180,45 @@ class PerturbedPolicy(NormalizedPolicy):
 
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
-        pre = VAEDecoder(self.vae).pre_actions(observation, key, greedy=greedy, count=count)
-        action = perturbed(self.perturbation, self.max_perturbation, observation, jnp.tanh(pre))
+        if greedy:
+            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
+        return self.drawn(observation, key, count)
+
+    @property
+    def noise_size(self):
+        """See `Sampler`."""
+        return VAEDecoder(self.vae).noise_size
+
+    def from_noise(self, observation, noise):
+        """See `Sampler`."""
+        action = jnp.tanh(self.vae.from_noise(observation, noise))
+        action = perturbed(self.perturbation, self.max_perturbation, observation, action)
         return jnp.arctanh(jnp.clip(action, -EDGE, EDGE))
 
 
-class OneStep(NormalizedPolicy):
-    """a = net(s, z), cut to [-1, 1], with z standard normal (FQL's). It draws also when `greedy`: no z is the best."""
+class OneStep(Sampler):
+    """a = net(s, z), cut to [-1, 1], with z standard normal (FQL's); greedy is z = 0, the middle of the noise."""
 
     net: MLP
 
-    def drawn(self, observation: Float[Array, "n o"], key: PRNGKeyArray, count: tuple[int, ...] = ()) -> Float[Array, "*c n a"]:
-        """Actions in [-1, 1]."""
-        z = jax.random.normal(key, (*count, *observation.shape[:-1], self.net.biases[-1].shape[-1]))
-        seen = jnp.broadcast_to(observation, (*z.shape[:-1], observation.shape[-1]))
-        return jnp.clip(self.net(jnp.concatenate([seen, z], -1)), -1.0, 1.0)
+    def actions(self, observation: Float[Array, "n o"], noise: Float[Array, "*c #n a"]) -> Float[Array, "*c n a"]:
+        """Actions in [-1, 1] from noise."""
+        return jnp.clip(self.net.beside(observation, noise), -1.0, 1.0)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
-        return jnp.arctanh(jnp.clip(self.drawn(observation, key, count), -EDGE, EDGE))
+        if greedy:
+            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
+        return self.drawn(observation, key, count)
+
+    @property
+    def noise_size(self):
+        """See `Sampler`."""
+        return self.net.biases[-1].shape[-1]
+
+    def from_noise(self, observation, noise):
+        """See `Sampler`."""
+        return jnp.arctanh(jnp.clip(self.actions(observation, noise), -EDGE, EDGE))
 
 
 class Categorical(NormalizedPolicy):
@@ -234,15 +295,31 @@ def probable_enough(behavior: Categorical, threshold: Any, observation: Float[Ar
 
 
 class GreedyQ(NormalizedPolicy):
-    """The best of `samples` actions of `actor` by the first critic (thesis 4.3, test time; A.4)."""
+    """The best of several actions of `actor` by the first critic (thesis 4.3, test time; A.4).
 
-    actor: NormalizedPolicy
+    Attributes:
+        actor: samples the candidates.
+        critic: compares them.
+        noise: (samples, z) from which candidates are made when `greedy`, the same in every state; else they are drawn.
+    """
+
+    actor: Sampler
     critic: MLP
-    samples: int = eqx.field(static=True, default=10)
+    noise: Float[Array, "c z"]
+
+    @classmethod
+    def of(cls, actor: Sampler, critic: MLP, samples: int) -> Self:
+        """With as many candidates."""
+        return cls(actor, critic, fixed_noise(samples, actor.noise_size))
 
     def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`. The candidates are drawn also when `greedy`: choosing among them is what makes it so."""
-        pre = self.actor.pre_actions(observation, key, greedy=False, count=(self.samples, *count))
+        """See `NormalizedPolicy`."""
+        samples, size = self.noise.shape
+        if greedy:
+            noise = self.noise.reshape(samples, *[1] * (len(count) + 1), size)
+            pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, len(observation), size)))
+        else:
+            pre = self.actor.drawn(observation, key, (samples, *count))
         critics = jax.tree.map(lambda w: w[None], self.critic)
         q = q_values(critics, observation, jnp.tanh(pre))[0]
         best = jnp.argmax(q, 0)

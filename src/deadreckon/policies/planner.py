@@ -41,10 +41,10 @@ class Planner(NormalizedPolicy):
         return jnp.zeros((n, self.horizon, self.size))
 
     def act(self, step, carry, key, *, greedy):
-        """The first action of every plan, and the plans for the next step; `greedy` changes nothing."""
+        """The first action of every plan, and the plans for the next step; `greedy` plans all draw the same."""
         carry = jnp.where(jnp.asarray(step.first, bool)[:, None, None], 0.0, carry)
         # One environment after the other: a plan alone fills the cores, and memory.
-        own = jax.random.split(key, len(carry))
+        own = jnp.broadcast_to(jax.random.key(0), len(carry)) if greedy else jax.random.split(key, len(carry))
         plans = jax.lax.map(lambda each: self.plan(*each), (jnp.asarray(step.observation, jnp.float32), carry, own))
         return plans[:, 0], jnp.concatenate([plans[:, 1:], jnp.zeros_like(plans[:, :1])], 1)
 

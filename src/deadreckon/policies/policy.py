@@ -34,7 +34,8 @@ class NormalizedPolicy(eqx.Module):
     """A policy in a method's coordinates: observations as trained on, actions in [-1, 1] or indices.
 
     Memoryless continuous ones implement `pre_actions` alone; those that remember, or choose among discrete actions,
-    override `start` and `act`.
+    override `start` and `act`. Greedy actions of a memoryless policy are a function of the observation: they use no `key`, and
+    what they draw, such as candidates, is drawn once and kept in the policy.
     """
 
     has_log_prob = False

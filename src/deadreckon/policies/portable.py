@@ -50,7 +50,7 @@ def read(path):
         tree = json.loads(arrays.pop("policy.json").tobytes())
         if tree["format"] != FORMAT:
             raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
-        return tree | {"policy": _with_present_names(tree["policy"])}, arrays
+        return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is not a whole policy file: {error}") from error
 
@@ -64,6 +64,27 @@ def _with_present_names(node):
     given = str(node.get("kind"))
     kind, fields = RENAMED.get(given, (given, {}))
     return {fields.get(name, name): _with_present_names(part) for name, part in node.items()} | {"kind": kind}
+
+
+def _with_noise(node, arrays, name):
+    """A policy's tree whose candidates have noise, which older files have the number of alone."""
+    if isinstance(node, list):
+        return [_with_noise(part, arrays, f"{name}.{i}") for i, part in enumerate(node)]
+    if not isinstance(node, dict):
+        return node
+    node = {field: _with_noise(part, arrays, f"{name}.{field}") for field, part in node.items()}
+    if node["kind"] == "GreedyQ" and "samples" in node:
+        noise = np.random.default_rng(0).standard_normal((node.pop("samples"), _noise_size(node["actor"], arrays)))
+        node["noise"], arrays[f"{name}.noise"] = f"@{name}.noise", noise.astype(np.float32)
+    return node
+
+
+def _noise_size(actor, arrays):
+    """Numbers of noise that an action takes."""
+    if actor["kind"] == "OneStep":
+        return arrays[actor["net"]["biases"][-1][1:]].shape[-1]
+    net = actor["net"] if actor["kind"] == "TanhGaussian" else actor["vae"]["encoder"]
+    return arrays[net["biases"][-1][1:]].shape[-1] // 2
 
 
 def _single(array):
@@ -105,7 +126,7 @@ class NumpyPolicy:
         if self.tree["inner"]["kind"] in ("Categorical", "ThresholdedPolicy"):
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
-        action = self._pre(self.tree["inner"], batch, rng, greedy, ())
+        action = self._pre(self.tree["inner"], batch, rng, greedy)
         kind = self.tree["inner"]["kind"]
         if kind == "ClippedGaussian":
             action = np.clip(action, -1.0, 1.0)
@@ -154,38 +175,45 @@ class NumpyPolicy:
             scores = scores if greedy else scores + rng.gumbel(size=scores.shape)
         return scores.argmax(-1).astype(np.int32)
 
-    def _pre(self, node, x, rng, greedy, count):
-        """Actions before the tanh, (*count, n, size)."""
+    def _pre(self, node, x, rng, greedy):
+        """Actions before the tanh, (n, size)."""
         kind = node["kind"]
         if kind == "Deterministic":
-            out = self._net(node["net"], x)
-            return np.broadcast_to(out, (*count, *out.shape))
-        if kind in ("TanhGaussian", "Gaussian", "ClippedGaussian"):
-            mean, log_std = np.split(self._net(node["net"], x), 2, -1)
+            return self._net(node["net"], x)
+        if kind == "GreedyQ":
+            actor, noise = node["actor"], self._array(node["noise"])
             if greedy:
-                return np.broadcast_to(mean, (*count, *mean.shape))
-            noise = rng.standard_normal((*count, *mean.shape), np.float32)
-            within = node.get("log_std", _LOG_STD)
-            return mean + np.exp(np.clip(log_std, *within) if kind == "TanhGaussian" else log_std) * noise
+                noise = noise[:, None]
+            else:
+                noise = rng.standard_normal((len(noise), len(x), noise.shape[-1]), np.float32)
+            pre = self._from_noise(actor, x, noise)
+            q = self._net(node["critic"], _beside(x, np.tanh(pre)))[..., 0]
+            return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
+        if kind in ("Gaussian", "ClippedGaussian"):
+            mean, log_std = np.split(self._net(node["net"], x), 2, -1)
+            return mean if greedy else mean + np.exp(log_std) * rng.standard_normal(mean.shape, np.float32)
+        shape = len(x), _noise_size(node, self.arrays)
+        noise = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
+        return self._from_noise(node, x, noise)
+
+    def _from_noise(self, node, x, noise):
+        """Actions before the tanh from standard normal noise, (*count, n or 1, z)."""
+        kind = node["kind"]
+        if kind == "TanhGaussian":
+            mean, log_std = np.split(self._net(node["net"], x), 2, -1)
+            return mean + np.exp(np.clip(log_std, *node.get("log_std", _LOG_STD))) * noise
         if kind == "VAEDecoder":
-            decoder = node["vae"]["decoder"]
-            shape = (*count, len(x), self._array(decoder["weights"][0]).shape[0] - x.shape[-1])
-            z = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
-            z = np.clip(z, -_LATENT_CLIP, _LATENT_CLIP)
-            return self._net(decoder, np.concatenate([np.broadcast_to(x, (*shape[:-1], x.shape[-1])), z], -1))
+            return self._net(node["vae"]["decoder"], _beside(x, np.clip(noise, -_LATENT_CLIP, _LATENT_CLIP)))
         if kind == "PerturbedPolicy":
-            action = np.tanh(self._pre({"kind": "VAEDecoder", "vae": node["vae"]}, x, rng, greedy, count))
-            seen = np.broadcast_to(x, (*action.shape[:-1], x.shape[-1]))
-            move = np.tanh(self._net(node["perturbation"], np.concatenate([seen, action], -1)))
+            action = np.tanh(self._from_noise({"kind": "VAEDecoder", "vae": node["vae"]}, x, noise))
+            move = np.tanh(self._net(node["perturbation"], _beside(x, action)))
             return np.arctanh(np.clip(action + self._array(node["max_perturbation"]) * move, -_EDGE, _EDGE))
         if kind == "OneStep":
-            size = self._array(node["net"]["weights"][-1]).shape[-1]
-            z = rng.standard_normal((*count, len(x), size), np.float32)
-            out = self._net(node["net"], np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], -1))
-            return np.arctanh(np.clip(out, -_EDGE, _EDGE))
-        if kind == "GreedyQ":
-            pre = self._pre(node["actor"], x, rng, False, (node["samples"], *count))
-            state = np.broadcast_to(x, (*pre.shape[:-1], x.shape[-1]))
-            q = self._net(node["critic"], np.concatenate([state, np.tanh(pre)], -1))[..., 0]
-            return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
+            return np.arctanh(np.clip(self._net(node["net"], _beside(x, noise)), -_EDGE, _EDGE))
         raise ValueError(f"unknown kind of policy {kind!r}")
+
+
+def _beside(x, many):
+    """Each of `many` (*count, n or 1, size) behind its row of `x`."""
+    lead = np.broadcast_shapes(x.shape[:-1], many.shape[:-1])
+    return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in (x, many)], -1)
