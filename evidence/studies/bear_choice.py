@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 import deadreckon as dr
-from deadreckon.policies.kinds import GreedyQ
+from deadreckon.policies.candidates import GreedyQ
 
 
 @dataclass

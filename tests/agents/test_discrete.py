@@ -14,8 +14,9 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import EnvPolicy, store
+from deadreckon.policies.candidates import ThresholdedPolicy, probable_enough
 from deadreckon.policies.deployed import first_actions
-from deadreckon.policies.kinds import Categorical, ThresholdedPolicy, probable_enough
+from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests.agents.test_bear import lane

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 from scipy.special import logsumexp, softmax
 
 from deadreckon.agents import AWAC, BCQ, BRAC, CQL, CRR, EDAC, IQL, SACN, XQL, ReBRAC
@@ -12,6 +13,7 @@ from deadreckon.agents.edac import likeness
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, minimum
+from deadreckon.policies.kinds import TanhMeanGaussian
 from deadreckon.randomness import key_for, keys
 from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import lane, numpy_gaussian
@@ -43,8 +45,24 @@ def least_q(critics, observation, action):
 
 
 def logged_log_prob(actor, batch):
+    """Of the likelihood that the actor was created with."""
+    if isinstance(actor, TanhMeanGaussian):
+        mean = np.tanh(numpy_mlp(actor.net, np.asarray(batch.observation)))
+        return scipy.stats.norm(mean, np.exp(np.asarray(actor.log_std))).logpdf(np.asarray(batch.action)).sum(-1)
     mean, log_std = numpy_gaussian(actor, batch.observation)
     return log_prob(mean, log_std, np.arctanh(np.asarray(batch.action)))
+
+
+def drawn_actions(actor, observation, noise):
+    """What a stochastic actor does with standard normal noise."""
+    if isinstance(actor, TanhMeanGaussian):
+        mean = np.tanh(numpy_mlp(actor.net, np.asarray(observation)))
+        return np.clip(mean + np.exp(np.asarray(actor.log_std)) * np.asarray(noise), -1.0, 1.0)
+    mean, log_std = numpy_gaussian(actor, observation)
+    return np.tanh(mean + np.exp(log_std) * np.asarray(noise))
+
+
+both_likelihoods = pytest.mark.parametrize("likelihood", ["normal", "tanh_normal"])
 
 
 def test_bcq_target_is_the_best_of_perturbed_actions_by_a_mixture(batch):
@@ -124,8 +142,9 @@ def test_brac_begins_as_the_model_of_the_log_that_it_is_held_to():
         np.testing.assert_array_equal(a, b)
 
 
-def test_iql_losses(batch):
-    agent, state = made(IQL(expectile=0.8, beta=4.0, max_weight=2.0, **SMALL))
+@both_likelihoods
+def test_iql_losses(batch, likelihood):
+    agent, state = made(IQL(expectile=0.8, beta=4.0, max_weight=2.0, likelihood=likelihood, **SMALL))
     target_q = least_q(state.target_critics, batch.observation, batch.action) + np.linspace(-0.5, 0.9, 6)
     gap = target_q - numpy_mlp(state.value, np.asarray(batch.observation))[:, 0]
     assert (gap > 0).any()
@@ -192,15 +211,14 @@ def test_xql_loss_is_finite_however_wrong_a_value_is(batch):
     assert all((np.asarray(leaf) == 0).all() for leaf in jax.tree.leaves(slope))
 
 
-def test_awac_target_advantage_and_weights(batch):
-    agent, state = made(AWAC(discount=0.9, temperature=0.5, max_weight=1.3, samples=3, **SMALL))
-    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
-    action = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (6, 1))))
+@both_likelihoods
+def test_awac_target_advantage_and_weights(batch, likelihood):
+    agent, state = made(AWAC(discount=0.9, temperature=0.5, max_weight=1.3, samples=3, likelihood=likelihood, **SMALL))
+    action = drawn_actions(state.actor, batch.next_observation, jax.random.normal(KEY, (6, 1)))
     future = least_q(state.target_critics, batch.next_observation, action)
     expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
     np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
-    mean, log_std = numpy_gaussian(state.actor, batch.observation)
-    drawn = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (3, 6, 1))))
+    drawn = drawn_actions(state.actor, batch.observation, jax.random.normal(KEY, (3, 6, 1)))
     own = np.mean([least_q(state.critics, batch.observation, a) for a in drawn], 0)
     advantage = least_q(state.critics, batch.observation, batch.action) - own
     found = agent.advantage(state, batch, KEY)

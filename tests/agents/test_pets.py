@@ -64,13 +64,14 @@ def test_a_plan_is_gone_on_with_and_forgotten_when_an_episode_begins():
     policy = planner(horizon=4)
     before = policy.start(2) + jnp.asarray([0.1, 0.2, 0.3, 0.4])[:, None]
     step = Step(jnp.zeros((2, 2)), jnp.zeros(2), jnp.asarray([False, True]))
-    actions, after = policy.act(step, before, jax.random.key(0), greedy=True)
-    keys = jax.random.split(jax.random.key(0), 2)
-    for i, begin in enumerate((before[0], jnp.zeros((4, 1)))):
-        plan = policy.plan(jnp.zeros(2), begin, keys[i])
-        np.testing.assert_allclose(actions[i], plan[0], rtol=1e-4, atol=1e-5)
-        np.testing.assert_allclose(after[i], jnp.concatenate([plan[1:], jnp.zeros((1, 1))]), rtol=1e-4, atol=1e-5)
-    assert (jnp.abs(actions) <= 1.0).all()
+    drawn = jax.random.split(jax.random.key(5), 2)
+    for greedy, keys in ((False, drawn), (True, [jax.random.key(0)] * 2)):  # greedy plans all draw the same
+        actions, after = policy.act(step, before, jax.random.key(5), greedy=greedy)
+        for i, begin in enumerate((before[0], jnp.zeros((4, 1)))):
+            plan = policy.plan(jnp.zeros(2), begin, keys[i])
+            np.testing.assert_allclose(actions[i], plan[0], rtol=1e-4, atol=1e-5)
+            np.testing.assert_allclose(after[i], jnp.concatenate([plan[1:], jnp.zeros((1, 1))]), rtol=1e-4, atol=1e-5)
+        assert (jnp.abs(actions) <= 1.0).all()
 
 
 def test_a_planner_survives_its_file(tmp_path):

@@ -11,12 +11,14 @@ from deadreckon.agents.agent import traced_advantage
 from deadreckon.agents.rem import simplex
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
+from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import q_values
-from deadreckon.policies.kinds import OneStep
+from deadreckon.policies.candidates import OneStep
+from deadreckon.policies.kinds import stochastic
 from deadreckon.randomness import key_for, keys
 from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import numpy_gaussian
-from tests.agents.test_offline import KEY, SMALL, SPEC, least_q, logged_log_prob, made, updated
+from tests.agents.test_offline import KEY, SMALL, SPEC, both_likelihoods, least_q, logged_log_prob, made, updated
 from tests.nets.test_mlp import numpy_mlp
 
 K_RESIDUAL = key_for(KEY, "residual")  # of AlgaeDICE's critics
@@ -71,10 +73,14 @@ def test_awr_returns_are_td_lambda_within_episode_and_window():
     np.testing.assert_allclose(advantage, np.asarray(got) - now, atol=1e-5)
 
 
-def test_awr_imitates_by_standardised_advantages_of_the_rows_that_are_there():
+@both_likelihoods
+def test_awr_imitates_by_standardised_advantages_of_the_rows_that_are_there(likelihood):
     rows = windows()
-    agent, state = made(AWR(temperature=0.5, max_weight=3.0, window=3, batch_size=6, **SMALL))
+    agent = AWR(temperature=0.5, max_weight=3.0, window=3, batch_size=6, likelihood=likelihood, action_std=0.3, **SMALL)
+    agent, state = made(agent)
     after, metrics = updated(agent, state, rows)
+    if likelihood == "normal":  # its deviation is not learned
+        np.testing.assert_array_equal(after.actor.log_std, np.log(np.float32(0.3)))
     there = np.asarray(rows.mask, bool)
     # The first row of an episode is in one window, the second in two, all later ones in three.
     share = np.array([1.0, 1 / 2, 1 / 3, 1 / 3, 1 / 3])
@@ -103,14 +109,16 @@ def test_awr_learns_nothing_from_a_batch_without_rows():
 # ---- KL-control
 
 
-def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch):
-    agent, state = made(KLControl(discount=0.9, temperature=0.4, **SMALL))
+@both_likelihoods
+def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch, likelihood):
+    agent, state = made(KLControl(discount=0.9, temperature=0.4, likelihood=likelihood, **SMALL))
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
 
     def parts(observation, critics):
         mean, log_std = numpy_gaussian(state.actor, observation)
         pre = mean + np.exp(log_std) * noise
-        away = log_prob(mean, log_std, pre) - log_prob(*numpy_gaussian(state.model, observation), pre)
+        model = logged_log_prob(state.model, Batch(observation=observation, action=np.tanh(pre)))
+        away = log_prob(mean, log_std, pre) - model
         return least_q(critics, observation, np.tanh(pre)), away
 
     value, away = parts(batch.next_observation, state.target_critics)
@@ -146,8 +154,9 @@ def test_kl_control_has_no_entropy_to_hold():
         KLControl(target_entropy=-3.0, **SMALL).resolve(SPEC, 10)
 
 
-def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to():
-    agent, state = made(KLControl(behavior_steps=30, behavior_lr=0.01, **SMALL))
+@both_likelihoods
+def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to(likelihood):
+    agent, state = made(KLControl(behavior_steps=30, behavior_lr=0.01, likelihood=likelihood, **SMALL))
     asked = []
 
     def fit(learner, steps, key):
@@ -156,6 +165,12 @@ def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to():
 
     state = agent.prepare(state, None, KEY, fit)
     assert asked == [((16, 16), 256, 0.01, 30)]
+    seen = jnp.linspace(-1.0, 1.0, 5)[:, None]
+    mean = stochastic(state.model).actions(seen, KEY, greedy=True)
+    np.testing.assert_allclose(agent.policy(state).actions(seen, KEY, greedy=True), mean, rtol=1e-6)
+    if likelihood == "normal":
+        np.testing.assert_allclose(dist.gaussian_head(state.actor(seen)).log_std, np.tile(state.model.log_std, (5, 1)), atol=1e-6)
+        return
     for a, b in zip(jax.tree.leaves(state.actor), jax.tree.leaves(state.model), strict=True):
         np.testing.assert_array_equal(a, b)
 

@@ -1,5 +1,6 @@
 """Policies: the numpy player equals the package, files are safe, black boxes fit, densities are right."""
 
+import dataclasses
 import json
 import re
 import subprocess
@@ -9,29 +10,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 from scipy import integrate
 
-from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.normalizer import EDGE, Normalizer
+from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import BlackBoxPolicy, EnvPolicy, Policy, Step, portable, store
+from deadreckon.policies.candidates import GreedyQ, OneStep, PerturbedPolicy, ThresholdedPolicy, VAEDecoder
 from deadreckon.policies.deployed import Mixture
-from deadreckon.policies.kinds import (
-    Categorical,
-    ClippedGaussian,
-    Deterministic,
-    GreedyQ,
-    OneStep,
-    PerturbedPolicy,
-    TanhGaussian,
-    ThresholdedPolicy,
-    VAEDecoder,
-)
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, TanhGaussian, TanhMeanGaussian
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.policy import KINDS, NormalizedPolicy
 
 KEY = jax.random.key(0)
+SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "any")
 VIEW = Normalizer(np.array([1.0, -1.0, 0.0]), np.array([2.0, 0.5, 1.0]), np.array([-2.0, 0.0]), np.array([2.0, 1.0]))
 
 
@@ -42,6 +37,7 @@ def make(kind):
         "deterministic": Deterministic(MLP.create(3, (8,), 2, KEY, activation="swish")),
         "gaussian": TanhGaussian(actor),
         "clipped": ClippedGaussian.of(MLP.create(3, (8,), 2, KEY), jnp.zeros(2)),
+        "tanh mean": TanhMeanGaussian.create(SPEC, (8,), KEY, 0.5),
         "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
         "perturbed": perturbed,
         "normalised": Deterministic(MLP.create(3, (8, 8), 2, KEY, normalise=True)),
@@ -53,7 +49,8 @@ def make(kind):
     return EnvPolicy.of(inner, VIEW)
 
 
-DRAWING = ["gaussian", "clipped", "vae", "perturbed", "greedy", "greedy of perturbed", "greedy of a VAE", "one step"]
+GREEDY = ["greedy", "greedy of perturbed", "greedy of a VAE"]
+DRAWING = ["gaussian", "clipped", "tanh mean", "vae", "perturbed", "one step", *GREEDY]
 
 
 @pytest.mark.parametrize("kind", ["deterministic", "normalised", *DRAWING])
@@ -80,9 +77,27 @@ def test_draws_of_the_numpy_player_are_distributed_as_ours(kind, tmp_path):
     np.testing.assert_allclose(theirs.std(0), ours.std(0), atol=0.06)
 
 
+def test_a_gaussian_around_a_tanh_has_the_likelihood_of_actions_and_the_density_of_what_acts():
+    """Against numpy: what imitation maximises has no bounds; of what acts each bound has all that lies beyond it."""
+    policy = TanhMeanGaussian.create(SPEC, (8,), KEY, 0.5)
+    policy = dataclasses.replace(policy, log_std=jnp.log(jnp.asarray([0.5, 0.1])))
+    seen = np.random.default_rng(0).normal(size=(6, 3)).astype("f4")
+    taken = np.array([[1, -1], [0.3, 0.2], [-1, 0.5], [0.9, 1], [0, 0], [1, 1]], "f4")
+    taken = np.clip(taken, -EDGE, EDGE).astype("f4")  # as in batches
+    mean = np.tanh(np.asarray(policy.net(jnp.asarray(seen)), float))
+    np.testing.assert_allclose(policy.actions(jnp.asarray(seen), KEY, greedy=True), mean, atol=1e-6)
+    normal = scipy.stats.norm(mean, [0.5, 0.1])
+    np.testing.assert_allclose(policy.log_likelihood(seen, taken), normal.logpdf(taken).sum(1), rtol=1e-4)
+    inside = np.abs(taken) < 0.99
+    beyond = np.where(taken > 0, normal.logsf(1.0), normal.logcdf(-1.0))
+    np.testing.assert_allclose(policy.log_prob(seen, taken), np.where(inside, normal.logpdf(taken), beyond).sum(1), rtol=1e-4)
+    drawn = np.asarray(policy.actions(jnp.asarray(seen[:1]), KEY, greedy=False, count=(20_000,)))[:, 0]
+    np.testing.assert_allclose((drawn == 1.0).mean(0), normal.sf(1.0)[0], atol=0.01)
+
+
 def test_files_whose_candidates_have_no_noise_are_read(tmp_path):
     """Files of 0.1.0's first months have the number of candidates alone, which were drawn anew at every call."""
-    for kind in ("greedy", "greedy of perturbed"):
+    for kind in GREEDY:
         policy = make(kind)
         store.save(tmp_path / "now.npz", policy)
         with np.load(tmp_path / "now.npz") as file:

@@ -11,9 +11,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, q_values
-from deadreckon.policies.kinds import Categorical
+from deadreckon.policies.kinds import Categorical, TanhMeanGaussian, stochastic
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
@@ -127,10 +126,9 @@ def capped_exp(x: Float[Array, "*b"], most: Any) -> Float[Array, "*b"]:
     return jnp.exp(jnp.minimum(x, jnp.log(most)))
 
 
-def imitation_loss(actor: MLP | Categorical, batch: Batch, weight: Float[Array, "*b"]) -> Float[Array, ""]:
-    """-E[weight log pi(a|s)] of a stochastic actor; weights have no slope."""
-    if isinstance(actor, Categorical):
-        log_prob = actor.log_prob(batch.observation, batch.action)
-    else:
-        log_prob = dist.log_prob(dist.gaussian_head(actor(batch.observation)), jnp.arctanh(batch.action))
+def imitation_loss(
+    actor: MLP | Categorical | TanhMeanGaussian, batch: Batch, weight: Float[Array, "*b"]
+) -> Float[Array, ""]:
+    """-E[weight log pi(a|s)] of a stochastic actor, in the likelihood that it was created with; weights have no slope."""
+    log_prob = stochastic(actor).log_likelihood(batch.observation, batch.action)
     return -(jax.lax.stop_gradient(weight) * log_prob).mean()

@@ -3,16 +3,14 @@
 from typing import Any, ClassVar, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
@@ -20,7 +18,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Si
 class State(NamedTuple):
     """Networks, target critics and optimisers."""
 
-    actor: MLP
+    actor: MLP | Categorical | TanhMeanGaussian
     critics: MLP  # stacked: leading axis 2
     target_critics: MLP
     actor_opt: optax.OptState
@@ -30,7 +28,7 @@ class State(NamedTuple):
 class AWAC(Agent):
     """Twin critics, and imitation weighted by exp(advantage / temperature)."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"draws": "samples", "lambda": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -40,6 +38,8 @@ class AWAC(Agent):
     temperature: Positive = 1.0  # temperature that divides the advantage (lambda in the paper)
     max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
     samples: Count = static(1)  # actions sampled from the policy to estimate its value
+    likelihood: Likelihood = static("normal")
+    """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
 
@@ -50,18 +50,18 @@ class AWAC(Agent):
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
         ka, kc = keys(key, "actor", "critics")
-        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        actor = create_imitator(spec, self.hidden, ka, self.likelihood)
         critics = create_critics(spec, self.hidden, 2, kc)
         return State(actor, critics, copy(critics), init_opt(actor), init_opt(critics))
 
     def target(self, state, batch: Batch, key: PRNGKeyArray) -> Array:
         """r + discount min_j Q'_j(s', a'), a' from the present actor."""
-        action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.next_observation)), key))
+        action = stochastic(state.actor).actions(batch.next_observation, key, greedy=False)
         return backup(batch, self.discount, minimum(q_values(state.target_critics, batch.next_observation, action)))
 
     def advantage(self, state, batch: Batch, key: PRNGKeyArray) -> Float[Array, "b"]:
         """min_j Q_j(s, a) less the mean of min_j Q_j(s, a_i) over actions of the actor."""
-        drawn = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(batch.observation)), key, (self.samples,)))
+        drawn = stochastic(state.actor).actions(batch.observation, key, greedy=False, count=(self.samples,))
         own = minimum(q_values(state.critics, batch.observation, drawn)).mean(0)
         return minimum(q_values(state.critics, batch.observation, batch.action)) - own
 
@@ -85,7 +85,7 @@ class AWAC(Agent):
 
     def policy(self, state):
         """The actor; greedy is its mean."""
-        return TanhGaussian(state.actor)
+        return stochastic(state.actor)
 
     def q_value(self, state, observation, action):
         """The smaller of the two critics."""

@@ -6,6 +6,7 @@ window of consecutive rows, an action counts for the actor by
     w = min(exp(A / temperature), max_weight),   A = (TD(lambda) return - V(s)), standardised over the batch.
 """
 
+import dataclasses
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ from deadreckon.agents.agent import Agent, backup, capped_exp, imitation_loss, t
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
-from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
 
@@ -25,7 +26,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Si
 class State(NamedTuple):
     """Networks and optimisers."""
 
-    actor: MLP
+    actor: MLP | Categorical | TanhMeanGaussian
     value: MLP
     actor_opt: optax.OptState
     value_opt: optax.OptState
@@ -34,7 +35,7 @@ class State(NamedTuple):
 class AWR(Agent):
     """Advantage-weighted regression."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"trace": "td_lambda", "lambda": "td_lambda", "beta": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -43,6 +44,9 @@ class AWR(Agent):
     td_lambda: UnitInterval = 0.95  # lambda of the TD(lambda) returns: 0 trusts the values, 1 the logged returns
     temperature: Positive = 1.0  # temperature that divides the standardised advantage (beta in the paper)
     max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor
+    likelihood: Likelihood = static("normal")
+    """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
+    action_std: Positive = 0.4  # standard deviation of actions in [-1, 1], with likelihood="normal" (published: 0.2 on Ant)
     window: Count = static(16)  # consecutive transitions after which the value stands for the rest of the return
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
@@ -54,7 +58,7 @@ class AWR(Agent):
     def init(self, spec, key):
         """Fresh networks."""
         ka, kv = keys(key, "actor", "value")
-        actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
+        actor = create_imitator(spec, self.hidden, ka, self.likelihood, self.action_std)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
         return State(actor, value, init_opt(actor), init_opt(value))
 
@@ -81,6 +85,8 @@ class AWR(Agent):
         _, advantage = self.returns(value, batch)
         weight = self.weights(advantage, mask)
         actor_loss, grads = jax.value_and_grad(imitation_loss)(state.actor, batch, mask * weight)
+        if isinstance(grads, TanhMeanGaussian):
+            grads = dataclasses.replace(grads, log_std=jnp.zeros_like(grads.log_std))
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
         metrics = {"actor_loss": actor_loss, "value_loss": value_loss, "weight": (mask * weight).mean()}
         return State(actor, value, actor_opt, value_opt), metrics
@@ -93,4 +99,4 @@ class AWR(Agent):
 
     def policy(self, state):
         """The actor; greedy is its mean."""
-        return TanhGaussian(state.actor)
+        return stochastic(state.actor)

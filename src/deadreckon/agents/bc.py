@@ -13,27 +13,27 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
-from deadreckon.policies.kinds import Categorical, create_actor
+from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
 class State(NamedTuple):
     """Model and its optimiser."""
 
-    model: MLP | VAE | behavior.Clipped | Categorical
+    model: MLP | VAE | behavior.Clipped | TanhMeanGaussian | Categorical
     opt: optax.OptState
 
 
 class BC(Agent):
-    """Behaviour cloning with a tanh-Gaussian network, the VAE that the thesis used as its baseline (A.4), or a Gaussian whose
-    draws are clipped, for logs with many actions at the bounds."""
+    """Behaviour cloning with a tanh-Gaussian network, the VAE that the thesis used as its baseline (A.4), or, for logs with
+    many actions at the bounds, a Gaussian whose draws are clipped, with or without a tanh around its mean."""
 
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = True
 
     lr: NonNegative = 3e-4  # learning rate of the policy
-    model: Literal["gaussian", "vae", "clipped"] = static("gaussian")
-    """model of the policy: tanh-Gaussian, VAE (thesis A.4) or clipped Gaussian"""
+    model: Literal["gaussian", "vae", "clipped", "normal"] = static("gaussian")
+    """model of the policy: tanh-Gaussian, VAE (thesis A.4), clipped Gaussian, or normal around tanh of a network"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
 
@@ -49,8 +49,8 @@ class BC(Agent):
 
     def init(self, spec, key):
         """A fresh model."""
-        if self.model == "gaussian":
-            model = create_actor(spec, self.hidden, key)
+        if self.model in ("gaussian", "normal"):
+            model = create_imitator(spec, self.hidden, key, "normal" if self.model == "normal" else "tanh_normal")
         elif self.model == "clipped":
             model = behavior.Clipped.create(spec, self.hidden, key)
         else:
@@ -69,13 +69,17 @@ class BC(Agent):
         return behavior.policy(state.model)
 
 
-def cloned(agent: Any, fit: Callable[..., Any], key: Any) -> MLP:
-    """A tanh-Gaussian model of the log's policy, as `behavior_lr` and `behavior_steps` of an agent say.
+def cloned(
+    agent: Any, fit: Callable[..., Any], key: Any, likelihood: Likelihood = "tanh_normal"
+) -> MLP | TanhMeanGaussian:
+    """A model of the log's policy, as `behavior_lr` and `behavior_steps` of an agent say.
 
     Args:
         agent: whose networks are as wide and whose batches as large.
         fit: trains a learner on the agent's log, as `prepare` gets it.
         key: of the training.
+        likelihood: of its actions.
     """
-    clone = BC(lr=float(agent.behavior_lr), hidden=agent.hidden, batch_size=agent.batch_size)
+    model = "normal" if likelihood == "normal" else "gaussian"
+    clone = BC(lr=float(agent.behavior_lr), model=model, hidden=agent.hidden, batch_size=agent.batch_size)
     return fit(clone, agent.behavior_steps, key).model

@@ -18,7 +18,8 @@ from deadreckon.nets.mlp import MLP, all_q_values, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
-from deadreckon.policies.kinds import Categorical, GreedyQ, PerturbedPolicy, ThresholdedPolicy, perturbed, probable_enough
+from deadreckon.policies.candidates import GreedyQ, PerturbedPolicy, ThresholdedPolicy, perturbed, probable_enough
+from deadreckon.policies.kinds import Categorical
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Sizes, UnitInterval, static
 

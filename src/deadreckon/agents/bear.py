@@ -21,7 +21,8 @@ from deadreckon.nets.mmd import Kernel, mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
-from deadreckon.policies.kinds import GreedyQ, TanhGaussian
+from deadreckon.policies.candidates import GreedyQ
+from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Positive, Range, Sizes, UnitInterval, static
 from deadreckon.training.learner import Metrics

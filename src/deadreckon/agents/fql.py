@@ -19,7 +19,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.policies.kinds import OneStep
+from deadreckon.policies.candidates import OneStep
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
 
@@ -86,7 +86,7 @@ class FQL(Agent):
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
         """r + discount mean_j Q'_j(s', a'), a' of the actor."""
-        action = OneStep(state.actor).actions(batch.next_observation, jax.random.normal(key, batch.action.shape))
+        action = OneStep(state.actor).decode(batch.next_observation, jax.random.normal(key, batch.action.shape))
         return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action).mean(0))
 
     def actor_loss(self, actor: MLP, state, batch, key) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, cre
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.policies.kinds import Categorical, create_actor, stochastic
+from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Sizes, UnitInterval, static
 
@@ -23,7 +23,7 @@ from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Po
 class State(NamedTuple):
     """Networks, target critics and optimisers."""
 
-    actor: MLP | Categorical
+    actor: MLP | Categorical | TanhMeanGaussian
     value: MLP
     critics: MLP  # stacked: leading axis 2
     target_critics: MLP
@@ -35,7 +35,7 @@ class State(NamedTuple):
 class IQL(Agent):
     """Expectile values and weighted imitation."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
@@ -46,6 +46,8 @@ class IQL(Agent):
     expectile: Fraction = 0.7  # expectile of the values: 0.5 is the mean over logged actions, 1 the maximum (AntMaze: 0.9)
     beta: NonNegative = 3.0  # inverse temperature of the advantage weights: 0 is imitation (AntMaze: 10)
     max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
+    likelihood: Likelihood = static("normal")
+    """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
 
@@ -56,7 +58,7 @@ class IQL(Agent):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kv, kc = keys(key, "actor", "value", "critics")
-        actor = create_actor(spec, self.hidden, ka)
+        actor = create_imitator(spec, self.hidden, ka, self.likelihood)
         value = MLP.create(spec.observation_size, self.hidden, 1, kv)
         critics = create_critics(spec, self.hidden, 2, kc)
         return State(actor, value, critics, copy(critics), init_opt(actor), init_opt(value), init_opt(critics))
@@ -66,7 +68,7 @@ class IQL(Agent):
         gap = q - value(batch.observation)[..., 0]
         return (jnp.where(gap < 0, 1.0 - self.expectile, self.expectile) * jnp.square(gap)).mean()
 
-    def actor_loss(self, actor: MLP | Categorical, batch, advantage: Array) -> Array:
+    def actor_loss(self, actor: MLP | Categorical | TanhMeanGaussian, batch, advantage: Array) -> Array:
         """-E[ exp(beta (q - V)) log pi(a|s) ], weights cut above (eq. 7)."""
         return imitation_loss(actor, batch, capped_exp(self.beta * advantage, self.max_weight))
 

@@ -7,12 +7,14 @@ average.
 
 from typing import Any, ClassVar
 
+import jax.numpy as jnp
+
 from deadreckon.agents.bc import cloned
 from deadreckon.agents.sac import SAC
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import copy
+from deadreckon.policies.kinds import Gaussian, Likelihood, TanhMeanGaussian, create_imitator
 from deadreckon.randomness import key_for
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
@@ -20,11 +22,13 @@ from deadreckon.training.hyperparameters import Count, NonNegative, static
 class KLControl(SAC):
     """SAC that pays for its divergence from the log's policy."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     online: ClassVar[bool] = False
 
     target_kl: NonNegative = 1.0  # target KL divergence of the policy from the behaviour model, in nats
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
+    likelihood: Likelihood = static("normal")
+    """likelihood of the behaviour model: normal around tanh of a network, or tanh-normal"""
     behavior_steps: Count = static(100_000)  # updates of the behaviour model before all others
 
     def resolve(self, spec, steps):
@@ -40,18 +44,22 @@ class KLControl(SAC):
 
     def init(self, spec, key) -> Any:
         """SAC's state with a model of the log's policy, as yet unfitted."""
-        model = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, key_for(key, "model"))
+        model = create_imitator(spec, self.hidden, key_for(key, "model"), self.likelihood)
         return super().init(spec, key)._replace(model=model)
 
     def prepare(self, state, rows, key, fit):
         """Fits the model, by maximum likelihood; the actor begins as it."""
-        model = cloned(self, fit, key)
-        return state._replace(model=model, actor=copy(model))
+        model = cloned(self, fit, key, self.likelihood)
+        # The actor is before a tanh; where the model is not, it begins with the model's deviations there.
+        actor = Gaussian.of(model.net, model.log_std).net if isinstance(model, TanhMeanGaussian) else model
+        return state._replace(model=model, actor=copy(actor))
 
     def entropy_cost(self, state, d, pre, observation):
         """log pi(a|s) - log model(a|s): one draw's estimate of the KL divergence, (b,)."""
-        model = dist.gaussian_head(state.model(observation))
-        return super().entropy_cost(state, d, pre, observation) - dist.log_prob(model, pre)
+        own = super().entropy_cost(state, d, pre, observation)
+        if isinstance(state.model, TanhMeanGaussian):
+            return own - state.model.log_likelihood(observation, jnp.tanh(pre))
+        return own - dist.log_prob(dist.gaussian_head(state.model(observation)), pre)
 
     def update(self, state, batch, *, step, key):
         """SAC's, whose entropy is minus the divergence."""

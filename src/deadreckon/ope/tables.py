@@ -17,8 +17,9 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
+from deadreckon.policies.candidates import OneStep
 from deadreckon.policies.deployed import EnvPolicy
-from deadreckon.policies.kinds import Deterministic, Gaussian, OneStep
+from deadreckon.policies.kinds import Deterministic, Gaussian, TanhMeanGaussian
 from deadreckon.randomness import generator, sequence
 
 BLOCK = 8192  # rows at a time
@@ -223,7 +224,7 @@ def draws_nothing(policy: Any) -> bool:
     if not isinstance(policy, EnvPolicy):
         return False
     inner = policy.inner
-    if isinstance(inner, Gaussian):  # one that was published without a deviation
+    if isinstance(inner, Gaussian) and not isinstance(inner, TanhMeanGaussian):  # one that was published without a deviation
         return bool(np.isneginf(inner.net.biases[-1][inner.net.biases[-1].shape[0] // 2 :]).all())
     return isinstance(inner, Deterministic)
 

@@ -10,7 +10,8 @@ from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
-from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, VAEDecoder, stochastic
+from deadreckon.policies.candidates import VAEDecoder
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhMeanGaussian, stochastic
 from deadreckon.policies.policy import NormalizedPolicy
 
 Kind = Literal["gaussian", "vae"]
@@ -43,7 +44,10 @@ def create(kind: Kind, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -
 
 
 def loss(
-    model: MLP | VAE | Clipped | Categorical, observation: Float[Array, "b o"], action: Array, key: PRNGKeyArray
+    model: MLP | VAE | Clipped | TanhMeanGaussian | Categorical,
+    observation: Float[Array, "b o"],
+    action: Array,
+    key: PRNGKeyArray,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """What fitting minimises: the negative log-likelihood, or the VAE's bound (squared error + 0.5 KL)."""
     if isinstance(model, VAE):
@@ -51,6 +55,9 @@ def loss(
     if isinstance(model, Categorical):
         nll = -model.log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll}
+    if isinstance(model, TanhMeanGaussian):
+        nll = -model.log_likelihood(observation, action).mean()
+        return nll, {"behavior_nll": nll, "behavior_error": jnp.square(jnp.tanh(model.net(observation)) - action).mean()}
     if isinstance(model, Clipped):
         nll = -Gaussian.of(model.means, _deviations(model)).log_prob(observation, action).mean()
         return nll, {"behavior_nll": nll, "behavior_error": jnp.square(model.means(observation) - action).mean()}
@@ -76,7 +83,7 @@ def censored(
     return nll, {"behavior_nll": nll}
 
 
-def policy(model: MLP | VAE | Clipped | Categorical) -> NormalizedPolicy:
+def policy(model: MLP | VAE | Clipped | TanhMeanGaussian | Categorical) -> NormalizedPolicy:
     """The model as something that acts."""
     if isinstance(model, Clipped):
         return _clipped(model)

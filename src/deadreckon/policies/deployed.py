@@ -12,7 +12,8 @@ from jaxtyping import Array, PRNGKeyArray
 from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian, ThresholdedPolicy
+from deadreckon.policies.candidates import ThresholdedPolicy
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.randomness import keys
 

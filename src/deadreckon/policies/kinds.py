@@ -1,19 +1,16 @@
-"""The kinds of policy that agents produce, in a method's coordinates."""
+"""Policies that are a distribution whose parameters a network gives, in a method's coordinates; see `candidates` for others."""
 
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from deadreckon.data.normalizer import EDGE
 from deadreckon.data.spec import Spec
-from deadreckon.data.step import Step
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.nets.vae import VAE
+from deadreckon.nets.mlp import MLP
 from deadreckon.policies.policy import NormalizedPolicy
 
 
@@ -43,11 +40,6 @@ class Sampler(NormalizedPolicy):
     def drawn(self, observation: Float[Array, "n o"], key: PRNGKeyArray, count: tuple[int, ...]) -> Float[Array, "*c n a"]:
         """`count` draws before the tanh at every observation."""
         return self.from_noise(observation, jax.random.normal(key, (*count, len(observation), self.noise_size)))
-
-
-def fixed_noise(count: int, size: int) -> Float[Array, "c z"]:
-    """Standard normal noise that a policy keeps, so that its greedy actions are a function of the state: always the same."""
-    return jnp.asarray(np.random.default_rng(0).standard_normal((count, size)), jnp.float32)
 
 
 class TanhGaussian(Sampler):
@@ -86,6 +78,10 @@ class TanhGaussian(Sampler):
         """Log-density over [-1, 1] of actions, clipped to the open interval."""
         return dist.log_prob(self._head(observation), jnp.arctanh(jnp.clip(action, -EDGE, EDGE)))
 
+    def log_likelihood(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
+        """The same, which imitation maximises."""
+        return self.log_prob(observation, action)
+
 
 class Gaussian(NormalizedPolicy):
     """a = mean + std * noise without bounds, as published policies have it; the environment clips. Greedy is the mean."""
@@ -100,125 +96,70 @@ class Gaussian(NormalizedPolicy):
         weights = *means.weights[:-1], jnp.concatenate([weight, jnp.zeros_like(weight)], -1)
         return cls(MLP(weights, (*means.biases[:-1], jnp.concatenate([bias, log_std])), means.activation))
 
-    def act(self, step, carry, key, *, greedy):
-        """See `NormalizedPolicy`; the action is not squashed."""
-        return self.pre_actions(step.observation, key, greedy=greedy), carry
+    def _head(self, observation: Float[Array, "*n o"]) -> dist.Gaussian:
+        return dist.Gaussian(*jnp.split(self.net(observation), 2, axis=-1))
+
+    def actions(self, observation, key, *, greedy, count=()):
+        """See `NormalizedPolicy`; not squashed."""
+        return self.pre_actions(observation, key, greedy=greedy, count=count)
 
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
-        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
-        if greedy:
-            return jnp.broadcast_to(mean, (*count, *mean.shape))
-        return dist.sample(dist.Gaussian(mean, log_std), key, count)
+        d = self._head(observation)
+        return jnp.broadcast_to(d.mean, (*count, *d.mean.shape)) if greedy else dist.sample(d, key, count)
 
     def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
         """Log-density of actions."""
-        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
-        return _log_densities(mean, log_std, action).sum(-1)
+        return self.log_likelihood(observation, action)
+
+    def log_likelihood(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
+        """Log-density of actions before anything is clipped, which imitation maximises."""
+        return _log_densities(self._head(observation), action).sum(-1)
 
 
-def _log_densities(mean: Array, log_std: Array, action: Array) -> Array:
+def _log_densities(d: dist.Gaussian, action: Array) -> Array:
     """Of each number of an action, under a Gaussian."""
-    z = (action - mean) * jnp.exp(-log_std)
-    return -0.5 * jnp.square(z) - log_std - 0.5 * jnp.log(2 * jnp.pi)
+    z = (action - d.mean) * jnp.exp(-d.log_std)
+    return -0.5 * jnp.square(z) - d.log_std - 0.5 * jnp.log(2 * jnp.pi)
 
 
 class ClippedGaussian(Gaussian):
     """A `Gaussian` whose draws are cut to [-1, 1]; each bound has the probability of all that lies beyond."""
 
-    def act(self, step, carry, key, *, greedy):
+    def actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
-        return jnp.clip(self.pre_actions(step.observation, key, greedy=greedy), -1.0, 1.0), carry
+        return jnp.clip(self.pre_actions(observation, key, greedy=greedy, count=count), -1.0, 1.0)
 
     def log_prob(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
         """Sum of log-densities of actions between the bounds, and log-probabilities of those at them."""
-        mean, log_std = jnp.split(self.net(observation), 2, axis=-1)
-        beyond = jax.scipy.stats.norm.logcdf((jnp.sign(action) * mean - 1.0) * jnp.exp(-log_std))
-        return jnp.where(jnp.abs(action) >= EDGE, beyond, _log_densities(mean, log_std, action)).sum(-1)
+        d = self._head(observation)
+        beyond = jax.scipy.stats.norm.logcdf((jnp.sign(action) * d.mean - 1.0) * jnp.exp(-d.log_std))
+        return jnp.where(jnp.abs(action) >= EDGE, beyond, _log_densities(d, action)).sum(-1)
 
 
-class VAEDecoder(Sampler):
-    """a = tanh(decode(s, z)) with z a clamped standard normal; greedy decodes z = 0."""
+class TanhMeanGaussian(ClippedGaussian):
+    """A `ClippedGaussian` around tanh(net(s)) with one deviation an action, as the public codes of IQL, XQL and AWAC have it.
 
-    vae: VAE
-
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
-        return self.drawn(observation, key, count)
-
-    @property
-    def noise_size(self):
-        """See `Sampler`."""
-        return self.vae.encoder.biases[-1].shape[-1] // 2
-
-    def from_noise(self, observation, noise):
-        """See `Sampler`."""
-        return self.vae.from_noise(observation, noise)
-
-
-def perturbed(
-    network: MLP, largest: Any, observation: Float[Array, "n o"], action: Float[Array, "*c n a"]
-) -> Float[Array, "*c n a"]:
-    """Actions in [-1, 1], each changed by `largest` tanh(network(s, a)) and kept within."""
-    return jnp.clip(action + largest * jnp.tanh(network.beside(observation, action)), -1.0, 1.0)
-
-
-class PerturbedPolicy(Sampler):
-    """Actions of a VAE, each changed a little by a perturbation network (BCQ's).
+    The likelihood of a logged action at a bound is that of a Gaussian in the space of actions: finite, where `TanhGaussian` has
+    the value before a tanh that was clipped. Greedy is tanh(net(s)).
 
     Attributes:
-        vae: samples actions.
-        perturbation: network of observation and action, to the direction in which an action changes.
-        max_perturbation: how far it changes at most.
+        net: to the means before their tanh.
+        log_std: (a,) log-deviations.
     """
 
-    vae: VAE
-    perturbation: MLP
-    max_perturbation: Array
+    log_std: Float[Array, "a"]
 
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
-        return self.drawn(observation, key, count)
+    @classmethod
+    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, std: Any = 1.0) -> Self:
+        """A fresh network, and deviations of `std`."""
+        log_std = jnp.full(spec.action_size, jnp.log(jnp.asarray(std, jnp.float32)))
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key), log_std)
 
-    @property
-    def noise_size(self):
-        """See `Sampler`."""
-        return VAEDecoder(self.vae).noise_size
-
-    def from_noise(self, observation, noise):
-        """See `Sampler`."""
-        action = jnp.tanh(self.vae.from_noise(observation, noise))
-        action = perturbed(self.perturbation, self.max_perturbation, observation, action)
-        return jnp.arctanh(jnp.clip(action, -EDGE, EDGE))
-
-
-class OneStep(Sampler):
-    """a = net(s, z), cut to [-1, 1], with z standard normal (FQL's); greedy is z = 0, the middle of the noise."""
-
-    net: MLP
-
-    def actions(self, observation: Float[Array, "n o"], noise: Float[Array, "*c #n a"]) -> Float[Array, "*c n a"]:
-        """Actions in [-1, 1] from noise."""
-        return jnp.clip(self.net.beside(observation, noise), -1.0, 1.0)
-
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
-        return self.drawn(observation, key, count)
-
-    @property
-    def noise_size(self):
-        """See `Sampler`."""
-        return self.net.biases[-1].shape[-1]
-
-    def from_noise(self, observation, noise):
-        """See `Sampler`."""
-        return jnp.arctanh(jnp.clip(self.actions(observation, noise), -EDGE, EDGE))
+    def _head(self, observation):
+        mean = jnp.tanh(self.net(observation))
+        log_std = jnp.clip(self.log_std, dist.LOG_STD_MIN, dist.LOG_STD_MAX)
+        return dist.Gaussian(mean, jnp.broadcast_to(log_std, mean.shape))
 
 
 class Categorical(NormalizedPolicy):
@@ -244,10 +185,19 @@ class Categorical(NormalizedPolicy):
         """Log-probability of one action each."""
         return jnp.take_along_axis(self.log_probs(observation), action[:, None], -1)[:, 0]
 
+    def log_likelihood(self, observation: Float[Array, "n o"], action: Int[Array, "n"]) -> Float[Array, "n"]:
+        """The same, which imitation maximises."""
+        return self.log_prob(observation, action)
+
     def act(self, step, carry, key, *, greedy):
         """See `NormalizedPolicy`."""
         logits = self.net(step.observation)
         return (logits.argmax(-1) if greedy else jax.random.categorical(key, logits)).astype(jnp.int32), carry
+
+
+Likelihood = Literal["normal", "tanh_normal"]
+"""Of logged actions: a normal distribution around tanh of a network with one deviation an action (`TanhMeanGaussian`), or one
+before the tanh (`TanhGaussian`), under which actions at the bounds are far away from all others."""
 
 
 def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | Categorical:
@@ -257,70 +207,15 @@ def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP 
     return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
 
 
-def stochastic(actor: MLP | Categorical) -> NormalizedPolicy:
-    """What `create_actor` made as a policy; greedy is its mean, or its likeliest action."""
-    return actor if isinstance(actor, Categorical) else TanhGaussian(actor)
+def create_imitator(
+    spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, likelihood: Likelihood, std: Any = 1.0
+) -> MLP | Categorical | TanhMeanGaussian:
+    """A stochastic actor that learns by a likelihood of logged actions; `std` is the first deviation of a normal one."""
+    if likelihood == "normal" and not spec.discrete:
+        return TanhMeanGaussian.create(spec, hidden, key, std)
+    return create_actor(spec, hidden, key)
 
 
-class ThresholdedPolicy(NormalizedPolicy):
-    """Of the discrete actions that a model of the log finds likely enough, the best by a critic (discrete BCQ).
-
-    Attributes:
-        behavior: the model.
-        critic: to a value per action.
-        threshold: smallest probability of an action, relative to the most probable one's.
-    """
-
-    behavior: Categorical
-    critic: MLP
-    threshold: Array
-
-    def act(self, step, carry, key, *, greedy):
-        """See `NormalizedPolicy`; nothing is drawn."""
-        allowed = probable_enough(self.behavior, self.threshold, step.observation)
-        values = jnp.where(allowed, self.critic(step.observation), -jnp.inf)
-        return values.argmax(-1).astype(jnp.int32), carry
-
-    def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
-        """The probability of every action: all of it on one."""
-        step = Step(observation, None, None)
-        chosen, _ = self.act(step, (), jax.random.key(0), greedy=True)
-        return jax.nn.one_hot(chosen, self.critic.biases[-1].shape[-1])
-
-
-def probable_enough(behavior: Categorical, threshold: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:
-    """Which actions have at least `threshold` times the probability of the most probable one."""
-    log_probs = behavior.log_probs(observation)
-    return log_probs >= log_probs.max(-1, keepdims=True) + jnp.log(threshold)
-
-
-class GreedyQ(NormalizedPolicy):
-    """The best of several actions of `actor` by the first critic (thesis 4.3, test time; A.4).
-
-    Attributes:
-        actor: samples the candidates.
-        critic: compares them.
-        noise: (samples, z) from which candidates are made when `greedy`, the same in every state; else they are drawn.
-    """
-
-    actor: Sampler
-    critic: MLP
-    noise: Float[Array, "c z"]
-
-    @classmethod
-    def of(cls, actor: Sampler, critic: MLP, samples: int) -> Self:
-        """With as many candidates."""
-        return cls(actor, critic, fixed_noise(samples, actor.noise_size))
-
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        samples, size = self.noise.shape
-        if greedy:
-            noise = self.noise.reshape(samples, *[1] * (len(count) + 1), size)
-            pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, len(observation), size)))
-        else:
-            pre = self.actor.drawn(observation, key, (samples, *count))
-        critics = jax.tree.map(lambda w: w[None], self.critic)
-        q = q_values(critics, observation, jnp.tanh(pre))[0]
-        best = jnp.argmax(q, 0)
-        return jnp.take_along_axis(pre, best[None, ..., None], 0)[0]
+def stochastic(actor: MLP | Categorical | TanhMeanGaussian) -> TanhGaussian | Categorical | TanhMeanGaussian:
+    """What `create_actor` or `create_imitator` made as a policy; greedy is its mean, or its likeliest action."""
+    return TanhGaussian(actor) if isinstance(actor, MLP) else actor

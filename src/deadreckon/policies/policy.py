@@ -33,9 +33,9 @@ class Policy(Protocol):
 class NormalizedPolicy(eqx.Module):
     """A policy in a method's coordinates: observations as trained on, actions in [-1, 1] or indices.
 
-    Memoryless continuous ones implement `pre_actions` alone; those that remember, or choose among discrete actions,
-    override `start` and `act`. Greedy actions of a memoryless policy are a function of the observation: they use no `key`, and
-    what they draw, such as candidates, is drawn once and kept in the policy.
+    Memoryless continuous ones implement `pre_actions` alone, or `actions` where these are not squashed by a tanh; those that
+    remember, or choose among discrete actions, override `start` and `act`. Greedy actions of a memoryless policy are a function
+    of the observation: they use no `key`, and what they draw, such as candidates, is drawn once and kept in the policy.
     """
 
     has_log_prob = False
@@ -55,7 +55,13 @@ class NormalizedPolicy(eqx.Module):
 
     def act(self, step: Step, carry: Any, key: PRNGKeyArray, *, greedy: bool) -> tuple[Array, Any]:
         """Actions in [-1, 1] (or indices) and the next carry."""
-        return jnp.tanh(self.pre_actions(step.observation, key, greedy=greedy)), carry
+        return self.actions(step.observation, key, greedy=greedy), carry
+
+    def actions(
+        self, observation: Float[Array, "n o"], key: PRNGKeyArray, *, greedy: bool, count: tuple[int, ...] = ()
+    ) -> Float[Array, "*c n a"]:
+        """Actions in [-1, 1]; `count` of them along new leading axes."""
+        return jnp.tanh(self.pre_actions(observation, key, greedy=greedy, count=count))
 
     def pre_actions(
         self, observation: Float[Array, "n o"], key: PRNGKeyArray, *, greedy: bool, count: tuple[int, ...] = ()

@@ -128,7 +128,7 @@ class NumpyPolicy:
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy)
         kind = self.tree["inner"]["kind"]
-        if kind == "ClippedGaussian":
+        if kind in ("ClippedGaussian", "TanhMeanGaussian"):
             action = np.clip(action, -1.0, 1.0)
         elif kind != "Gaussian":
             action = np.tanh(action)
@@ -189,9 +189,14 @@ class NumpyPolicy:
             pre = self._from_noise(actor, x, noise)
             q = self._net(node["critic"], _beside(x, np.tanh(pre)))[..., 0]
             return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
-        if kind in ("Gaussian", "ClippedGaussian"):
-            mean, log_std = np.split(self._net(node["net"], x), 2, -1)
+        if kind in ("Gaussian", "ClippedGaussian", "TanhMeanGaussian"):
+            if kind == "TanhMeanGaussian":
+                mean, log_std = np.tanh(self._net(node["net"], x)), np.clip(self._array(node["log_std"]), *_LOG_STD)
+            else:
+                mean, log_std = np.split(self._net(node["net"], x), 2, -1)
             return mean if greedy else mean + np.exp(log_std) * rng.standard_normal(mean.shape, np.float32)
+        if kind not in ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep"):
+            raise ValueError(f"unknown kind of policy {kind!r}")
         shape = len(x), _noise_size(node, self.arrays)
         noise = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
         return self._from_noise(node, x, noise)
@@ -210,7 +215,7 @@ class NumpyPolicy:
             return np.arctanh(np.clip(action + self._array(node["max_perturbation"]) * move, -_EDGE, _EDGE))
         if kind == "OneStep":
             return np.arctanh(np.clip(self._net(node["net"], _beside(x, noise)), -_EDGE, _EDGE))
-        raise ValueError(f"unknown kind of policy {kind!r}")
+        raise ValueError(f"unknown kind of policy {kind!r} among candidates")
 
 
 def _beside(x, many):

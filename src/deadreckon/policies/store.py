@@ -13,7 +13,7 @@ from deadreckon.files import replacing
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
-from deadreckon.policies import planner, portable  # noqa: F401 - a planner registers itself
+from deadreckon.policies import candidates, planner, portable  # noqa: F401 - kinds of policy register themselves
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.sequence import Sequence
