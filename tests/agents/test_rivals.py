@@ -169,7 +169,8 @@ def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to(likelihood
     mean = stochastic(state.model).actions(seen, KEY, greedy=True)
     np.testing.assert_allclose(agent.policy(state).actions(seen, KEY, greedy=True), mean, rtol=1e-6)
     if likelihood == "normal":
-        np.testing.assert_allclose(dist.gaussian_head(state.actor(seen)).log_std, np.tile(state.model.log_std, (5, 1)), atol=1e-6)
+        log_std = dist.gaussian_head(state.actor(seen)).log_std
+        np.testing.assert_allclose(log_std, np.tile(state.model.log_std, (5, 1)), atol=1e-6)
         return
     for a, b in zip(jax.tree.leaves(state.actor), jax.tree.leaves(state.model), strict=True):
         np.testing.assert_array_equal(a, b)

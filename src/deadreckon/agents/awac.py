@@ -6,7 +6,8 @@ import jax
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.agents.agent import backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
@@ -25,7 +26,7 @@ class State(NamedTuple):
     critics_opt: optax.OptState
 
 
-class AWAC(Agent):
+class AWAC(ScaledRewards):
     """Twin critics, and imitation weighted by exp(advantage / temperature)."""
 
     revision: ClassVar[int] = 2
@@ -42,10 +43,11 @@ class AWAC(Agent):
     """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
@@ -88,5 +90,5 @@ class AWAC(Agent):
         return stochastic(state.actor)
 
     def q_value(self, state, observation, action):
-        """The smaller of the two critics."""
-        return minimum(q_values(state.critics, observation, action))
+        """The smaller of the two critics, in the log's units."""
+        return self.logged_value(minimum(q_values(state.critics, observation, action)))

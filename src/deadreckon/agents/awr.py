@@ -50,10 +50,12 @@ class AWR(Agent):
     window: Count = static(16)  # consecutive transitions after which the value stands for the rest of the return
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
+    standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Windows of transitions."""
-        return BatchSpec((*BatchSpec.columns, "time"), max(self.batch_size // self.window, 1), window=self.window)
+        size = max(self.batch_size // self.window, 1)
+        return BatchSpec((*BatchSpec.columns, "time"), size, window=self.window, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks."""

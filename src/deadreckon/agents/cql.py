@@ -16,15 +16,16 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import imitation_loss
+from deadreckon.agents.agent import backup, imitation_loss
 from deadreckon.agents.sac import SAC
-from deadreckon.data.batch import Batch
+from deadreckon.agents.scaled_rewards import ScaledRewards
+from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Categorical
 from deadreckon.randomness import keys
-from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Number, Sizes, static
 
 
 class CQLState(NamedTuple):
@@ -35,7 +36,7 @@ class CQLState(NamedTuple):
     imitates: Array
 
 
-class CQL(SAC):
+class CQL(ScaledRewards, SAC):
     """SAC with conservative critics."""
 
     revision: ClassVar[int] = 1
@@ -52,10 +53,19 @@ class CQL(SAC):
     """form of the penalty: CQL(H), log-sum-exp over actions, or CQL(rho), weighted actions of the policy"""
     cql_weight: NonNegative = 5.0  # weight of the conservative penalty (alpha in the paper); initial weight with lagrange
     samples: Count = static(10)  # actions sampled from each distribution to estimate the log-sum-exp
+    max_target_backup: bool = static(False)
+    """whether targets take the best of as many actions of the policy as above (public code on AntMaze), and not one"""
+    min_gap: Number = -1e9
+    """lower limit of log-sum-exp minus Q of each transition in the penalty, beyond which it has no slope (AntMaze: -200)"""
     lagrange: bool = static(False)  # whether the weight of the penalty is a Lagrange multiplier
     threshold: NonNegative = 10.0  # value that the penalty is held to, with lagrange
     cql_weight_lr: NonNegative = 3e-4  # learning rate of the multiplier, with lagrange
     warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log at first (public code: 40,000)
+    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+
+    def needs(self, spec):
+        """Transitions."""
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key) -> Any:
         """SAC's state and the multiplier."""
@@ -63,12 +73,23 @@ class CQL(SAC):
         held = CQLState(log_weight, init_opt(log_weight), jnp.asarray(self.warm_start > 0))
         return super().init(spec, key)._replace(model=held)
 
+    def target(self, state, batch, key):
+        """SAC's, or r + discount max_i (min_j Q'_j(s', a_i) + bonus), a_i of the policy."""
+        if not self.max_target_backup or isinstance(state.actor, Categorical):
+            return super().target(state, batch, key)
+        noise = jax.random.normal(key, (self.samples, *batch.action.shape))
+        return backup(batch, self.discount, self.value(state, batch.next_observation, noise).max(0))
+
+    def q_value(self, state, observation, action):
+        """Minimum over the critics, in the log's units; includes the entropy bonus of later steps where targets do."""
+        return self.logged_value(super().q_value(state, observation, action))
+
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
         measure = soft_maximum if self.form == "H" else weighted_mean
-        high = measure(critics, state.actor, batch, self.samples, key).mean(-1)
-        gap = high - q_values(critics, batch.observation, batch.action).mean(-1)
+        high = measure(critics, state.actor, batch, self.samples, key)
+        gap = jnp.maximum(high - q_values(critics, batch.observation, batch.action), self.min_gap).mean(-1)
         weight = jax.lax.stop_gradient(jnp.exp(state.model.log_weight)) if self.lagrange else self.cql_weight
         return loss + weight * gap.sum(), metrics | {"gap": gap.mean()}
 

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.agents.agent import backup, bellman_loss, create_critics
+from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
@@ -36,7 +37,7 @@ class State(NamedTuple):
     critics_opt: optax.OptState
 
 
-class FQL(Agent):
+class FQL(ScaledRewards):
     """Flow Q-learning."""
 
     revision: ClassVar[int] = 2
@@ -118,5 +119,5 @@ class FQL(Agent):
         return OneStep(state.actor)
 
     def q_value(self, state, observation, action):
-        """The mean of the two critics."""
-        return q_values(state.critics, observation, action).mean(0)
+        """The mean of the two critics, in the log's units."""
+        return self.logged_value(q_values(state.critics, observation, action).mean(0))

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.agents.agent import backup, bellman_loss, capped_exp, create_critics, imitation_loss
+from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, minimum, q_values
-from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
+from deadreckon.nets.optim import apply_gradients, copy, cosine_decay, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Positive, Sizes, UnitInterval, static
@@ -32,7 +33,7 @@ class State(NamedTuple):
     critics_opt: optax.OptState
 
 
-class IQL(Agent):
+class IQL(ScaledRewards):
     """Expectile values and weighted imitation."""
 
     revision: ClassVar[int] = 2
@@ -40,6 +41,8 @@ class IQL(Agent):
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
+    actor_decay_steps: NonNegative | None = None
+    """updates over which the learning rate of the actor falls to 0 along a cosine; None: the whole run, 0: it stays"""
     critic_lr: NonNegative = 3e-4  # learning rate of critics and values
     discount: UnitInterval = 0.99  # discount factor per step
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
@@ -50,16 +53,23 @@ class IQL(Agent):
     """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    layer_norm: bool = static(False)  # whether the value network uses layer normalisation (XQL's public code)
+    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+
+    def resolve(self, spec, steps):
+        """Fills in how long the actor's learning rate falls."""
+        agent = super().resolve(spec, steps)
+        return agent if self.actor_decay_steps is not None else agent.replace(actor_decay_steps=float(steps))
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kv, kc = keys(key, "actor", "value", "critics")
         actor = create_imitator(spec, self.hidden, ka, self.likelihood)
-        value = MLP.create(spec.observation_size, self.hidden, 1, kv)
+        value = MLP.create(spec.observation_size, self.hidden, 1, kv, normalise=self.layer_norm)
         critics = create_critics(spec, self.hidden, 2, kc)
         return State(actor, value, critics, copy(critics), init_opt(actor), init_opt(value), init_opt(critics))
 
@@ -80,7 +90,8 @@ class IQL(Agent):
 
         advantage = q - value(batch.observation)[..., 0]
         actor_loss, grads = jax.value_and_grad(self.actor_loss)(state.actor, batch, advantage)
-        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
+        actor_lr = cosine_decay(self.actor_lr, step, self.actor_decay_steps)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, actor_lr)
 
         target = backup(batch, self.discount, value(batch.next_observation)[..., 0])  # eq. 6
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
@@ -94,5 +105,5 @@ class IQL(Agent):
         return stochastic(state.actor)
 
     def q_value(self, state, observation, action):
-        """The smaller of the two critics."""
-        return minimum(q_values(state.critics, observation, action))
+        """The smaller of the two critics, in the log's units."""
+        return self.logged_value(minimum(q_values(state.critics, observation, action)))

@@ -5,7 +5,7 @@ the present policy branch off from logged states. A batch is a share of logged r
 are SAC's. The agents differ in how they keep from believing the model too much.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from deadreckon.agents.sac import SAC, State
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.dynamics import Branch, Ensemble, branches, packed
 from deadreckon.errors import DivergedError, UserError
+from deadreckon.nets.optim import cosine_decay
 from deadreckon.randomness import generator, keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, static
 
@@ -32,13 +33,15 @@ class ModelBuffer(NamedTuple):
 class OfflineMBRL(ModelBasedAgent, SAC):
     """SAC on logged and made-up rows."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollout_batch_size", "keep": "retain_rounds",
         "logged_rows": "real_batch_size",
     }  # fmt: skip
 
     actor_lr: NonNegative = 1e-4  # learning rate of the actor
+    actor_decay_steps: NonNegative | None = None
+    """updates over which the learning rate of the actor falls to 0 along a cosine; None: the whole run, 0: it stays"""
     temperature_lr: NonNegative = 1e-4  # learning rate of the logarithm of the entropy temperature
     refresh: CountOrZero = static(1000)  # updates between rounds of model rollouts
     rollout_length: Count = static(5)  # steps of a model rollout
@@ -53,7 +56,12 @@ class OfflineMBRL(ModelBasedAgent, SAC):
         if self.real_batch_size >= self.batch_size:
             name = f"{type(self).__name__}.real_batch_size"
             raise UserError(f"{name} must be fewer than a batch has, {self.batch_size}, got {self.real_batch_size}")
-        return super().resolve(spec, steps)
+        agent = super().resolve(spec, steps)
+        return agent if self.actor_decay_steps is not None else agent.replace(actor_decay_steps=float(steps))
+
+    def actor_rate(self, step: Array) -> Any:
+        """Learning rate of the actor at an update, along a cosine (OfflineRL-Kit)."""
+        return cosine_decay(self.actor_lr, step, self.actor_decay_steps)
 
     def init(self, spec, key):
         """SAC's state, and room for what will be made up."""

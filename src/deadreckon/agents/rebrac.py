@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.agent import backup
+from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import minimum, q_values
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
-class ReBRAC(TD3):
+class ReBRAC(ScaledRewards, TD3):
     """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
 
     revision: ClassVar[int] = 1
@@ -44,3 +45,7 @@ class ReBRAC(TD3):
         q = minimum(q_values(state.critics, batch.observation, action))
         scale = 1.0 / (jax.lax.stop_gradient(jnp.abs(q).mean()) + 1e-8)
         return (self.actor_penalty * jnp.square(action - batch.action).sum(-1) - scale * q).mean()
+
+    def q_value(self, state, observation, action):
+        """The smaller of the two critics, in the log's units; it holds the penalties that are paid later."""
+        return self.logged_value(super().q_value(state, observation, action))

@@ -80,6 +80,10 @@ class SAC(Agent):
         """Value of the next state from the target critics' values (k, *b)."""
         return self.min_q(values)
 
+    def actor_rate(self, step: Array) -> Any:
+        """Learning rate of the actor at an update."""
+        return self.actor_lr
+
     @property
     def entropy_target(self):
         """The entropy that the temperature is tuned to, in nats."""
@@ -145,7 +149,7 @@ class SAC(Agent):
         state = state._replace(critics=critics, critics_opt=critics_opt)
 
         (loss, log_prob), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
-        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
+        actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_rate(step))
 
         # The temperature falls while the entropy exceeds its target: d/dlog T of -log T (log pi + target entropy).
         slope = -(log_prob + self.entropy_target)

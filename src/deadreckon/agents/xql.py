@@ -6,15 +6,16 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.iql import IQL
-from deadreckon.training.hyperparameters import NonNegative, Positive
+from deadreckon.training.hyperparameters import NonNegative, Positive, static
 
 
 class XQL(IQL):
     """IQL with the Gumbel loss instead of expectiles (the field `expectile` has no part in it)."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"temperature": "loss_temperature", "most_gap": "max_clip"}
 
+    layer_norm: bool = static(True)  # whether the value network uses layer normalisation
     loss_temperature: Positive = 2.0
     """temperature of the Gumbel loss, beta in the paper: large is the mean, small the maximum (published: 0.55 to 10)"""
     max_clip: NonNegative = 7.0  # largest (Q - V) / loss_temperature in the loss; its gradient is 0 beyond

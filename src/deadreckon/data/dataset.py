@@ -167,6 +167,7 @@ class Dataset:
     @cached_property
     def spec(self) -> Spec:
         """Shape, bounds and statistics of the log."""
+        returns = self.returns()
         return Spec(
             observation_shape=self.observations.shape[1:],
             observation_dtype=str(self.observations.dtype),
@@ -177,6 +178,7 @@ class Dataset:
             rows=len(self),
             episodes=self.episodes,
             longest=int(self.lengths.max()),
+            returns=(float(returns.min()), float(returns.max())),
             name=self.name,
         )
 

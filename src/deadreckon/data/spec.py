@@ -81,6 +81,7 @@ class Spec:
         rows: number of logged steps.
         episodes: number of episodes.
         longest: steps in the longest episode.
+        returns: smallest and largest undiscounted return of an episode.
         name: the log's name, such as `maze2d-umaze-v1@dr1`.
     """
 
@@ -93,6 +94,7 @@ class Spec:
     rows: int
     episodes: int
     longest: int
+    returns: tuple[float, float]
     name: str
 
     @classmethod
@@ -100,7 +102,8 @@ class Spec:
         """The spec of a log that has yet to be collected; its statistics say nothing (mean 0, deviation 1)."""
         nothing = lambda shape: Statistics(np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape))  # noqa: E731
         actions = nothing(() if isinstance(action, Discrete) else (action.size,))
-        return cls(observation_shape, "float32", action, nothing(observation_shape), actions, nothing(()), 0, 0, 0, name)
+        columns = nothing(observation_shape), actions, nothing(())
+        return cls(observation_shape, "float32", action, *columns, 0, 0, 0, (0.0, 0.0), name)
 
     @property
     def observation_size(self) -> int:

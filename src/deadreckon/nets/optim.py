@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jaxtyping import Array
 
 ADAM = optax.scale_by_adam()
 
@@ -31,6 +32,15 @@ def apply_gradients(
     if weight_decay is not None:
         new = jax.tree.map(lambda n, p: n - lr * weight_decay * p, new, params)
     return new, opt
+
+
+def cosine_decay(lr: Any, step: Array, steps: Any) -> Array:
+    """A learning rate that falls to 0 along half a cosine over `steps` updates (Loshchilov and Hutter 2017); 0: it is constant.
+
+    As `optax.cosine_decay_schedule`, for numbers of updates that may be traced.
+    """
+    share = jnp.clip(step / jnp.maximum(steps, 1.0), 0.0, 1.0)
+    return jnp.where(jnp.asarray(steps) > 0, lr * 0.5 * (1.0 + jnp.cos(jnp.pi * share)), lr)
 
 
 def clip_by_norm(grads: Any, norm: Any) -> Any:

@@ -23,7 +23,8 @@ class Learner(Protocol):
 
     Optional, found by name: `prepare(state, rows, key, fit) -> state`, called on the host before the first update and,
     where the learner has a positive `refresh`, again every `refresh` updates; `fit(learner, steps, key)` trains another
-    learner on the same rows and gives its state.
+    learner on the same rows and gives its state. `learned(batch) -> batch` changes what is learned from, such as the scale of
+    rewards, in every batch.
     """
 
     def needs(self, spec: Spec) -> BatchSpec:

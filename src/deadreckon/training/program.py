@@ -135,6 +135,8 @@ def advance(
             own = fetched if plan.grows and not single else data
             fetched = {name: column[index] for name, column in own.items()}
         batch = batch_of(plan, fetched, initial, root, step)
+        if hasattr(learner, "learned"):
+            batch = learner.learned(batch)
         key = key_for(root, "update", step)
         return learner.update(state, batch, step=step, key=key)
 

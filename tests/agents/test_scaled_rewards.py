@@ -1,0 +1,88 @@
+"""Rewards in other units: resolved from the log, applied to every batch, and gone where values are told."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from deadreckon.agents import AWAC, CQL, FQL, IQL, ReBRAC
+from deadreckon.data.batch import Batch, TransitionSource
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.nets.optim import cosine_decay
+from deadreckon.training.fit import fit
+from tests.agents.test_offline import SMALL
+
+AGENTS = [IQL, AWAC, CQL, FQL, ReBRAC]
+
+
+def log_of(rewards, ends):
+    rng = np.random.default_rng(0)
+    n = len(rewards)
+    return Dataset.from_arrays(
+        observations=rng.normal(size=(n, 1)), actions=rng.uniform(-0.9, 0.9, (n, 1)), rewards=rewards, terminals=ends,
+        action_space=Box((-1.0,), (1.0,)),
+    )  # fmt: skip
+
+
+LOG = log_of([1.0, 2.0, 3.0, 0.5, 0.5, 4.0], [False, False, True, False, True, True])  # returns 6, 1 and 4
+
+
+@pytest.mark.parametrize("kind", AGENTS)
+def test_the_scale_is_of_the_logs_returns(kind):
+    assert LOG.spec.returns == (1.0, 6.0)
+    agent = kind(normalized_return_range=1000.0, reward_shift=-1.0).resolve(LOG.spec, 10)
+    assert agent.reward_scale == pytest.approx(200.0)
+    np.testing.assert_allclose(agent.learned(Batch(reward=jnp.asarray([1.0, 0.5]))).reward, [199.0, 99.0])
+    assert kind().resolve(LOG.spec, 10).reward_scale == 1.0
+    assert kind(reward_scale=3.0).resolve(LOG.spec, 10).reward_scale == 3.0
+    assert agent.resolve(LOG.spec, 10).reward_scale == agent.reward_scale  # resolved once more, as on resume
+
+
+def test_what_cannot_be_is_refused_in_one_line():
+    with pytest.raises(UserError, match="IQL takes reward_scale or normalized_return_range, got both"):
+        IQL(reward_scale=2.0, normalized_return_range=5.0).resolve(LOG.spec, 10)
+    same = log_of([1.0, 2.0, 3.0], [False, True, True])
+    with pytest.raises(UserError, match=r"needs episodes with different returns; all of .* have 3: give reward_scale instead"):
+        IQL(normalized_return_range=5.0).resolve(same.spec, 10)
+
+
+@pytest.mark.parametrize("kind", AGENTS)
+def test_training_on_scaled_rewards_is_training_on_a_log_that_has_them(kind):
+    """The same log in two units: agents that scale the one learn the same networks as those that are given the other."""
+    scaled = log_of(10.0 * np.asarray(LOG.rewards, np.float32) - 5.0, np.asarray(LOG.terminals))
+    small = {name: (8, 8) if name == "hidden" else value for name, value in SMALL.items()} | {"batch_size": 4}
+
+    def learned(log, **fields):
+        agent = kind(**small, **fields).resolve(log.spec, 6)
+        return fit([agent], TransitionSource(log, agent.needs(log.spec)), [0], 6, chunk=3).lane(0), agent
+
+    ours, agent = learned(LOG, reward_scale=10.0, reward_shift=-5.0)
+    theirs, other = learned(scaled)
+    for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
+    seen, done = jnp.zeros((3, 1)), jnp.zeros((3, 1))
+    assert np.isnan(agent.q_value(ours, seen, done)).all()  # a shift counts by how long episodes last
+    half = other.replace(reward_scale=0.5)
+    np.testing.assert_allclose(half.q_value(ours, seen, done), 2.0 * other.q_value(ours, seen, done), rtol=1e-6)
+
+
+def test_a_learning_rate_falls_along_a_cosine_as_optax_has_it():
+    schedule = optax.cosine_decay_schedule(3e-4, 1000)
+    for step in (0, 1, 250, 500, 999, 1000, 5000):
+        np.testing.assert_allclose(cosine_decay(3e-4, jnp.int32(step), 1000.0), schedule(step), rtol=1e-5, atol=1e-10)
+        np.testing.assert_allclose(cosine_decay(3e-4, jnp.int32(step), 0.0), 3e-4)
+
+
+def test_iqls_actor_rests_when_its_learning_rate_has_fallen():
+    agent = IQL(hidden=(8, 8), batch_size=4).resolve(LOG.spec, 6)
+    assert agent.actor_decay_steps == 6.0
+    assert IQL(actor_decay_steps=0.0).resolve(LOG.spec, 6).actor_decay_steps == 0.0
+    rows = TransitionSource(LOG, agent.needs(LOG.spec))
+    at_the_end = fit([agent], rows, [0], 6, chunk=6).lane(0)
+    later = fit([agent], rows, [0], 12, chunk=6).lane(0)
+    for a, b in zip(jax.tree.leaves(at_the_end.actor), jax.tree.leaves(later.actor), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert any(map(lambda a, b: bool((a != b).any()), jax.tree.leaves(at_the_end.value), jax.tree.leaves(later.value)))
