@@ -12,6 +12,7 @@ from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import q_values
+from deadreckon.nets.mmd import squared_mmd
 from deadreckon.policies import EnvPolicy
 from deadreckon.randomness import key_for, keys
 from deadreckon.training.fit import fit
@@ -19,6 +20,7 @@ from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
 from tests.nets.test_mmd import reference_mmd
 
+KEY = jax.random.key(11)
 LOG = corridor()
 SPEC = LOG.spec
 
@@ -260,3 +262,26 @@ def test_mmd_after_the_tanh_and_against_the_logged_action():
     action = np.asarray(batch.action)
     expected = [reference_mmd("gaussian", np.tanh(pre[:, s]), action[None, s], 20.0) for s in range(6)]
     np.testing.assert_allclose(got, expected, rtol=5e-3)
+
+
+def test_an_unbiased_constraint_is_the_root_of_the_mean_square_over_states():
+    agent, state, batch = setup(mmd_estimate="unbiased", actor_samples=1)
+    loss, (divergence, _, value) = agent.actor_loss(state.actor, state, batch, jnp.int32(10**6), KEY)
+    k_policy, k_behavior = keys(KEY, "policy", "behavior")
+    pre = dist.sample(dist.gaussian_head(state.actor(batch.observation)), k_policy, (4,))
+    logged = dist.sample(dist.gaussian_head(state.behavior(batch.observation)), k_behavior, (4,))
+    squares = squared_mmd(pre, logged, agent.kernel, agent.bandwidth, unbiased=True)
+    assert float(squares.min()) < 0.0  # single states may be below zero
+    np.testing.assert_allclose(divergence, np.sqrt(max(float(squares.mean()), 0.0) + 1e-6), rtol=1e-4)
+    np.testing.assert_allclose(loss, -value + np.exp(state.log_multiplier) * divergence, rtol=1e-4)
+    with pytest.raises(UserError, match="needs policy_samples and behavior_samples of 2 or more"):
+        setup(mmd_estimate="unbiased", behavior_samples=1)
+
+
+def test_the_multiplier_may_be_adapted_in_the_warm_start():
+    for adapted in (False, True):
+        agent, state, _ = setup(warm_start=10, dual_warm_start=adapted, threshold=0.05)
+        value, _ = agent.dual_step(state, jnp.asarray(1.0), jnp.int32(3))
+        assert bool(value > state.log_multiplier) == adapted
+        value, _ = agent.dual_step(state, jnp.asarray(1.0), jnp.int32(10))
+        assert value > state.log_multiplier

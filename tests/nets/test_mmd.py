@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.nets.mmd import FLOOR, kernel_values, mmd
+from deadreckon.nets.mmd import FLOOR, kernel_values, mmd, squared_mmd
 
 SCALES = (1.0, 10.0, 50.0)
 
@@ -40,6 +40,22 @@ def test_kernels_and_mmd_equal_numpy(kind):
     for state in range(3):
         np.testing.assert_allclose(values[1, 2, state], reference_kernel(kind, x[1, state], y[2, state], 20.0), rtol=1e-5)
         np.testing.assert_allclose(got[state], reference_mmd(kind, x[:, state], y[:, state], 20.0), rtol=2e-3)
+
+
+def test_the_unbiased_square_has_no_pairs_of_a_draw_with_itself_and_is_zero_in_the_mean_for_one_distribution():
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(3, 2, 2)).astype("f4"), (0.7 + rng.normal(size=(4, 2, 2))).astype("f4")
+    got = squared_mmd(x, y, "gaussian", 2.0, unbiased=True)
+    for state in range(2):
+        a, b = x[:, state], y[:, state]
+        k = lambda u, v: reference_kernel("gaussian", u, v, 2.0)  # noqa: E731
+        expected = sum(k(a[i], a[j]) for i in range(3) for j in range(3) if i != j) / 6
+        expected += sum(k(b[i], b[j]) for i in range(4) for j in range(4) if i != j) / 12
+        expected -= 2 * np.mean([k(u, v) for u in a for v in b])
+        np.testing.assert_allclose(got[state], expected, rtol=1e-4, atol=1e-6)
+    same = rng.normal(size=(2, 4, 20_000, 3)).astype("f4")
+    squares = {flag: float(squared_mmd(*same, "gaussian", 20.0, unbiased=flag).mean()) for flag in (True, False)}
+    assert abs(squares[True]) < 1e-3 < 0.05 < squares[False]  # 2 (1 - E k) / 4 of four draws each
 
 
 def test_gaussian_bandwidth_is_a_variance():

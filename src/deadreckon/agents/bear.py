@@ -17,7 +17,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
-from deadreckon.nets.mmd import Kernel, mmd
+from deadreckon.nets.mmd import Kernel, mmd, root, squared_mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
@@ -69,6 +69,8 @@ class BEAR(Agent):
     kernel: Kernel = static("laplacian")  # kernel of the MMD: "laplacian" works in all cases, "gaussian" on expert data (A.4)
     bandwidth: Positive = 20.0  # scale of the Laplacian kernel, or VARIANCE of the Gaussian one (20 in all settings, A.4)
     mixture: Annotated[tuple[float, ...], Range(gt=0)] = static((1.0, 10.0, 50.0))  # bandwidths of the mixture kernel (A.4)
+    mmd_estimate: Literal["biased", "unbiased"] = static("biased")
+    """estimate of the MMD: mean over states of roots of the biased one (thesis), or root of the mean of unbiased squares"""
     policy_samples: Count = static(4)  # actions sampled from the policy in the MMD (m)
     behavior_samples: Count = static(4)  # actions sampled from the behaviour model in the MMD (n); 4 or 5 is best (4.4)
     dual: bool = static(True)  # whether the multiplier is adapted; otherwise it keeps its initial value (tuned, Figure A.5)
@@ -76,6 +78,7 @@ class BEAR(Agent):
     multiplier_lr: NonNegative = 1e-3  # learning rate of the logarithm of the multiplier (A.4)
     multiplier_min: float = -5.0  # lower limit of the logarithm of the multiplier (A.4)
     multiplier_max: float = 10.0  # upper limit of the logarithm of the multiplier (A.4)
+    dual_warm_start: bool = static(False)  # whether the multiplier is adapted in the warm start too (D4RL version)
     warm_start: CountOrZero | None = static(None)  # updates with the constraint alone; None: min(40,000, 20 % of the run)
     density_weighting: bool = static(False)  # whether Bellman errors are weighted by 1 / behaviour density (A.3, Figure A.6)
     density_clip: Annotated[float, Range(ge=1)] = 10.0  # largest such weight, in multiples of the mean over the batch
@@ -94,6 +97,8 @@ class BEAR(Agent):
         if (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian":
             name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
             raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
+        if self.mmd_estimate == "unbiased" and min(self.policy_samples, self.behavior_samples) < 2:
+            raise UserError("BEAR.mmd_estimate='unbiased' needs policy_samples and behavior_samples of 2 or more")
         if self.actor_samples > self.policy_samples:
             raise UserError(f"BEAR.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
         return agent.replace(
@@ -157,7 +162,15 @@ class BEAR(Agent):
             logged = model.pre_actions(observation, key, greedy=False, count=(self.behavior_samples,))
         # Before the tanh by default: after it, gradients all but vanish where actions saturate (A.4).
         squash = (lambda x: x) if self.mmd_actions == "before_tanh" else jnp.tanh
-        return mmd(squash(pre), squash(jax.lax.stop_gradient(logged)), self.kernel, self.bandwidth, self.mixture)
+        sets = squash(pre), squash(jax.lax.stop_gradient(logged))
+        if self.mmd_estimate == "unbiased":
+            return squared_mmd(*sets, self.kernel, self.bandwidth, self.mixture, unbiased=True)
+        return mmd(*sets, self.kernel, self.bandwidth, self.mixture)
+
+    def constrained(self, divergence: Float[Array, "b"]) -> Float[Array, ""]:
+        """What the threshold is for: the mean over states, of unbiased squares its root."""
+        squares = self.constraint == "mmd" and self.mmd_estimate == "unbiased"
+        return root(divergence.mean()) if squares else divergence.mean()
 
     def actor_loss(self, actor, state, batch, step, key):
         """The Lagrangian of eq. 4.1 for fixed multiplier: -E[Q] + alpha E_s[MMD]; at first the constraint alone.
@@ -168,7 +181,7 @@ class BEAR(Agent):
         k_policy, k_behavior = keys(key, "policy", "behavior")
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
-        divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
+        divergence = self.constrained(self.divergence(d, pre, state, batch, k_behavior))
         drawn = pre[0] if self.actor_samples == 1 else pre[: self.actor_samples]
         q = q_values(state.critics, batch.observation, jnp.tanh(drawn))
         value = (minimum(q) if self.actor_value == "min" else q.mean(0)).mean()
@@ -182,12 +195,15 @@ class BEAR(Agent):
         return jnp.where(warm, 0.0, loss) + jnp.where(warm, 1.0, jnp.exp(state.log_multiplier)) * divergence
 
     def dual_step(self, state, divergence, step):
-        """Gradient ascent of alpha (E[MMD] - threshold) in log alpha, clipped (A.4); rests during the warm start."""
+        """Gradient ascent of alpha (E[MMD] - threshold) in log alpha, clipped (A.4); rests in the warm start unless
+        `dual_warm_start`."""
         if not self.dual:
             return state.log_multiplier, state.opts["multiplier"]
         slope = -jnp.exp(state.log_multiplier) * (divergence - self.threshold)
         value, opt = apply_gradients(state.log_multiplier, slope, state.opts["multiplier"], self.multiplier_lr)
         value = jnp.clip(value, self.multiplier_min, self.multiplier_max)
+        if self.dual_warm_start:
+            return value, opt
         return self.after_warm_start((value, opt), (state.log_multiplier, state.opts["multiplier"]), step)
 
     def after_warm_start(self, new, old, step):

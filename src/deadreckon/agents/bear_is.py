@@ -73,7 +73,7 @@ class ISBEAR(bear.BEAR):
         k_policy, k_behavior = keys(key, "policy", "behavior")
         d = dist.gaussian_head(set_policy(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
-        divergence = self.divergence(d, pre, state, batch, k_behavior).mean()
+        divergence = self.constrained(self.divergence(d, pre, state, batch, k_behavior))
         q = q_values(state.critics, batch.observation, jnp.tanh(pre)).mean(1)
         spread = jnp.sqrt((1.0 - self.delta) / self.delta * q.var(0) + 1e-6).mean()
         return self.lagrangian(spread, divergence, state, step), (divergence, spread)

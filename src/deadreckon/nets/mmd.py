@@ -47,11 +47,32 @@ def mmd(
     bandwidth: Any = 20.0,
     mixture: tuple[float, ...] = (1.0, 10.0, 50.0),
 ) -> Float[Array, "b"]:
-    """The root of the biased MMD^2 estimate for every state: sqrt(max(MMD^2, 0) + 1e-6).
+    """The root of the biased MMD^2 estimate for every state; see `squared_mmd` and `root`."""
+    return root(squared_mmd(x, y, kernel, bandwidth, mixture))
 
-    MMD^2 = mean k(x, x') - 2 mean k(x, y) + mean k(y, y'), diagonals included (thesis 4.3).
+
+def root(squared: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """sqrt(max(MMD^2, 0) + 1e-6)."""
+    return jnp.sqrt(jnp.maximum(squared, 0.0) + FLOOR)
+
+
+def squared_mmd(
+    x: Float[Array, "n b a"],
+    y: Float[Array, "m b a"],
+    kernel: Kernel = "laplacian",
+    bandwidth: Any = 20.0,
+    mixture: tuple[float, ...] = (1.0, 10.0, 50.0),
+    *,
+    unbiased: bool = False,
+) -> Float[Array, "b"]:
+    """An estimate of MMD^2 for every state.
+
+    mean k(x, x') - 2 mean k(x, y) + mean k(y, y'), diagonals included (thesis 4.3), so that two sets of draws from one
+    distribution are apart by about its variance over the number of draws; or, `unbiased`, without the diagonals
+    (Gretton et al. 2012, Lemma 6), which is zero in the mean then, and may be negative.
     """
-    xx = kernel_values(x, x, kernel, bandwidth, mixture).mean((0, 1))
-    xy = kernel_values(x, y, kernel, bandwidth, mixture).mean((0, 1))
-    yy = kernel_values(y, y, kernel, bandwidth, mixture).mean((0, 1))
-    return jnp.sqrt(jnp.maximum(xx - 2.0 * xy + yy, 0.0) + FLOOR)
+    xx, xy, yy = (kernel_values(a, b, kernel, bandwidth, mixture).mean((0, 1)) for a, b in ((x, x), (x, y), (y, y)))
+    if unbiased:  # k(x, x) is 1 for all kernels
+        (n, m) = len(x), len(y)
+        xx, yy = (n * xx - 1.0) / (n - 1), (m * yy - 1.0) / (m - 1)
+    return xx - 2.0 * xy + yy
