@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.agents import SAC, TD3, TD3BC
+from deadreckon.agents import SAC, SACN, TD3, TD3BC
 from deadreckon.data.batch import Batch
 from deadreckon.randomness import keys
 from tests.agents.test_bear import lane, numpy_gaussian
@@ -128,3 +128,23 @@ def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, 
     state = agent.init(SPEC, jax.random.key(0))
     after, _ = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
     assert (float(after.log_temperature) > float(state.log_temperature)) is rises
+
+
+def test_sac_n_steps_temperature_then_actor_then_critics(batch):
+    """Each step by what those before it have become, as in the public code."""
+    agent = SACN(hidden=(16, 16), critics=3, actor_lr=0.01, critic_lr=0.01, temperature_lr=0.1).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    k_target, k_critics, k_entropy, k_actor = keys(KEY, "target", "critic_loss", "entropy", "actor_loss")
+    after, metrics = agent.update(state, batch, step=jnp.int32(0), key=KEY)
+    _, log_prob = agent.actor_loss(state.actor, state, batch, k_entropy)
+    first = agent.update_temperature(state, log_prob)
+    assert float(first.log_temperature) != float(state.log_temperature)
+    np.testing.assert_allclose(after.log_temperature, first.log_temperature, rtol=1e-6)
+    second, loss, _ = agent.update_actor(first, batch, jnp.int32(0), k_actor)  # the critics have not moved
+    np.testing.assert_allclose(metrics["actor_loss"], loss, rtol=1e-5)
+    target = agent.target(second, batch, k_target)  # by the new actor
+    errors = [(q(state.critics, j, batch.observation, batch.action) - np.asarray(target)) ** 2 for j in range(3)]
+    np.testing.assert_allclose(metrics["critic_loss"], np.mean(errors), rtol=1e-3)
+    rate = agent.tau
+    for a, b, c in zip(after.target_critics.weights, state.critics.weights, after.critics.weights, strict=True):
+        np.testing.assert_allclose(a, (1 - rate) * b + rate * c, rtol=1e-4, atol=1e-6)

@@ -1,5 +1,7 @@
 """BCQ, BRAC, IQL, XQL, AWAC, CRR, ReBRAC, CQL, SAC-N and EDAC against numpy written from their equations, on fixed numbers."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -253,6 +255,9 @@ def normalised_mlp(net, x):
 def test_rebrac_target_and_actor_loss(batch):
     agent, state = made(ReBRAC(discount=0.9, policy_noise=0.0, actor_penalty=0.3, critic_penalty=0.7, **SMALL))
     assert "next_action" in agent.needs(SPEC).columns
+    assert float(jnp.abs(state.actor.weights[-1]).max()) <= 1e-3  # it begins close to zero, as in the public code
+    grown = dataclasses.replace(state.actor, weights=(*state.actor.weights[:-1], 1e3 * state.actor.weights[-1]))
+    state = state._replace(actor=grown, target_actor=grown)
 
     def least(critics, observation, action):
         joined = np.concatenate([np.asarray(observation), action], -1)

@@ -16,8 +16,11 @@ from tests.agents.worlds import corridor
 @pytest.mark.parametrize("agent", presets())
 def test_presets_are_settings_that_their_agents_take(agent):
     kind, spec = agent_class(agent), corridor().spec
-    for fields in presets()[agent].values():
+    for name, own in presets()[agent].items():
+        fields = preset(agent, name)
+        assert own.items() <= {field: list(v) if isinstance(v, tuple) else v for field, v in fields.items()}.items()
         made = kind(**fields).resolve(spec, 10)
+        fields.pop("normalized_return_range", None)  # which becomes a scale
         assert all(getattr(made, field) == value for field, value in fields.items())
 
 
@@ -30,12 +33,21 @@ def test_a_log_finds_its_own_preset_before_its_tasks():
     assert preset_for("bc", "hopper-medium-v2") is None
 
 
+def test_a_logs_preset_has_what_its_domain_has_and_its_own_wins():
+    assert preset("rebrac", "antmaze-umaze")["reward_scale"] == preset("rebrac", "antmaze")["reward_scale"] == 100.0
+    assert preset("xql", "antmaze-large-play")["loss_temperature"] == 0.6
+    assert preset("xql", "antmaze-umaze") | {"loss_temperature": 0.6} == preset("xql", "antmaze") | {
+        "max_clip": 7.0, "batch_size": 256,
+    }  # fmt: skip
+    assert preset("cql", "antmaze")["hidden"] == (256,) * 5
+
+
 def test_what_is_no_preset_says_so():
     assert preset("SAC-N", "walker2d") == {"critics": 20}
     with pytest.raises(UserError, match="unknown preset of rebrac 'hopper-medum': did you mean hopper-medium"):
         preset("rebrac", "hopper-medum")
-    with pytest.raises(UserError, match="bc has no presets; leave 'hopper' out"):
-        preset("bc", "hopper")
+    with pytest.raises(UserError, match="td3 has no presets; leave 'hopper' out"):
+        preset("td3", "hopper")
 
 
 def test_the_command_line_begins_from_a_preset_and_fields_win(capsys, tmp_path):
@@ -49,5 +61,5 @@ def test_the_command_line_begins_from_a_preset_and_fields_win(capsys, tmp_path):
     assert main([*words, "--agent.actor-penalty", "0.5", "--agent.hidden", "8"]) == 0
     agent: Any = agents_of(dr.load_run(tmp_path / "run").config)[0]
     assert (agent.actor_penalty, agent.critic_penalty, agent.batch_size) == (0.5, 0.001, 256)
-    assert main(["train", "--agent", "bc", "--preset", "maze2d", "--data", "x"]) == 2
-    assert "bc has no presets" in capsys.readouterr().err
+    assert main(["train", "--agent", "td3", "--preset", "maze2d", "--data", "x"]) == 2
+    assert "td3 has no presets" in capsys.readouterr().err

@@ -315,6 +315,16 @@ def test_fql_actor_and_targets(batch):
     np.testing.assert_allclose(loss, 3.0 * away - value.mean() / np.abs(value).mean(), rtol=1e-3)
 
 
+def test_fqls_targets_take_the_mean_of_the_critics_or_the_smaller(batch):
+    for target_q, of in (("mean", np.mean), ("min", np.min)):
+        agent, state = made(FQL(discount=0.9, target_q=target_q, **SMALL))
+        noise = np.asarray(jax.random.normal(KEY, batch.action.shape))
+        joined = np.concatenate([np.asarray(batch.next_observation), noise], -1)
+        action = np.clip(numpy_mlp(state.actor, joined), -1, 1)
+        values = np.stack([q(state.target_critics, j, batch.next_observation, action) for j in range(2)])
+        np.testing.assert_allclose(agent.target(state, batch, KEY), future(batch, of(values, 0)), atol=1e-4)
+
+
 def test_fql_acts_from_the_middle_of_the_noise_when_it_is_greedy():
     _, state = made(FQL(**SMALL))
     policy = OneStep(state.actor)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.nets.mlp import MLP, ensemble, joined, minimum, q_values, softplus, split
+from deadreckon.nets.mlp import GLOROT, MLP, ORTHOGONAL, Init, ensemble, joined, minimum, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, apply_gradients, copy, polyak_update
 from deadreckon.nets.vae import VAE
 
@@ -95,3 +95,24 @@ def test_the_least_and_its_slope():
     np.testing.assert_array_equal(minimum(values), [2.0, 1.0, 2.0])
     slope = jax.grad(lambda v: minimum(v).sum())(values)
     np.testing.assert_array_equal(slope, [[0, 1, 1], [1, 0, 0], [0, 0, 0]])  # of two that are equal, the first's
+
+
+def test_networks_begin_as_asked():
+    key = jax.random.key(0)
+    net = MLP.create(20, (64, 64), 3, key, init=ORTHOGONAL)
+    for weight, bias in zip(net.weights, net.biases):
+        rows = weight if weight.shape[0] <= weight.shape[1] else weight.T
+        np.testing.assert_allclose(rows @ rows.T, 2.0 * np.eye(len(rows)), atol=1e-4)  # gain sqrt(2)
+        assert (bias == 0).all()
+    net = MLP.create(20, (64, 64), 3, key, init=GLOROT)
+    for weight in net.weights:
+        bound = np.sqrt(6.0 / sum(weight.shape))
+        assert 0.8 * bound < float(jnp.abs(weight).max()) <= bound
+    net = MLP.create(20, (64, 64), 3, key, init=Init(bias=0.1, last=1e-3))
+    assert all((bias == np.float32(0.1)).all() for bias in net.biases[:-1])
+    for part in (net.weights[-1], net.biases[-1]):
+        assert 2e-4 < float(jnp.abs(part).max()) <= 1e-3
+    plain = MLP.create(20, (64, 64), 3, key)
+    for a, b in zip(net.weights[:-1], plain.weights[:-1]):
+        np.testing.assert_array_equal(a, b)
+    assert 0.0 < float(jnp.abs(plain.biases[0]).max()) <= 1 / np.sqrt(20)

@@ -183,7 +183,7 @@ def presets() -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def preset(agent: str, name: str) -> dict[str, Any]:
-    """The fields of one preset.
+    """The fields of one preset: those of its domain, and its own where it has others.
 
     Raises:
         UserError: the agent has no preset of this name.
@@ -191,7 +191,8 @@ def preset(agent: str, name: str) -> dict[str, Any]:
     known = presets().get(_key(agent), {})
     if name not in known:
         raise unknown(f"preset of {agent}", name, known) if known else UserError(f"{agent} has no presets; leave {name!r} out")
-    return dict(known[name])
+    fields = known.get(name.partition("-")[0], {}) | known[name]
+    return {field: tuple(value) if isinstance(value, list) else value for field, value in fields.items()}
 
 
 def preset_for(agent: str, log: str) -> str | None:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.nets.mlp import MLP, ensemble, q_values
+from deadreckon.nets.mlp import MLP, UNIFORM, Init, ensemble, q_values
 from deadreckon.policies.kinds import Categorical, TanhMeanGaussian, stochastic
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.training.hyperparameters import check_fields
@@ -88,12 +88,14 @@ class Agent(eqx.Module):
 
 
 def create_critics(
-    spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray, *, activation: str = "relu", normalise: bool = False
-) -> MLP:
+    spec: Spec, hidden: tuple[int, ...], count: int, key: PRNGKeyArray, *, activation: str = "relu", normalise: bool = False,
+    init: Init = UNIFORM,
+) -> MLP:  # fmt: skip
     """`count` Q-networks of (observation, action), stacked; of discrete actions they have an output each."""
     inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
     outputs = spec.action_size if spec.discrete else 1
-    return ensemble(lambda k: MLP.create(inputs, hidden, outputs, k, activation=activation, normalise=normalise), count, key)
+    make = lambda k: MLP.create(inputs, hidden, outputs, k, activation=activation, normalise=normalise, init=init)  # noqa: E731
+    return ensemble(make, count, key)
 
 
 def bellman_loss(

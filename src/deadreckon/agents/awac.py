@@ -36,14 +36,14 @@ class AWAC(ScaledRewards):
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
     discount: UnitInterval = 0.99  # discount factor per step
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
-    temperature: Positive = 1.0  # temperature that divides the advantage (lambda in the paper)
+    temperature: Positive = 1.0 / 3.0  # temperature that divides the advantage (lambda; public code: 1/3 or 0.1, by domain)
     max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
     samples: Count = static(1)  # actions sampled from the policy to estimate its value
     likelihood: Likelihood = static("normal")
     """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
-    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
-    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Transitions."""

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import jax.numpy as jnp
 
 from deadreckon.agents.awac import AWAC
-from deadreckon.training.hyperparameters import Count, Positive, static
+from deadreckon.training.hyperparameters import Count, Positive, Sizes, static
 
 
 class CRR(AWAC):
@@ -16,8 +16,11 @@ class CRR(AWAC):
 
     revision: ClassVar[int] = 1
 
+    temperature: Positive = 1.0  # temperature that divides the advantage, with filter="exp" (beta in the paper)
     samples: Count = static(4)  # actions sampled from the policy to estimate its value
     max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor, with filter="exp"
+    hidden: Sizes = static((256, 256))  # width of each hidden layer
+    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
     filter: Literal["binary", "exp"] = static("binary")
     """weight of an action: 1 where its advantage is positive (binary), or exp(advantage)"""
 

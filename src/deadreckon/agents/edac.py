@@ -20,7 +20,7 @@ from deadreckon.training.hyperparameters import NonNegative
 class EDAC(SACN):
     """SAC-N with diversified critics."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"eta": "diversity"}
 
     diversity: NonNegative = 1.0

@@ -8,7 +8,7 @@ critics:
     L_actor = E[ imitation | mu(s, z) - flow(s, z) |^2 - mean_j Q_j(s, mu(s, z)) ].
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import backup, bellman_loss, create_critics
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import MLP, q_values
+from deadreckon.nets.mlp import GLOROT, MLP, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.candidates import OneStep
 from deadreckon.randomness import keys
@@ -48,9 +48,10 @@ class FQL(ScaledRewards):
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
     discount: UnitInterval = 0.99  # discount factor per step
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
-    alpha: NonNegative = 10.0  # weight of the distance to the actions of the flow (published: 3 to 1000, by log)
+    alpha: NonNegative = 10.0  # weight of the distance to the actions of the flow (published: 3 to 30000, by log)
+    target_q: Literal["mean", "min"] = static("mean")  # of the critics' values, what targets take (Adroit: min)
     flow_steps: Count = static(10)  # Euler steps of the flow from noise to actions
-    scale_q: bool = static(False)  # whether the actor loss divides Q by its mean absolute value
+    scale_q: bool = static(True)  # whether the actor loss divides Q by its mean absolute value
     hidden: Sizes = static((512, 512, 512, 512))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
 
@@ -62,9 +63,9 @@ class FQL(ScaledRewards):
         """Fresh networks; targets are copies."""
         kf, ka, kc = keys(key, "flow", "actor", "critics")
         inputs = spec.observation_size + spec.action_size
-        flow = MLP.create(inputs + 1, self.hidden, spec.action_size, kf, activation="gelu")
-        actor = MLP.create(inputs, self.hidden, spec.action_size, ka, activation="gelu")
-        critics = create_critics(spec, self.hidden, 2, kc, activation="gelu", normalise=True)
+        flow = MLP.create(inputs + 1, self.hidden, spec.action_size, kf, activation="gelu", init=GLOROT)
+        actor = MLP.create(inputs, self.hidden, spec.action_size, ka, activation="gelu", init=GLOROT)
+        critics = create_critics(spec, self.hidden, 2, kc, activation="gelu", normalise=True, init=GLOROT)
         return State(flow, actor, critics, copy(critics), init_opt(flow), init_opt(actor), init_opt(critics))
 
     def flow_loss(self, flow: MLP, batch, key) -> Array:
@@ -86,9 +87,10 @@ class FQL(ScaledRewards):
         return jnp.clip(jax.lax.fori_loop(0, self.flow_steps, move, noise), -1.0, 1.0)
 
     def target(self, state, batch, key) -> Float[Array, "b"]:
-        """r + discount mean_j Q'_j(s', a'), a' of the actor."""
+        """r + discount mean_j (or min_j) Q'_j(s', a'), a' of the actor."""
         action = OneStep(state.actor).decode(batch.next_observation, jax.random.normal(key, batch.action.shape))
-        return backup(batch, self.discount, q_values(state.target_critics, batch.next_observation, action).mean(0))
+        q = q_values(state.target_critics, batch.next_observation, action)
+        return backup(batch, self.discount, q.mean(0) if self.target_q == "mean" else minimum(q))
 
     def actor_loss(self, actor: MLP, state, batch, key) -> tuple[Array, Array]:
         """imitation |mu(s, z) - flow(s, z)|^2 - mean_j Q_j(s, mu(s, z)), means over rows; also gives the distance."""

@@ -14,7 +14,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import backup, bellman_loss, capped_exp, create_critics, imitation_loss
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import MLP, minimum, q_values
+from deadreckon.nets.mlp import MLP, ORTHOGONAL, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, cosine_decay, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator, stochastic
 from deadreckon.randomness import keys
@@ -36,7 +36,7 @@ class State(NamedTuple):
 class IQL(ScaledRewards):
     """Expectile values and weighted imitation."""
 
-    revision: ClassVar[int] = 2
+    revision: ClassVar[int] = 3
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
@@ -68,9 +68,9 @@ class IQL(ScaledRewards):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kv, kc = keys(key, "actor", "value", "critics")
-        actor = create_imitator(spec, self.hidden, ka, self.likelihood)
-        value = MLP.create(spec.observation_size, self.hidden, 1, kv, normalise=self.layer_norm)
-        critics = create_critics(spec, self.hidden, 2, kc)
+        actor = create_imitator(spec, self.hidden, ka, self.likelihood, init=ORTHOGONAL)
+        value = MLP.create(spec.observation_size, self.hidden, 1, kv, normalise=self.layer_norm, init=ORTHOGONAL)
+        critics = create_critics(spec, self.hidden, 2, kc, init=ORTHOGONAL)
         return State(actor, value, critics, copy(critics), init_opt(actor), init_opt(value), init_opt(critics))
 
     def value_loss(self, value: MLP, batch, q: Array) -> Array:

@@ -32,7 +32,7 @@ class MOBILE(OfflineMBRL):
 
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
     min_target: Number | None = 0.0  # smallest target, where rewards are positive; None: no limit
-    penalty: NonNegative = 1.5  # penalty per unit of Bellman inconsistency (published: 0.1 to 2, by log)
+    penalty: NonNegative = 1.5  # penalty per unit of Bellman inconsistency (published: 0.1 to 5, by log)
     samples: Count = static(10)  # next observations sampled from each network
 
     def resolve(self, spec, steps):

@@ -6,17 +6,20 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.agent import backup
+from deadreckon.agents.sac_n import ACTOR_INIT, CRITIC_INIT
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import minimum, q_values
+from deadreckon.nets.mlp import Init, minimum, q_values
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
 class ReBRAC(ScaledRewards, TD3):
     """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
+    actor_init: ClassVar[Init] = ACTOR_INIT
+    critic_init: ClassVar[Init] = CRITIC_INIT
     other_names: ClassVar[dict[str, str]] = {"actor_bc_coef": "actor_penalty", "critic_bc_coef": "critic_penalty"}
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor

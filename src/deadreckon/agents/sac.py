@@ -11,7 +11,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, all_q_values, minimum, q_values
+from deadreckon.nets.mlp import MLP, UNIFORM, Init, all_q_values, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.randomness import keys
@@ -36,6 +36,8 @@ class SAC(Agent):
 
     revision: ClassVar[int] = 1
     online: ClassVar[bool] = True
+    actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
+    critic_init: ClassVar[Init] = UNIFORM
     other_names: ClassVar[dict[str, str]] = {"backup_entropy": "entropy_backup", "init_temperature": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -66,8 +68,8 @@ class SAC(Agent):
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
         ka, kc = keys(key, "actor", "critics")
-        actor = create_actor(spec, self.hidden, ka)
-        critics = create_critics(spec, self.hidden, self.critics, kc)
+        actor = create_actor(spec, self.hidden, ka, self.actor_init)
+        critics = create_critics(spec, self.hidden, self.critics, kc, init=self.critic_init)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
         opts = init_opt(actor), init_opt(critics), init_opt(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
@@ -143,24 +145,30 @@ class SAC(Agent):
     def update(self, state, batch, *, step, key):
         """Critics, actor, temperature, targets."""
         k_target, k_critics, k_actor = keys(key, "target", "critic_loss", "actor_loss")
+        state, metrics = self.update_critics(state, batch, k_target, k_critics)
+        state, loss, log_prob = self.update_actor(state, batch, step, k_actor)
+        state = self.update_temperature(state, log_prob)
+        state = state._replace(target_critics=polyak_update(state.target_critics, state.critics, self.tau))
+        return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(state.log_temperature)}
+
+    def update_critics(self, state, batch, k_target, k_critics) -> tuple[Any, dict[str, Array]]:
+        """One step of all critics towards their target."""
         target = self.target(state, batch, k_target)
         grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critics, state, batch, target, k_critics)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
-        state = state._replace(critics=critics, critics_opt=critics_opt)
+        return state._replace(critics=critics, critics_opt=critics_opt), metrics
 
-        (loss, log_prob), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
+    def update_actor(self, state, batch, step, key) -> tuple[Any, Array, Array]:
+        """One step of the actor; its loss, and the mean log-probability of its actions."""
+        (loss, log_prob), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, key)
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_rate(step))
+        return state._replace(actor=actor, actor_opt=actor_opt), loss, log_prob
 
-        # The temperature falls while the entropy exceeds its target: d/dlog T of -log T (log pi + target entropy).
+    def update_temperature(self, state, log_prob) -> Any:
+        """The temperature falls while the entropy exceeds its target: d/dlog T of -log T (log pi + target entropy)."""
         slope = -(log_prob + self.entropy_target)
-        log_temperature, temperature_opt = apply_gradients(
-            state.log_temperature, slope, state.temperature_opt, self.temperature_lr
-        )
-        state = state._replace(
-            actor=actor, target_critics=polyak_update(state.target_critics, critics, self.tau),
-            log_temperature=log_temperature, actor_opt=actor_opt, temperature_opt=temperature_opt,
-        )  # fmt: skip
-        return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(log_temperature)}
+        value, opt = apply_gradients(state.log_temperature, slope, state.temperature_opt, self.temperature_lr)
+        return state._replace(log_temperature=value, temperature_opt=opt)
 
     def policy(self, state):
         """The actor; greedy actions are its mean, or the most probable action."""

@@ -1,17 +1,40 @@
-"""SAC-N (An et al. 2021): SAC on a fixed log with so many critics that their least holds it to what the log knows."""
+"""SAC-N (An et al. 2021): SAC on a fixed log with so many critics that their least holds it to what the log knows.
+
+The order of steps is temperature, actor, critics, and networks begin as in the public code: biases of hidden layers are 0.1,
+last layers are close to zero.
+"""
 
 from typing import ClassVar
 
+import jax.numpy as jnp
+
 from deadreckon.agents.sac import SAC
+from deadreckon.nets.mlp import Init
+from deadreckon.nets.optim import polyak_update
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Sizes, static
+
+ACTOR_INIT, CRITIC_INIT = Init(bias=0.1, last=1e-3), Init(bias=0.1, last=3e-3)  # also ReBRAC's
 
 
 class SACN(SAC):
     """SAC with an ensemble of critics."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     online: ClassVar[bool] = False
+    actor_init: ClassVar[Init] = ACTOR_INIT
+    critic_init: ClassVar[Init] = CRITIC_INIT
 
     critics: Count = static(10)
     """number of Q-networks, of which the minimum is used (published: halfcheetah 10, walker2d 20, hopper 500)"""
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
+
+    def update(self, state, batch, *, step, key):
+        """Temperature, actor, critics, targets: each by what those before it have become."""
+        k_target, k_critics, k_entropy, k_actor = keys(key, "target", "critic_loss", "entropy", "actor_loss")
+        _, log_prob = self.actor_loss(state.actor, state, batch, k_entropy)
+        state = self.update_temperature(state, log_prob)
+        state, loss, log_prob = self.update_actor(state, batch, step, k_actor)
+        state, metrics = self.update_critics(state, batch, k_target, k_critics)
+        state = state._replace(target_critics=polyak_update(state.target_critics, state.critics, self.tau))
+        return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(state.log_temperature)}

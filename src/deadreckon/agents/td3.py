@@ -8,7 +8,7 @@ import optax
 
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import MLP, minimum, q_values
+from deadreckon.nets.mlp import MLP, UNIFORM, Init, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.randomness import keys
@@ -30,6 +30,8 @@ class TD3(Agent):
     """Twin critics, smoothed targets, delayed deterministic actor; nothing holds it to the log."""
 
     revision: ClassVar[int] = 1
+    actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
+    critic_init: ClassVar[Init] = UNIFORM
     other_names: ClassVar[dict[str, str]] = {"noise": "policy_noise", "actor_every": "policy_freq", "normalise": "layer_norm"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -51,8 +53,8 @@ class TD3(Agent):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kc = keys(key, "actor", "critics")
-        actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka)
-        critics = create_critics(spec, self.hidden, 2, kc, normalise=self.layer_norm)
+        actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka, init=self.actor_init)
+        critics = create_critics(spec, self.hidden, 2, kc, normalise=self.layer_norm, init=self.critic_init)
         return State(actor, critics, copy(actor), copy(critics), init_opt(actor), init_opt(critics))
 
     def next_action(self, state, batch, key):

@@ -1,9 +1,10 @@
 """Dense networks whose every leaf is an array, so that they can be carried, stacked, saved and vmapped as they are."""
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -33,6 +34,23 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 }
 
 
+class Init(NamedTuple):
+    """How a network begins.
+
+    Attributes:
+        weights: "uniform" in +-1/sqrt(inputs), PyTorch's; "orthogonal" with gain sqrt(2); or "glorot", uniform.
+        bias: of all layers but the last one of uniform networks; None: uniform in +-1/sqrt(inputs) as the weights.
+        last: bound of the last layer's weights and biases, uniform; None: as the others.
+    """
+
+    weights: Literal["uniform", "orthogonal", "glorot"] = "uniform"
+    bias: float | None = None
+    last: float | None = None
+
+
+UNIFORM, ORTHOGONAL, GLOROT = Init(), Init("orthogonal", 0.0), Init("glorot", 0.0)
+
+
 class MLP(eqx.Module):
     """Dense layers on the last axis.
 
@@ -52,17 +70,21 @@ class MLP(eqx.Module):
     @classmethod
     def create(
         cls, inputs: int, hidden: Sequence[int], outputs: int, key: PRNGKeyArray, *, activation: str = "relu",
-        normalise: bool = False,
+        normalise: bool = False, init: Init = UNIFORM,
     ) -> "MLP":  # fmt: skip
-        """Weights and biases uniform in +-1/sqrt(inputs), the initialisation of the published agents."""
+        """A fresh network; weights and biases are uniform in +-1/sqrt(inputs) unless an agent's authors have it otherwise."""
         sizes = (inputs, *hidden, outputs)
         keys = jax.random.split(key, len(sizes) - 1)
         weights, biases = [], []
-        for k, i, o in zip(keys, sizes, sizes[1:]):
+        for layer, (k, i, o) in enumerate(zip(keys, sizes, sizes[1:])):
             kw, kb = jax.random.split(k)  # both are drawn alike
-            bound = 1.0 / jnp.sqrt(i)
-            weights.append(jax.random.uniform(kw, (i, o), minval=-bound, maxval=bound))
-            biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))
+            last = init.last if layer == len(hidden) else None
+            weights.append(_weights(init.weights, kw, i, o, last))
+            bound = 1.0 / jnp.sqrt(i) if last is None else last
+            if init.bias is None or last is not None:
+                biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))
+            else:
+                biases.append(jnp.full(o, init.bias))
         return cls(tuple(weights), tuple(biases), activation, normalise)
 
     def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
@@ -84,6 +106,15 @@ class MLP(eqx.Module):
             x = ACTIVATIONS[self.activation](x)
             x = (standardised(x) if self.normalise else x) @ w + b
         return x
+
+
+def _weights(kind: str, key: PRNGKeyArray, inputs: int, outputs: int, last: float | None) -> Float[Array, "i o"]:
+    if kind == "orthogonal":
+        return jax.nn.initializers.orthogonal(math.sqrt(2.0))(key, (inputs, outputs))
+    if kind == "glorot":
+        return jax.nn.initializers.glorot_uniform()(key, (inputs, outputs))
+    bound = 1.0 / jnp.sqrt(inputs) if last is None else last
+    return jax.random.uniform(key, (inputs, outputs), minval=-bound, maxval=bound)
 
 
 def standardised(x: Float[Array, "*b h"]) -> Float[Array, "*b h"]:

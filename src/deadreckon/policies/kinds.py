@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from deadreckon.data.normalizer import EDGE
 from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP
+from deadreckon.nets.mlp import MLP, UNIFORM, Init
 from deadreckon.policies.policy import NormalizedPolicy
 
 
@@ -151,10 +151,12 @@ class TanhMeanGaussian(ClippedGaussian):
     log_std: Float[Array, "a"]
 
     @classmethod
-    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, std: Any = 1.0) -> Self:
+    def create(
+        cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, std: Any = 1.0, init: Init = UNIFORM
+    ) -> Self:
         """A fresh network, and deviations of `std`."""
         log_std = jnp.full(spec.action_size, jnp.log(jnp.asarray(std, jnp.float32)))
-        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key), log_std)
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key, init=init), log_std)
 
     def _head(self, observation):
         mean = jnp.tanh(self.net(observation))
@@ -200,20 +202,20 @@ Likelihood = Literal["normal", "tanh_normal"]
 before the tanh (`TanhGaussian`), under which actions at the bounds are far away from all others."""
 
 
-def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> MLP | Categorical:
+def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, init: Init = UNIFORM) -> MLP | Categorical:
     """A stochastic actor: a network to mean and log-deviation before the tanh, or the logits of discrete actions."""
     if spec.discrete:
         return Categorical.create(spec, hidden, key)
-    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key)
+    return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key, init=init)
 
 
 def create_imitator(
-    spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, likelihood: Likelihood, std: Any = 1.0
+    spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, likelihood: Likelihood, std: Any = 1.0, init: Init = UNIFORM
 ) -> MLP | Categorical | TanhMeanGaussian:
     """A stochastic actor that learns by a likelihood of logged actions; `std` is the first deviation of a normal one."""
     if likelihood == "normal" and not spec.discrete:
-        return TanhMeanGaussian.create(spec, hidden, key, std)
-    return create_actor(spec, hidden, key)
+        return TanhMeanGaussian.create(spec, hidden, key, std, init)
+    return create_actor(spec, hidden, key, init)
 
 
 def stochastic(actor: MLP | Categorical | TanhMeanGaussian) -> TanhGaussian | Categorical | TanhMeanGaussian:
