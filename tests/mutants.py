@@ -512,13 +512,18 @@ MUTANTS = (
         ("runs/test_recommend.py::test_policies_learn_from_one_part_and_are_judged_by_the_other",),
     ),
     Mutant(
-        "jackknife-share", "stats/bootstrap.py", "(1.0 / left_out - 1.0)", "(1.0 - left_out)",
+        "jackknife-share", "stats/bootstrap.py", "* (1.0 - left_out) / np.sqrt(left_out", "/ np.sqrt(left_out",
         "the jackknife forgets how little each part leaves out", ("stats/test_means.py",),
     ),
     Mutant(
-        "magic-critics", "ope/doubly_robust.py", "uncorrected * self._critics_error(case, nuisances, begins, i) * noise",
-        "0.0 * noise", "MAGIC's interval takes its critics for true",
+        "magic-critics", "ope/doubly_robust.py", "uncorrected * self._critics_errors(case, nuisances, begins)",
+        "0.0 * uncorrected", "MAGIC's interval takes its critics for true",
         ("ope/test_exact.py::test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised",),
+    ),
+    Mutant(
+        "gains-nuisance", "ope/select.py", "if found.nuisance is not None:", "if False:",
+        "gains take critics for true that nothing corrects",
+        ("ope/test_exact.py::test_magics_gains_have_the_error_of_its_critics",),
     ),
     Mutant(
         "csv-empty-text", "data/formats/tables.py", "_without_empty_texts(csv.read_csv(source))", "csv.read_csv(source)",
