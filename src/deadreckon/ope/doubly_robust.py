@@ -324,9 +324,8 @@ class DoublyRobust(Estimator):
         """
         if begins is not None:
             return prediction(begins.mean(-1))
-        teaching = case.teaching()
-        total = case.data.episodes + (0 if teaching is None else teaching.data.episodes)
-        return jackknife(nuisances.by_fold, case.data.episodes / len(nuisances.by_fold) / total)
+        assert nuisances.by_fold is not None
+        return jackknife(nuisances.by_fold(), nuisances.left_out)
 
     def _uncorrected_warnings(self, case: OPEInput, left: np.ndarray, nuisance: np.ndarray) -> list[str]:
         found, worst = [], int(np.argmax(left))

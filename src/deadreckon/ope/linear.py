@@ -253,8 +253,9 @@ class Fit:
         judged: Sums = case.once(key, lambda: self._judged_and_taught(fold, folds, marginal))
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
         count = case.count
-        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal, folds)
+        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
         ridges: dict[tuple[int, int], float] = {}
+        every = []
         for k in range(folds):
             weight = np.ones(len(judged.rows))
             weight[k] = 0.0
@@ -265,8 +266,18 @@ class Fit:
                 if key not in ridges:
                     ridges[key] = self.ridge(judged, i, taught or others)
                 critics.append(self.critic(judged, weight, i, ridges[key]))
+            every.append(np.stack([critic.weights[-1] for critic in critics]))
             self.tell(out, fold, k, critics)
-        return out
+        left_out = case.data.episodes / folds / float(judged.episodes.sum())
+        return replace(out, by_fold=lambda: self._begins(np.stack(every)), left_out=left_out)
+
+    def _begins(self, weights: np.ndarray) -> np.ndarray:
+        """(folds, policies) mean values of all initial observations by critics (folds, policies, features)."""
+        data, first = self.case.data, self.case.initial_actions(self.samples)
+        total = np.zeros(weights.shape[1:])
+        for part in blocks(np.arange(data.episodes)):
+            total += self.features.expected(data.observations[data.starts[part]], first[part]).sum(0, dtype=np.float64)
+        return self.std * np.einsum("kid,id->ki", weights, total / data.episodes)
 
     def _judged_and_taught(self, fold: np.ndarray, folds: int, start: bool) -> Sums:
         """Of the judged episodes by fold, and behind them of the others, if any, in `PARTS` groups."""
@@ -294,11 +305,6 @@ class Fit:
             phi = self.features.expected(data.observations[data.starts[part]], first[part])
             for i, critic in enumerate(critics):
                 out.begins[i, part] = self.std * (phi[:, i] @ critic.weights[-1])
-        # Critics of all folds are compared at the same initial observations; a block of these is enough.
-        episodes = data.episodes
-        some = generator(case.seed, "compared starts").choice(episodes, min(episodes, BLOCK), replace=False)
-        phi = self.features.expected(data.observations[data.starts[some]], first[some])
-        out.by_fold[k] = [self.std * (phi[:, i] @ critic.weights[-1]).mean() for i, critic in enumerate(critics)]
 
         def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
             phi = self.features.taken(data.observations[part], data.actions[part])
