@@ -174,7 +174,7 @@ def test_a_critic_that_memorises_is_told():
 
 
 def test_critics_of_folds_know_what_taught_them(monkeypatch):
-    """The share that each lacks is of the episodes that teach, and each says of all starts what it says of its own, all alike."""
+    """The share that each lacks is of what teaches, and each says of all starts what it says of its own, which are alike."""
     monkeypatch.setattr(linear_critics, "TAUGHT", 100)
     world = chain(4, slip=0.2, noise=0.3)
     behavior, target = tables(world, 2, 0.5)

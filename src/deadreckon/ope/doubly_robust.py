@@ -49,7 +49,7 @@ OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warn
 class DoublyRobust(Estimator):
     """FQE corrected by importance sampling."""
 
-    revision: ClassVar[int] = 3  # 2, 3: MAGIC's intervals, of values and of gains, know the uncertainty of its critics
+    revision: ClassVar[int] = 4  # 2-4: MAGIC's intervals, of values and of gains, know the uncertainty of its critics
 
     takes_horizon = True
 
@@ -97,7 +97,7 @@ class DoublyRobust(Estimator):
             sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
             start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
-                value, redrawn, pulled, uncorrected = self._blend(case, sums, start, drawn)
+                value, redrawn, pulled, uncorrected = self._blend(case, sums, start, drawn, log_rho)
                 left.append(uncorrected)
             else:
                 value, redrawn, pulled = start + sums.value(), drawn + sums.redraw(episodes.counts), sums.influence()
@@ -339,13 +339,13 @@ class DoublyRobust(Estimator):
         return found
 
     def _blend(
-        self, case: OPEInput, sums: Sums, begin: float, drawn: np.ndarray
+        self, case: OPEInput, sums: Sums, begin: float, drawn: np.ndarray, log_rho: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray, float]:
         """Corrections of several lengths, weighted so that variance plus squared bias is least.
 
         Returns:
             The estimate, its bootstrap samples, the influence of the corrections, and how much of an error of the critics
-            remains in it: that of a state after j steps counts discount^j times, in the episodes that go on so long.
+            remains in it: that of a state after j steps counts discount^j times, in the policy's episodes that go on so long.
         """
         from scipy.optimize import nnls  # half a second, for this kind alone
 
@@ -364,8 +364,7 @@ class DoublyRobust(Estimator):
         x = nnls(np.vstack([root, np.full(len(partial), heavy)]), np.append(np.zeros(len(partial)), heavy))[0]
         x /= x.sum()
         pulls = np.cumsum(sums.influence_steps(), 1)[:, ends] @ x[1:]
-        goes_on = (case.data.lengths[:, None] > ends + 1).mean(0)
-        uncorrected = x[0] + x[1:] @ (case.discount ** (ends + 1) * goes_on)
+        uncorrected = x[0] + x[1:] @ (case.discount ** (ends + 1) * episodes.going_on(log_rho)[ends])
         return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(uncorrected)
 
 
