@@ -94,9 +94,7 @@ class OPEInput(Fits):
         if len(data.spec.observation_shape) != 1:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
         self.discount = self.estimand.discount
-        self.held = np.arange(data.episodes) if held is None else np.asarray(held)
-        if len(np.unique(self.held)) < len(self.held) or not len(self.held):
-            raise UserError("held must be different episodes of the log, one or more")
+        self.held = np.arange(data.episodes) if held is None else _different(held, data.episodes)
         if clusters is not None and np.shape(clusters) != (data.episodes,):
             raise UserError(f"clusters must be one number per episode, ({data.episodes},), got {np.shape(clusters)}")
         self._given = data
@@ -374,6 +372,17 @@ class OPEInput(Fits):
         """
         own = np.unique(self.clusters[self.held], return_inverse=True)[1]
         return redrawn(int(own.max()) + 1, members, self.seed)[own]
+
+
+def _different(held: Any, episodes: int) -> np.ndarray:
+    """Indices of episodes, checked: an episode under two names would teach critics and be judged by them."""
+    found = np.asarray(held)
+    if found.ndim != 1 or not len(found) or not np.issubdtype(found.dtype, np.integer):
+        raise UserError(f"held must be whole numbers, indices of one or more episodes, got {found.dtype} of shape {found.shape}")
+    if found.min() < 0 or found.max() >= episodes or len(np.unique(found)) < len(found):
+        told = f"got {len(found)}, of which {len(np.unique(found))} differ, from {found.min()} to {found.max()}"
+        raise UserError(f"held must be different episodes, 0 .. {episodes - 1}, {told}")
+    return found
 
 
 def _timed(data: Dataset, horizon: int | None) -> Dataset:
