@@ -378,7 +378,7 @@ def _different(held: Any, episodes: int) -> np.ndarray:
     """Indices of episodes, checked: an episode under two names would teach critics and be judged by them."""
     found = np.asarray(held)
     if found.ndim != 1 or not len(found) or not np.issubdtype(found.dtype, np.integer):
-        raise UserError(f"held must be whole numbers, indices of one or more episodes, got {found.dtype} of shape {found.shape}")
+        raise UserError(f"held must be whole numbers, indices of one or more episodes, got {found.dtype}, shape {found.shape}")
     if found.min() < 0 or found.max() >= episodes or len(np.unique(found)) < len(found):
         told = f"got {len(found)}, of which {len(np.unique(found))} differ, from {found.min()} to {found.max()}"
         raise UserError(f"held must be different episodes, 0 .. {episodes - 1}, {told}")

@@ -324,7 +324,8 @@ class DoublyRobust(Estimator):
         """
         if begins is not None:
             return prediction(begins.mean(-1))
-        assert nuisances.by_fold is not None
+        if nuisances.by_fold is None:
+            return np.full((1, case.count), np.nan)
         return jackknife(nuisances.by_fold(), nuisances.left_out)
 
     def _uncorrected_warnings(self, case: OPEInput, left: np.ndarray, nuisance: np.ndarray) -> list[str]:

@@ -242,11 +242,11 @@ class Fit:
 
         Args:
             folds: into which the judged episodes are parted; the critics of one learn from the others and from all episodes
-                that are not judged.
+                that are not judged. 1: from all, those that they judge too, as the public code has it.
             marginal: the ratios of occupancies too, of the same folds.
         """
-        case = self.case
-        fold = case.folds(folds)
+        case, in_sample = self.case, folds == 1
+        fold = case.folds(PARTS if in_sample else folds)  # in the sample, of groups among which the ridge is chosen
         folds = int(fold.max()) + 1
         # The same for all doubly robust estimators of a case, and most of what they cost.
         key = ("sums", self.features.cosines, self.samples, folds, marginal)
@@ -256,10 +256,11 @@ class Fit:
         out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
         ridges: dict[tuple[int, int], float] = {}
         every = []
-        for k in range(folds):
+        own = np.zeros_like(fold) if in_sample else fold
+        for k in range(int(own.max()) + 1):
             weight = np.ones(len(judged.rows))
-            weight[k] = 0.0
-            others = [g for g in range(folds) if g != k]
+            weight[k] = float(in_sample)
+            others = [g for g in range(folds) if weight[g]]
             critics = []
             for i in range(count):
                 key = (i, -1 if taught else k)
@@ -267,7 +268,9 @@ class Fit:
                     ridges[key] = self.ridge(judged, i, taught or others)
                 critics.append(self.critic(judged, weight, i, ridges[key]))
             every.append(np.stack([critic.weights[-1] for critic in critics]))
-            self.tell(out, fold, k, critics)
+            self.tell(out, own, k, critics)
+        if in_sample:
+            return out
         left_out = case.data.episodes / folds / float(judged.episodes.sum())
         return replace(out, by_fold=lambda: self._begins(np.stack(every)), left_out=left_out)
 
