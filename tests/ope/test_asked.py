@@ -13,7 +13,9 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import refuse
 from deadreckon.ope.metrics import compare
 from deadreckon.ope.registry import as_estimators
+from deadreckon.policies import BlackBoxPolicy
 from deadreckon.theory import garnet
+from tests.ope.test_case import linear, lqr
 from tests.ope.worlds import as_policy, tables
 
 TINY = FQE(members=2, hidden=(8,), steps=60, batch_size=16)
@@ -125,3 +127,18 @@ def test_the_protocol_knows_all_estimators_before_it_fits_one(case, monkeypatch)
 def test_a_comparison_refuses_what_no_bootstrap_can_draw(options, told):
     with pytest.raises(UserError, match=told):
         compare(np.arange(4.0), np.arange(4.0), **options)
+
+
+def test_the_same_policies_are_one_set_whatever_the_seed(case):
+    """Also those that draw and do not tell their probabilities: looks at the same episodes are counted by it."""
+    draws = [BlackBoxPolicy(lambda seen, rng, p=p: (rng.random(len(seen)) < p).astype(int)) for p in (0.4, 0.5)]
+    first, again, other = (OPEInput(case.log, draws[i], seed=seed).manner for i, seed in ((0, 0), (0, 1), (1, 0)))
+    assert first == again != other
+
+
+def test_judged_rows_and_those_that_teach_have_draws_of_their_own():
+    log, policy = lqr(-0.5, 0.5, 40, 5), linear(0.0, 0.5)  # which does the same everywhere, but for its draws
+    case = OPEInput(log, policy, discount=0.9, held=np.arange(20))
+    teach = case.teaching()
+    assert np.abs(case.next_actions(2) - teach.next_actions(2)).min() > 0
+    np.testing.assert_array_equal(teach.next_actions(2), OPEInput(log, policy, held=np.arange(20)).teaching().next_actions(2))

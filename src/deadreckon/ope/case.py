@@ -25,7 +25,7 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
-from deadreckon.randomness import generator
+from deadreckon.randomness import generator, sequence
 
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
@@ -213,8 +213,15 @@ class OPEInput(Fits):
         if rows is not None and (lengths := self._given.lengths[others]).sum() > rows:
             drawn = generator(self.seed, "teaching").permutation(len(others))
             others = np.sort(others[drawn[: max(int(np.searchsorted(np.cumsum(lengths[drawn]), rows)), 1)]])
-            return self.once(("teaching", rows), lambda: self._beside(others))
-        return self.once("teaching", lambda: self._beside(others)) if len(others) else None
+            return self.once(("teaching", rows), lambda: self._teaching(others))
+        return self.once("teaching", lambda: self._teaching(others)) if len(others) else None
+
+    def _teaching(self, others: np.ndarray) -> "OPEInput":
+        found = self._beside(others)
+        # Its rows have the numbers of judged ones, and must not have their draws too.
+        own = int(sequence(self.seed, "teaching draws").generate_state(1)[0])
+        found.actor = dataclasses.replace(found.actor, seed=own)
+        return found
 
     def whole(self) -> "OPEInput":
         """All episodes of the log, as a case with the same policies."""
@@ -360,9 +367,10 @@ class OPEInput(Fits):
 
     @cached_property
     def manner(self) -> str:
-        """Tells sets of policies apart by what they do at observations from all over the log."""
+        """Tells sets of policies apart by what they do at observations from all over the log; policies that are judged with
+        another seed are no others, so their draws are the same for all seeds."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
-        done = self.actor.table(np.asarray(self.data.observations[some]), 1, "manner")
+        done = dataclasses.replace(self.actor, seed=0).table(np.asarray(self.data.observations[some]), 1, "manner")
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
 
     def redrawn(self, members: int) -> np.ndarray:
