@@ -512,13 +512,40 @@ MUTANTS = (
         ("runs/test_recommend.py::test_policies_learn_from_one_part_and_are_judged_by_the_other",),
     ),
     Mutant(
-        "jackknife-share", "stats/bootstrap.py", "(1.0 / left_out - 1.0)", "(1.0 - left_out)",
+        "jackknife-share", "stats/bootstrap.py", "* (1.0 - left_out) / np.sqrt(left_out", "/ np.sqrt(left_out",
         "the jackknife forgets how little each part leaves out", ("stats/test_means.py",),
     ),
     Mutant(
-        "magic-critics", "ope/doubly_robust.py", "uncorrected * self._critics_error(case, nuisances, begins, i) * noise",
-        "0.0 * noise", "MAGIC's interval takes its critics for true",
+        "magic-critics", "ope/doubly_robust.py", "uncorrected * self._critics_errors(case, nuisances, begins)",
+        "0.0 * uncorrected", "MAGIC's interval takes its critics for true",
         ("ope/test_exact.py::test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised",),
+    ),
+    Mutant(
+        "gains-nuisance", "ope/select.py", "if found.nuisance is not None:", "if False:",
+        "gains take critics for true that nothing corrects",
+        ("ope/test_exact.py::test_magics_gains_have_the_error_of_its_critics",),
+    ),
+    Mutant(
+        "magic-going-on", "ope/weights.py", "goes[ends[self.ended]] = False", "goes[ends] = False",
+        "MAGIC takes episodes that are cut off for ended",
+        ("ope/test_intervals.py::test_the_share_of_the_policys_episodes_that_go_on_by_hand",),
+    ),
+    Mutant(
+        "magic-left-out", "ope/linear.py", "case.data.episodes / folds / float(judged.episodes.sum())", "1.0 / folds",
+        "critics of folds forget what teaches all of them",
+        ("ope/test_corrected.py::test_critics_of_folds_know_what_taught_them",),
+    ),
+    Mutant(
+        "checkpoint-columns", "ope/fits.py", "{name: _digest(column) for", "{name: column.shape for",
+        "a checkpoint of other folds is taken", ("ope/test_asked.py",),
+    ),
+    Mutant(
+        "held-negative", "ope/case.py", "found.min() < 0 or ", "", "a judged episode teaches under a negative index",
+        ("ope/test_asked.py",),
+    ),
+    Mutant(
+        "teaching-draws", "ope/case.py", "dataclasses.replace(found.actor, seed=own)", "found.actor",
+        "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
         "csv-empty-text", "data/formats/tables.py", "_without_empty_texts(csv.read_csv(source))", "csv.read_csv(source)",

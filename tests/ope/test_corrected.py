@@ -8,9 +8,10 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import LOGGED, DoublyRobust, LinearFQE, OPEInput, estimator
-from deadreckon.ope.registry import ESTIMATORS, with_fields
-from deadreckon.theory import garnet
+from deadreckon.ope import FQE, LOGGED, BehaviorModel, DoublyRobust, LinearFQE, OPEInput, estimator
+from deadreckon.ope import linear as linear_critics
+from deadreckon.ope.registry import ESTIMATORS, PUBLIC, with_fields
+from deadreckon.theory import MDP, chain, garnet
 from tests.ope.test_case import linear, lqr
 from tests.ope.worlds import as_policy, tables
 
@@ -170,3 +171,37 @@ def test_a_critic_that_memorises_is_told():
     assert not any("overfit" in line for line in quiet.warnings)
     assert LOGGED in quiet.names
     assert set(NEW) <= set(ESTIMATORS)
+
+
+def test_linear_critics_of_one_fold_are_those_of_the_world_in_the_log():
+    """As the public code has it: fitted to the rows that they correct. A table's are exact there."""
+    world = garnet(states=4, actions=2, ending=0.3, noise=0.3)
+    behavior, target = tables(world, 2, 0.5)
+    log = world.log(behavior, 100, 40, np.random.default_rng(0))
+    case = OPEInput(log, [as_policy(target)], discount=0.9)
+    one = DoublyRobust(kind="dr", fqe=LinearFQE(ridge=1e-6), folds=1)
+    assert one.nuisances(case)[0].begins.mean() == pytest.approx(MDP.of(log).value(target, 0.9), rel=1e-4)
+    assert np.isfinite(one.replace(behavior="learned", model=BehaviorModel(steps=10)).on(case).low).all()
+    public = with_fields(estimator("dr-linear", **PUBLIC), {"model": {"steps": 10}})
+    assert np.isfinite(public.on(case).value).all()
+    assert np.isnan(one.replace(kind="magic").on(case).low).all()  # one critic, whose error nobody knows
+
+
+def test_critics_of_folds_know_what_taught_them(monkeypatch):
+    """The share that each lacks is of what teaches, and each says of all starts what it says of its own, which are alike."""
+    monkeypatch.setattr(linear_critics, "TAUGHT", 100)
+    world = chain(4, slip=0.2, noise=0.3)
+    behavior, target = tables(world, 2, 0.5)
+    log = world.log(behavior, 200, 40, np.random.default_rng(0))
+    case = OPEInput(log, [as_policy(target)], discount=0.9, held=np.arange(30), logged=True)
+    taught = case.teaching(100).data.episodes
+    assert taught < 170
+    told = DoublyRobust(kind="magic", fqe=LinearFQE(), folds=3).nuisances(case)[0]
+    assert told.left_out == pytest.approx(10 / (30 + taught))
+    fold = case.folds(3)
+    assert (case.data.observations[case.data.starts] == case.data.observations[0]).all()
+    own = [told.begins[0, fold == k].mean() for k in range(3)]
+    np.testing.assert_allclose(told.by_fold()[:, 0], own, rtol=1e-6)
+    networks = FQE(hidden=(4,), steps=2).out_of_fold(case, 3, 1)
+    assert networks.left_out == pytest.approx(10 / 200)
+    assert networks.by_fold().shape == (3, 2)

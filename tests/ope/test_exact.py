@@ -5,11 +5,15 @@ parameter for each state and action that is what they must come to, without any 
 compared with the true world, and are unbiased over many logs or lie within their intervals.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.ope import DICE, FQE, FQED, VPM, DoublyRobust, ImportanceSampling, LinearFQE, OPEInput
+from deadreckon.ope.estimates import LOGGED
+from deadreckon.ope.select import gains
 from deadreckon.theory import MDP, chain, garnet, gridworld
 from tests.ope.worlds import as_policy, keep_nuisances, tables
 
@@ -220,6 +224,35 @@ def test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promis
     assert (np.mean(inside, 0) >= 0.85).all()
 
 
+def test_magics_gains_have_the_error_of_its_critics():
+    """Where nothing is corrected the critics' error is all there is: intervals without it contained the gain 1 time of 4."""
+    true, inside = WORLDS["chain"], []
+    policies = [tables(true, 1, 0.2)[0], tables(true, 2, 0.6, seed=1)[1]]
+    exact = true.value(policies[1], DISCOUNT) - true.value(policies[0], DISCOUNT)
+    for seed in range(30):
+        log = true.log(policies[0], 200, 40, np.random.default_rng(seed))
+        found = DoublyRobust(kind="magic", fqe=LinearFQE()).on(
+            OPEInput(log, as_policy(policies[1]), discount=DISCOUNT, logged=True)
+        )
+        _, low, high = gains(found)[0]
+        inside.append(low <= exact <= high)
+        assert not found.corrected
+    assert np.mean(inside) >= 0.85
+
+
+def test_what_critics_share_falls_out_of_magics_differences():
+    """Also of the errors that the bootstrap draws."""
+    true = WORLDS["chain"]
+    behavior, target = tables(true, 1, 0.2)[0], as_policy(tables(true, 2, 0.6, seed=1)[1])
+    log = true.log(behavior, 60, 40, np.random.default_rng(0))
+    found = DoublyRobust(kind="magic", fqe=LinearFQE()).on(OPEInput(log, [target, target], discount=DISCOUNT))
+    assert found.nuisance is not None
+    assert found.bootstrap is not None
+    assert (found.diagnostics["uncorrected"] > 0.5).all()
+    np.testing.assert_allclose(found.bootstrap[:, 0], found.bootstrap[:, 1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.nuisance[:, 0], found.nuisance[:, 1], rtol=0, atol=1e-12)
+
+
 def test_magic_of_one_critic_knows_no_interval():
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
@@ -228,4 +261,9 @@ def test_magic_of_one_critic_knows_no_interval():
     one, three = (MAGIC.on(with_values(log, target, begin, q)) for begin in begins)
     assert np.isnan(one.low[0])
     assert np.isfinite(one.value[0])
+    assert any("one critic" in line for line in one.warnings)
+    both = dataclasses.replace(one, names=("policy", LOGGED), **{
+        name: np.repeat(getattr(one, name), 2, -1) for name in ("value", "influence", "nuisance", "ess")
+    })  # fmt: skip
+    assert np.isinf(gains(dataclasses.replace(both, nuisance=both.nuisance * [1.0, 0.0], diagnostics={}))[0, 1:]).all()
     assert three.low[0] < true.value(target, DISCOUNT) < three.high[0]

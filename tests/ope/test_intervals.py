@@ -121,7 +121,7 @@ def test_sums_by_hand():
     log = true.log(tables(true, 1, 0.1)[0], 400, 10, np.random.default_rng(0))
     pick = [int(np.flatnonzero((log.lengths == 1) & log.terminals[log.ends])[0]), int(np.flatnonzero(log.lengths == 2)[0])]
     two = log.select(pick)
-    episodes = Episodes(two, 0.5, 0)
+    episodes = Episodes(two, 0.5, 0, np.arange(2))
     log_rho = episodes.cumulate(np.log([3.0, 2.0, 0.5]))
     np.testing.assert_allclose(np.exp(log_rho), [3.0, 2.0, 1.0])
     x = np.array([10.0, 20.0, 40.0])
@@ -144,7 +144,7 @@ def test_weights_do_not_overflow():
     """A thousand steps, each e^2 times likelier: self-normalised weights stay finite."""
     true = garnet(states=3, actions=2)
     log = true.log(tables(true, 1, 0.1)[0], 5, 1000, np.random.default_rng(0))
-    episodes = Episodes(log, 0.99, 0)
+    episodes = Episodes(log, 0.99, 0, np.arange(5))
     ratios = np.full(len(log), 2.0) + np.repeat(np.arange(5), 1000) * 1e-3
     sums = episodes.sums(episodes.cumulate(ratios), np.asarray(log.rewards, float), normalised=True)
     assert np.isfinite(sums.value())
@@ -200,7 +200,19 @@ def test_cut_offs_do_not_favour_episodes_that_end_early(estimator):
 def test_chances_of_being_cut_off_by_hand():
     """Lengths 1 (ended), 2 (cut), 3 (ended), 3 (cut): after two steps one of three that still went on was cut off."""
     log = one_state(4, np.array([1, 2, 3, 3]), np.array([True, False, True, False]), 0.5, np.random.default_rng(0))
-    np.testing.assert_allclose(Episodes(log, 0.9, 0).kept, [1.0, 1.0, 2 / 3])
+    np.testing.assert_allclose(Episodes(log, 0.9, 0, np.arange(4)).kept, [1.0, 1.0, 2 / 3])
+
+
+def test_the_share_of_the_policys_episodes_that_go_on_by_hand():
+    """Of the same episodes, with weights: ended ones keep their last, and cut-off ones go on."""
+    log = one_state(4, np.array([1, 2, 3, 3]), np.array([True, False, True, False]), 0.5, np.random.default_rng(0))
+    episodes = Episodes(log, 0.9, 0, np.arange(4))
+    log_rho = np.log([2.0, 3.0, 4.0, 1.0, 2.0, 5.0, 6.0, 7.0, 8.0])
+    expected = [10 / 12, 13 / 15, 1.5 * 8 / (2 + 1.5 * (5 + 8))]
+    np.testing.assert_allclose(episodes.going_on(log_rho), expected)
+    nothing = np.full(9, -np.inf)
+    np.testing.assert_array_equal(episodes.going_on(nothing), np.ones(3))
+    np.testing.assert_array_equal(episodes.going_on(np.where(np.arange(9) == 0, 0.0, -np.inf)), np.zeros(3))
 
 
 def test_one_episode_knows_no_interval():

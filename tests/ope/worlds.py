@@ -26,6 +26,6 @@ def tables(world: MDP, count: int, spread: float, seed: int = 0) -> list[np.ndar
 def keep_nuisances(case, estimator, begins: np.ndarray, errors: np.ndarray) -> None:
     """Tells a doubly robust estimator of one fold what its critics say: (members, policies, episodes) and (policies, rows)."""
     assert estimator.folds == 1
-    settled, by_fold = np.ones(len(errors), bool), np.zeros((0, len(errors)))
-    told = OutOfFold(begins.mean(0), errors, None, None, settled, np.square(errors).mean(1), by_fold)
+    settled = np.ones(len(errors), bool)
+    told = OutOfFold(begins.mean(0), errors, None, None, settled, np.square(errors).mean(1))
     case.once(("errors", estimator.fqe, estimator.samples), lambda: (told, begins))

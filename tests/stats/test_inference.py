@@ -28,3 +28,12 @@ def test_gains_are_paired_and_endless_where_nothing_is_known():
     _, low, high = inference.gains(np.array([1.0, 4.0, 2.0]), influence, 0)
     assert high[2] - 1.0 == pytest.approx(1.0 - low[2])
     assert high[2] - 1.0 > 2.045 * inference.errors(2 * influence)[0]  # Student's t of 29 degrees of freedom, at least
+
+
+def test_a_second_error_widens_by_its_own_students_quantile():
+    """Deviations of (3, -3, 0) have a variance of 18 and two degrees of freedom; half-widths add in squares."""
+    deviations = np.array([[3.0, 0.0], [-3.0, 0.0], [0.0, 0.0]])
+    half = inference.beside(np.array([5.0, 7.0]), deviations)
+    np.testing.assert_allclose(half, [np.hypot(5.0, 4.302653 * np.sqrt(18)), 7.0], rtol=1e-6)
+    np.testing.assert_allclose(inference.beside(np.zeros(2), deviations, 0.01)[0], 9.924843 * np.sqrt(18), rtol=1e-6)
+    np.testing.assert_array_equal(inference.beside(np.ones(2), np.array([[np.nan, 0.0]])), [np.nan, 1.0])

@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from deadreckon.stats import bootstrap, means
-from deadreckon.stats.interval import NORMAL
 
 
 def test_constants_by_hand():
@@ -46,12 +45,18 @@ def test_percentiles_and_what_lies_beyond_them():
 
 
 def test_the_jackknife_knows_the_error_of_a_mean():
-    """Of one that leaves out each row it is s / sqrt(n), made larger for Student's t; of few groups it is right on average."""
-    rng = np.random.default_rng(0)
-    x = rng.standard_normal((400, 200))
-    student = stats.t.ppf(0.975, 399) / NORMAL
-    without = (x.sum(0) - x) / 399
-    np.testing.assert_allclose(bootstrap.jackknife_error(without, 1 / 400), student * x.std(0, ddof=1) / 20, rtol=1e-9)
-    parts = x.reshape(5, 80, 200).sum(1)
-    errors = bootstrap.jackknife_error((x.sum(0) - parts) / 320, 1 / 5) / (stats.t.ppf(0.975, 4) / NORMAL)
-    assert np.sqrt(np.square(errors).mean()) == pytest.approx(1 / 20, rel=0.1)
+    """Of one that leaves out each row it is s / sqrt(n)."""
+    x = np.random.default_rng(0).standard_normal((400, 20))
+    found = bootstrap.jackknife((x.sum(0) - x) / 399, 1 / 400)
+    np.testing.assert_allclose(np.sqrt(np.square(found).sum(0)), x.std(0, ddof=1) / 20, rtol=1e-9)
+    assert np.isnan(bootstrap.jackknife(x[:1], 0.5)).all()
+
+
+@pytest.mark.parametrize(("groups", "size", "rest"), [(5, 80, 0), (5, 20, 300), (2, 50, 900), (2, 150, 300)])
+def test_the_jackknife_is_right_on_average_also_where_groups_do_not_make_up_the_data(groups, size, rest):
+    """Its expectation for a mean is exact: rows that each have a variance of one stand for all draws, by linearity."""
+    total = groups * size + rest
+    # The variance is a quadratic form of the rows: its expectation is the sum of what unit vectors give.
+    of_group = [np.where(np.arange(groups) == g, 0.0, 1.0) / (total - size) for g in range(groups)]  # a row of group g alone
+    expected = sum(size * np.square(bootstrap.jackknife(values, size / total)).sum() for values in of_group)
+    assert expected == pytest.approx(1 / total, rel=1e-12)

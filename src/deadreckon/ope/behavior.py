@@ -57,6 +57,7 @@ class Folds(eqx.Module):
         """Fresh models."""
         make = models.Clipped.create if self.model.clipped else create_actor
         shapes = dict.fromkeys((self.model.hidden, ()))
+        # Networks and linear models share a key: they are of other shapes, and only their losses are ever compared.
         nets = tuple(ensemble(lambda k, hidden=hidden: make(spec, hidden, k), self.folds, key) for hidden in shapes)
         return State(nets, init_opt(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
 

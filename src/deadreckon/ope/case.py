@@ -25,7 +25,7 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
-from deadreckon.randomness import generator
+from deadreckon.randomness import generator, sequence
 
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
@@ -94,9 +94,7 @@ class OPEInput(Fits):
         if len(data.spec.observation_shape) != 1:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
         self.discount = self.estimand.discount
-        self.held = np.arange(data.episodes) if held is None else np.asarray(held)
-        if len(np.unique(self.held)) < len(self.held) or not len(self.held):
-            raise UserError("held must be different episodes of the log, one or more")
+        self.held = np.arange(data.episodes) if held is None else _different(held, data.episodes)
         if clusters is not None and np.shape(clusters) != (data.episodes,):
             raise UserError(f"clusters must be one number per episode, ({data.episodes},), got {np.shape(clusters)}")
         self._given = data
@@ -215,8 +213,15 @@ class OPEInput(Fits):
         if rows is not None and (lengths := self._given.lengths[others]).sum() > rows:
             drawn = generator(self.seed, "teaching").permutation(len(others))
             others = np.sort(others[drawn[: max(int(np.searchsorted(np.cumsum(lengths[drawn]), rows)), 1)]])
-            return self.once(("teaching", rows), lambda: self._beside(others))
-        return self.once("teaching", lambda: self._beside(others)) if len(others) else None
+            return self.once(("teaching", rows), lambda: self._teaching(others))
+        return self.once("teaching", lambda: self._teaching(others)) if len(others) else None
+
+    def _teaching(self, others: np.ndarray) -> "OPEInput":
+        found = self._beside(others)
+        # Its rows have the numbers of judged ones, and must not have their draws too.
+        own = int(sequence(self.seed, "teaching draws").generate_state(1)[0])
+        found.actor = dataclasses.replace(found.actor, seed=own)
+        return found
 
     def whole(self) -> "OPEInput":
         """All episodes of the log, as a case with the same policies."""
@@ -362,9 +367,10 @@ class OPEInput(Fits):
 
     @cached_property
     def manner(self) -> str:
-        """Tells sets of policies apart by what they do at observations from all over the log."""
+        """Tells sets of policies apart by what they do at observations from all over the log; policies that are judged with
+        another seed are no others, so their draws are the same for all seeds."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
-        done = self.actor.table(np.asarray(self.data.observations[some]), 1, "manner")
+        done = dataclasses.replace(self.actor, seed=0).table(np.asarray(self.data.observations[some]), 1, "manner")
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
 
     def redrawn(self, members: int) -> np.ndarray:
@@ -374,6 +380,17 @@ class OPEInput(Fits):
         """
         own = np.unique(self.clusters[self.held], return_inverse=True)[1]
         return redrawn(int(own.max()) + 1, members, self.seed)[own]
+
+
+def _different(held: Any, episodes: int) -> np.ndarray:
+    """Indices of episodes, checked: an episode under two names would teach critics and be judged by them."""
+    found = np.asarray(held)
+    if found.ndim != 1 or not len(found) or not np.issubdtype(found.dtype, np.integer):
+        raise UserError(f"held must be whole numbers, indices of one or more episodes, got {found.dtype}, shape {found.shape}")
+    if found.min() < 0 or found.max() >= episodes or len(np.unique(found)) < len(found):
+        told = f"got {len(found)}, of which {len(np.unique(found))} differ, from {found.min()} to {found.max()}"
+        raise UserError(f"held must be different episodes, 0 .. {episodes - 1}, {told}")
+    return found
 
 
 def _timed(data: Dataset, horizon: int | None) -> Dataset:

@@ -152,8 +152,9 @@ class OutOfFold:
         weights: (policies, rows) these ratios, whose mean over rows is one; likewise.
         settled: (policies,) whether the critics' backup converged.
         fitted: (policies,) mean square of the errors on rows that taught the critics: what `errors` are compared with.
-        by_fold: (folds, policies) mean value of the initial observations by the critics that have not seen each fold; empty
-            where one set of critics saw all.
+        by_fold: gives (folds, policies) mean values of all initial observations by the critics that have not seen each fold;
+            None where nobody asks, or one set of critics saw all.
+        left_out: share of a fold in all episodes that teach critics.
     """
 
     begins: np.ndarray
@@ -162,14 +163,15 @@ class OutOfFold:
     weights: np.ndarray | None
     settled: np.ndarray
     fitted: np.ndarray
-    by_fold: np.ndarray
+    by_fold: Callable[[], np.ndarray] | None = None
+    left_out: float = np.nan
 
     @classmethod
-    def empty(cls, policies: int, episodes: int, rows: int, marginal: bool, folds: int = 0) -> "OutOfFold":
+    def empty(cls, policies: int, episodes: int, rows: int, marginal: bool) -> "OutOfFold":
         """Room for them."""
         more = lambda: np.zeros((policies, rows)) if marginal else None  # noqa: E731
         begins, errors, fitted = np.zeros((policies, episodes)), np.zeros((policies, rows)), np.zeros(policies)
-        return cls(begins, errors, more(), more(), np.ones(policies, bool), fitted, np.zeros((folds, policies)))
+        return cls(begins, errors, more(), more(), np.ones(policies, bool), fitted)
 
     @classmethod
     def of_values(cls, case: Any, begins: np.ndarray, now: np.ndarray, last: np.ndarray, chosen: np.ndarray) -> "OutOfFold":

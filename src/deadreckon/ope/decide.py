@@ -19,11 +19,12 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
-from deadreckon.ope.registry import as_estimator
+from deadreckon.ope.registry import as_estimators
 from deadreckon.ope.select import MANY, SHARE, Choice, endless_where_unsupported, select
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
+from deadreckon.settings import check_kind
 from deadreckon.stats.interval import ALPHA
 
 UNSEEN = "no check can detect confounding: an unrecorded variable that influenced both the logged actions and the rewards"
@@ -73,10 +74,13 @@ def decide(
     settings = DecisionSettings.of(options)
     model, accept_model_based = settings.model, settings.accept_model_based
     check(case, settings, groups)
-    if isinstance(estimators, str):
-        estimators = automatic(case, model, accept_model_based) if estimators == "auto" else [estimators]
+    check_kind("alpha", alpha, float)
+    if not 0.0 < alpha < 1.0:
+        raise UserError(f"alpha, the share of logs for which an interval may miss, must lie between 0 and 1, got {alpha}")
+    auto = isinstance(estimators, str) and estimators == "auto"
+    asked = automatic(case, model, accept_model_based) if auto else as_estimators(estimators)
     checked = support(case, model)
-    estimates = [as_estimator(each).on(case) for each in estimators]
+    estimates = [each.on(case) for each in asked]
     choice = select(estimates, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha)
     which, more = case.names.index(choice.name), {}
     if settings.guarantee:
@@ -106,10 +110,14 @@ def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> 
     settings.check_values()
     if settings.guarantee:
         refuse(case, settings.return_range)
+    elif settings.return_range is not None:
+        raise UserError("return_range bounds nothing unless a guarantee is asked for (guarantee=True, --guarantee)")
     if settings.confounding is not None:
         possible(case)
-    if groups is not None and len(groups.names) > GROUPS:
-        raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
+    if groups is not None:
+        groups.check(case.log)
+        if len(groups.names) > GROUPS:
+            raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
 
 
 def _demanded(choice: Choice, bound: float, words: str) -> Choice:

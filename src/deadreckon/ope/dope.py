@@ -25,7 +25,7 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.metrics import Metrics, compare, error_rates, published, sharpe_ratio
-from deadreckon.ope.registry import Function, as_estimator, fits_name
+from deadreckon.ope.registry import Function, as_estimators, fits_name
 from deadreckon.ope.settings import FitOptions, FitSettings
 from deadreckon.policies import library
 from deadreckon.progress import unwatched
@@ -116,14 +116,14 @@ def evaluate_log(
     Args:
         data: the log.
         task: whose policies.
-        estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
+        estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`; or one alone.
         **options: `seed`, `out`, `watch` and `told`; see `DopeSettings`. Results in `out` are identified by log, estimator,
             seed and the revisions of their code: those of other revisions are computed again.
 
     Raises:
         UserError: an unknown estimator or task, or a file of results that is damaged.
     """
-    settings = DopeSettings.of(options)
+    settings, asked = DopeSettings.of(options), as_estimators(estimators)
     snapshots = [s for s in library.library(task) if s.name.startswith("snapshot-")]
     discount = snapshots[0].sampled.discount
     truth, errors = (np.array([getattr(s.sampled, f) for s in snapshots]) for f in ("discounted", "discounted_error"))
@@ -132,7 +132,7 @@ def evaluate_log(
     behavior = math.nan  # known with the case
     results = []
     folder = None if settings.out is None else Path(settings.out) / file_part(data.name)
-    for estimator in map(as_estimator, estimators):
+    for estimator in asked:
         identity = {
             "settings": str(estimator), "seed": settings.seed, "log": data.fingerprint, "truth": truth.tolist(),
             "revisions": of_learning() | revisions_of(estimator),

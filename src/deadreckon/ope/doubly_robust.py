@@ -38,8 +38,7 @@ from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
 from deadreckon.ope.weights import Sums, few
 from deadreckon.randomness import generator
-from deadreckon.stats.bootstrap import ensemble_interval, jackknife_error
-from deadreckon.stats.interval import NORMAL
+from deadreckon.stats.bootstrap import jackknife, prediction
 from deadreckon.training.hyperparameters import Count, UnitInterval, static
 
 ALONE = {"marginal": "DRL", "switch": "SWITCH", "dros": "DRos", "mrdr": "MRDR"}  # labels whatever the critics are
@@ -50,7 +49,7 @@ OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warn
 class DoublyRobust(Estimator):
     """FQE corrected by importance sampling."""
 
-    revision: ClassVar[int] = 2  # 2: MAGIC's interval knows the uncertainty of cross-fitted critics
+    revision: ClassVar[int] = 4  # 2-4: MAGIC's intervals, of values and of gains, know the uncertainty of its critics
 
     takes_horizon = True
 
@@ -91,18 +90,15 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, ess, bootstrap, influence, tails, average, doubts, shifts = [], [], [], [], [], [], [], []
+        values, ess, bootstrap, influence, tails, average, left, shifts = [], [], [], [], [], [], [], []
         learned = self.behavior == "learned" or (self.behavior == "auto" and "behavior_log_probs" not in case.data.extras)
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
             start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
-                value, redrawn, pulled, uncorrected = self._blend(case, sums, start, drawn)
-                if uncorrected > 0:
-                    noise = generator(case.seed, "uncorrected", i).standard_normal(len(redrawn))
-                    redrawn = redrawn + uncorrected * self._critics_error(case, nuisances, begins, i) * noise
-                    doubts.append(i)
+                value, redrawn, pulled, uncorrected = self._blend(case, sums, start, drawn, log_rho)
+                left.append(uncorrected)
             else:
                 value, redrawn, pulled = start + sums.value(), drawn + sums.redraw(episodes.counts), sums.influence()
             if plain and learned:
@@ -115,17 +111,23 @@ class DoublyRobust(Estimator):
             ess.append(sums.ess)
             tails.append(episodes.typical(log_rho, whole=False))
             average.append(episodes.average(log_rho))
-        ess = np.asarray(ess)
+        ess, redrawn = np.asarray(ess), np.stack(bootstrap, 1)
         warnings = self._warnings(case, ess, nuisances)
-        found = Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
-            corrected=case.beyond <= TAIL, warnings=tuple(warnings), inflation=_beyond(case),
-            diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, ess, average)
-            | ({"normalising": np.array(shifts)} if shifts else {}),
+        diagnostics = self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, ess, average)
+        nuisance = None
+        if left:
+            diagnostics["uncorrected"] = uncorrected = np.array(left)
+            nuisance = np.where(uncorrected > 0, uncorrected * self._critics_errors(case, nuisances, begins), 0.0)
+            # The same draws for all policies, so that what their critics share falls out of differences.
+            redrawn = redrawn + generator(case.seed, "uncorrected").standard_normal((len(redrawn), len(nuisance))) @ nuisance
+            warnings += self._uncorrected_warnings(case, uncorrected, nuisance)
+        if shifts:
+            diagnostics["normalising"] = np.array(shifts)
+        return Estimates.of_influence(
+            self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=redrawn, ess=ess, nuisance=nuisance,
+            corrected=case.beyond <= TAIL and max(left, default=0.0) <= TAIL, warnings=tuple(warnings),
+            inflation=_beyond(case), diagnostics=diagnostics,
         )  # fmt: skip
-        for i in doubts:  # the critics' share of the uncertainty is in the bootstrap alone
-            found.low[i], found.high[i] = episodes.percentiles(bootstrap[i], float(ess[i]))
-        return found
 
     def nuisances(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray | None]:
         """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""
@@ -314,27 +316,37 @@ class DoublyRobust(Estimator):
             warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | means,
         )  # fmt: skip
 
-    def _critics_error(self, case: OPEInput, nuisances: OutOfFold, begins: np.ndarray | None, policy: int) -> float:
-        """Standard error of the critics' mean initial value: by the ensemble, or by the critics of the folds (the jackknife).
+    def _critics_errors(self, case: OPEInput, nuisances: OutOfFold, begins: np.ndarray | None) -> np.ndarray:
+        """(groups, policies) error of the critics' mean initial values (see `Estimates.nuisance`): by the members of an
+        ensemble, or by the critics of the folds (the jackknife).
 
-        Of one critic it is not known (NaN), and there is no interval.
+        Networks of folds differ by their initialisations too, so theirs is an upper bound. Of one critic nothing is known.
         """
         if begins is not None:
-            low, high = ensemble_interval(begins[:, policy].mean(-1))
-            return float(high - low) / (2 * NORMAL)
-        teaching = case.teaching()
-        total = case.data.episodes + (0 if teaching is None else teaching.data.episodes)
-        left_out = case.data.episodes / len(nuisances.by_fold) / total
-        return float(jackknife_error(nuisances.by_fold[:, policy], left_out))
+            return prediction(begins.mean(-1))
+        if nuisances.by_fold is None:
+            return np.full((1, case.count), np.nan)
+        return jackknife(nuisances.by_fold(), nuisances.left_out)
+
+    def _uncorrected_warnings(self, case: OPEInput, left: np.ndarray, nuisance: np.ndarray) -> list[str]:
+        found, worst = [], int(np.argmax(left))
+        if left[worst] > TAIL:
+            found.append(
+                f"{100 * left[worst]:.0f} % of any error of the critics of {case.names[worst]} remains in its estimate by "
+                f"{self.label}, whose interval knows the critics' variance and not their bias"
+            )
+        if np.isnan(nuisance).any():
+            found.append(f"{self.label} with one critic per policy has no interval; folds, or more members, give one")
+        return found
 
     def _blend(
-        self, case: OPEInput, sums: Sums, begin: float, drawn: np.ndarray
+        self, case: OPEInput, sums: Sums, begin: float, drawn: np.ndarray, log_rho: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray, float]:
         """Corrections of several lengths, weighted so that variance plus squared bias is least.
 
         Returns:
             The estimate, its bootstrap samples, the influence of the corrections, and how much of an error of the critics
-            remains in it: that of a state after j steps counts discount^j times, in the episodes that go on so long.
+            remains in it: that of a state after j steps counts discount^j times, in the policy's episodes that go on so long.
         """
         from scipy.optimize import nnls  # half a second, for this kind alone
 
@@ -353,8 +365,7 @@ class DoublyRobust(Estimator):
         x = nnls(np.vstack([root, np.full(len(partial), heavy)]), np.append(np.zeros(len(partial)), heavy))[0]
         x /= x.sum()
         pulls = np.cumsum(sums.influence_steps(), 1)[:, ends] @ x[1:]
-        goes_on = (case.data.lengths[:, None] > ends + 1).mean(0)
-        uncorrected = x[0] + x[1:] @ (case.discount ** (ends + 1) * goes_on)
+        uncorrected = x[0] + x[1:] @ (case.discount ** (ends + 1) * episodes.going_on(log_rho)[ends])
         return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(uncorrected)
 
 

@@ -1,12 +1,13 @@
 """What is estimated: which rewards of an episode count, how much, and how the policy acts."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
+from deadreckon.settings import check_kind
 
 TAIL = 0.02  # share of the discounted time beyond a time-out that may be left to a critic without a word
 
@@ -29,6 +30,8 @@ class Estimand:
     greedy: bool = False
 
     def __post_init__(self):
+        for name, hint in (("discount", float), ("horizon", int | None), ("greedy", bool)):
+            check_kind(name, getattr(self, name), hint)
         if not 0.0 <= self.discount <= 1.0:
             raise UserError(f"discount must be in [0, 1], got {self.discount}")
         if self.horizon is not None and self.horizon < 1:
@@ -48,7 +51,9 @@ class Estimand:
         Raises:
             UserError: a discount of one where episodes need not end.
         """
-        if horizon == "auto":
+        check_kind("horizon", horizon, int | Literal["auto"] | None)
+        check_kind("discount", discount, float)
+        if isinstance(horizon, str):
             cut = np.unique(log.lengths[~np.asarray(log.terminals)[log.ends]])
             fixed = len(cut) == 1 and cut[0] == log.lengths.max() and discount ** int(cut[0]) > TAIL
             horizon = 1 if log.lengths.max() == 1 else int(cut[0]) if fixed else None

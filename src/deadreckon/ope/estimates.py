@@ -37,6 +37,9 @@ class Estimates:
         warnings: why not to trust it, one line each.
         seconds: it took, without what was there already for another estimator.
         diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
+        nuisance: (groups, policies) error of what was fitted that the influence function does not see, by the groups of the
+            data that tell it: the sum of the squares is its variance, with groups - 1 degrees of freedom, and it is paired
+            between policies. NaN where nobody knows it; None where there is none.
         inflation: (policies,) by which errors are multiplied, beyond what the influence function says; None: by one. See
             `OPEInput.inflation`.
     """
@@ -55,6 +58,7 @@ class Estimates:
     seconds: float = 0.0
     diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
     inflation: np.ndarray | None = field(default=None, repr=False)
+    nuisance: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
     def of_influence(
@@ -65,15 +69,20 @@ class Estimates:
         influence: np.ndarray,
         *,
         ess: np.ndarray | None = None,
+        nuisance: np.ndarray | None = None,
         **more: Any,
     ) -> "Estimates":
-        """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them, each for
-        itself; without weights nothing is known.
+        """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them and by `nuisance`,
+        each for itself; without weights nothing is known.
         """
         low, high = inference.intervals(value, influence, seed=case.seed)
+        if nuisance is not None:
+            half = inference.beside(high - value, nuisance)
+            low, high = value - half, value + half
         if ess is not None:
             low, high = np.where(ess > 0, low, -np.inf), np.where(ess > 0, high, np.inf)
-        return cls(method, case.names, value, low, high, case.estimand, influence=influence, ess=ess, **more)
+        more |= {"influence": influence, "ess": ess, "nuisance": nuisance}
+        return cls(method, case.names, value, low, high, case.estimand, **more)
 
     @property
     def discount(self) -> float:

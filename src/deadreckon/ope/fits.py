@@ -1,12 +1,14 @@
 """What is fitted for a case: made once, gone on with from checkpoints, and watched for whether it has settled."""
 
 import contextlib
+import hashlib
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from deadreckon.data.batch import TransitionSource
 from deadreckon.files import alone, read_json, write_json
@@ -16,6 +18,7 @@ from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Chunk, Fit, complete
 from deadreckon.training.hyperparameters import described, on_device
 
+BLOCK = 65_536  # rows at a time
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
 
 
@@ -91,9 +94,18 @@ class Fits:
     def _folder(self, learner: Any, rows: TransitionSource, steps: int, what: str) -> Path:
         """Where a fit's checkpoints lie: a folder of its own for every log, set of policies and setting."""
         assert self.out is not None
-        columns = {name: column.shape for name, column in {**rows.extra, **(rows.initial or {})}.items()}
+        # Which rows teach whom is in these columns alone: held episodes, clusters and folds.
+        columns = {name: _digest(column) for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
             "learner": described(on_device(learner)), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
             "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
+
+
+def _digest(column: np.ndarray) -> str:
+    """Of a column's shape, type and numbers, a block at a time: it may lie in a file."""
+    found = hashlib.blake2b(f"{column.shape} {column.dtype}".encode(), digest_size=16)
+    for start in range(0, len(column), BLOCK):
+        found.update(np.ascontiguousarray(column[start : start + BLOCK]).tobytes())
+    return found.hexdigest()

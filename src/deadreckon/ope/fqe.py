@@ -210,7 +210,10 @@ class FQE(Estimator):
             return OutOfFold.of_values(case, own[:, data.starts], own, final, taken)
 
         by_fold = now[:, :, data.starts].mean(-1, dtype=np.float64)
-        return dataclasses.replace(told(0), fitted=np.square(told(1).errors).mean(1), by_fold=by_fold)
+        left_out = data.episodes / len(by_fold) / whole.data.episodes
+        return dataclasses.replace(
+            told(0), fitted=np.square(told(1).errors).mean(1), by_fold=lambda: by_fold, left_out=left_out
+        )
 
     @property
     def label(self) -> str:

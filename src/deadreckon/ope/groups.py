@@ -46,6 +46,18 @@ class Groups(NamedTuple):
         values, codes = groups_of(data, column)
         return cls(column, tuple(map(str, values)), codes)
 
+    def check(self, data: Dataset) -> None:
+        """Refuses groups of another log.
+
+        Raises:
+            UserError: there are not as many numbers as episodes.
+        """
+        if np.shape(self.codes) != (data.episodes,):
+            raise UserError(
+                f"groups by {self.column} must be a number for each of {data.episodes:,} episodes of {data.name}, got shape "
+                f"{np.shape(self.codes)}"
+            )
+
 
 def by_group(
     case: OPEInput, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
@@ -63,6 +75,7 @@ def by_group(
     Raises:
         UserError: weights that mean nothing.
     """
+    groups.check(case.log)
     if case.degenerate[which]:
         raise UserError(f"gains by group {WEIGHTLESS}")
     scores = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).scores(case)

@@ -17,6 +17,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.case import OPEInput
+from deadreckon.settings import check_kind
 from deadreckon.stats.betting import lower
 from deadreckon.stats.interval import ALPHA
 
@@ -29,6 +30,7 @@ def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
     Raises:
         UserError: in one line.
     """
+    check_kind("return_range", return_range, tuple[float, float] | None)
     episodes, lacks = case.episodes, []
     if return_range is None:
         lacks.append("the least and the greatest return that an episode can have (--return-range LOW HIGH)")

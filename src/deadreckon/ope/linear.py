@@ -242,31 +242,45 @@ class Fit:
 
         Args:
             folds: into which the judged episodes are parted; the critics of one learn from the others and from all episodes
-                that are not judged.
+                that are not judged. 1: from all, those that they judge too, as the public code has it.
             marginal: the ratios of occupancies too, of the same folds.
         """
-        case = self.case
-        fold = case.folds(folds)
+        case, in_sample = self.case, folds == 1
+        fold = case.folds(PARTS if in_sample else folds)  # in the sample, of groups among which the ridge is chosen
         folds = int(fold.max()) + 1
         # The same for all doubly robust estimators of a case, and most of what they cost.
         key = ("sums", self.features.cosines, self.samples, folds, marginal)
         judged: Sums = case.once(key, lambda: self._judged_and_taught(fold, folds, marginal))
         taught = range(folds, len(judged.rows))  # groups that are not judged, if any
         count = case.count
-        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal, folds)
+        out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
         ridges: dict[tuple[int, int], float] = {}
-        for k in range(folds):
+        every = []
+        own = np.zeros_like(fold) if in_sample else fold
+        for k in range(int(own.max()) + 1):
             weight = np.ones(len(judged.rows))
-            weight[k] = 0.0
-            others = [g for g in range(folds) if g != k]
+            weight[k] = float(in_sample)
+            others = [g for g in range(folds) if weight[g]]
             critics = []
             for i in range(count):
                 key = (i, -1 if taught else k)
                 if key not in ridges:
                     ridges[key] = self.ridge(judged, i, taught or others)
                 critics.append(self.critic(judged, weight, i, ridges[key]))
-            self.tell(out, fold, k, critics)
-        return out
+            every.append(np.stack([critic.weights[-1] for critic in critics]))
+            self.tell(out, own, k, critics)
+        if in_sample:
+            return out
+        left_out = case.data.episodes / folds / float(judged.episodes.sum())
+        return replace(out, by_fold=lambda: self._begins(np.stack(every)), left_out=left_out)
+
+    def _begins(self, weights: np.ndarray) -> np.ndarray:
+        """(folds, policies) mean values of all initial observations by critics (folds, policies, features)."""
+        data, first = self.case.data, self.case.initial_actions(self.samples)
+        total = np.zeros(weights.shape[1:])
+        for part in blocks(np.arange(data.episodes)):
+            total += self.features.expected(data.observations[data.starts[part]], first[part]).sum(0, dtype=np.float64)
+        return self.std * np.einsum("kid,id->ki", weights, total / data.episodes)
 
     def _judged_and_taught(self, fold: np.ndarray, folds: int, start: bool) -> Sums:
         """Of the judged episodes by fold, and behind them of the others, if any, in `PARTS` groups."""
@@ -294,11 +308,6 @@ class Fit:
             phi = self.features.expected(data.observations[data.starts[part]], first[part])
             for i, critic in enumerate(critics):
                 out.begins[i, part] = self.std * (phi[:, i] @ critic.weights[-1])
-        # Critics of all folds are compared at the same initial observations; a block of these is enough.
-        episodes = data.episodes
-        some = generator(case.seed, "compared starts").choice(episodes, min(episodes, BLOCK), replace=False)
-        phi = self.features.expected(data.observations[data.starts[some]], first[some])
-        out.by_fold[k] = [self.std * (phi[:, i] @ critic.weights[-1]).mean() for i, critic in enumerate(critics)]
 
         def errors(part: np.ndarray, marginal: bool) -> Iterator[dict[str, np.ndarray]]:
             phi = self.features.taken(data.observations[part], data.actions[part])

@@ -119,6 +119,10 @@ def compare(
         raise UserError(f"as many true values as estimates are needed, got {truth.shape} and {estimates.shape}")
     if not 1 <= k <= len(truth) or len(truth) < 2:
         raise UserError(f"k must be 1 .. the number of policies, of which there are {len(truth)}, got {k}")
+    if resamples < 1:
+        raise UserError(f"resamples must be 1 or more, got {resamples}")
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
     if not np.isfinite(estimates).all():
         raise UserError(f"the estimate of policy {int(np.flatnonzero(~np.isfinite(estimates))[0])} is not finite")
     if normalised:

@@ -180,7 +180,7 @@ def out_of_fold(
     steps, begin = fit.horizon or 1, np.cumsum([0, *(len(each.data) for each in sources)])
 
     weights, targets = np.zeros((2, case.count, len(group)))
-    out = OutOfFold.empty(case.count, case.data.episodes, len(case.data), marginal=False, folds=folds)
+    out = OutOfFold.empty(case.count, case.data.episodes, len(case.data), marginal=False)
     for i in range(case.count):
         ratios = np.concatenate([own[i] for own, _ in told])
         with np.errstate(over="ignore", invalid="ignore"):

@@ -1,7 +1,7 @@
 """Estimators by name, as tables and the command line call them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -152,6 +152,19 @@ class Function(Estimator):
             values = np.append(values, case.data.returns(case.discount).mean())
         nothing = np.full(len(values), np.nan)
         return Estimates(self.name, case.names, values, nothing, nothing, case.estimand, bootstrap=values[None])
+
+
+def as_estimators(given: Any) -> list[Estimator]:
+    """Estimators of a sequence, or of one alone; see `as_estimator`.
+
+    Raises:
+        UserError: there is none, an unknown name, or something else.
+    """
+    several = isinstance(given, Iterable) and not isinstance(given, str) and not callable(given)
+    found = [as_estimator(each) for each in given] if several else [as_estimator(given)]
+    if not found:
+        raise UserError("no estimator to judge by; give names, Estimator objects or functions")
+    return found
 
 
 def as_estimator(given: Any) -> Estimator:

@@ -74,8 +74,9 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     learned they are wider by `MOVED` times what normalising the weights changes most.
 
     Both values are estimated by the same method from the same episodes, so what they share cancels. Where there is an influence
-    function the interval is a studentised maximum (`inference.simultaneous`). Otherwise it is the bootstrap's, or for the few
-    members of an ensemble Student's, with Bonferroni's correction for the number of policies.
+    function the interval is a studentised maximum (`inference.simultaneous`), and wider by an error of what was fitted that it
+    does not see (`Estimates.nuisance`). Otherwise it is the bootstrap's, or for the few members of an ensemble Student's. The
+    last three have Bonferroni's correction for the number of policies.
 
     Raises:
         UserError: the behaviour policy was not judged.
@@ -86,13 +87,17 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     known = np.ones(len(found.names), bool) if known is None else np.array(known)
     if found.ess is not None:
         known &= found.ess > 0
+    each = alpha / max(len(found.names) - 1, 1)
     if found.influence is not None:
         middle, low, high = inference.gains(found.value, found.influence, logged, alpha, known)
+        if found.nuisance is not None:
+            half = inference.beside(high - middle, found.nuisance - found.nuisance[:, [logged]], each)
+            half = np.where(np.isnan(half), np.inf, half)
+            low, high = middle - half, middle + half
     else:
         assert found.bootstrap is not None
         middle = found.value - found.value[logged]
         draws = found.bootstrap - found.bootstrap[:, [logged]]
-        each = alpha / max(len(found.names) - 1, 1)
         ends = [
             percentile_interval(own, np.inf if found.ess is None else found.ess[i], each)
             if len(draws) >= BOOTSTRAP else ensemble_interval(own, each)

@@ -73,8 +73,18 @@ class DecisionSettings(EvidenceSettings):
         super().check_values()
         if self.confounding is not None:
             check_gamma(self.confounding)
-        if self.tail is not None and not 0 < self.tail <= 1:
-            raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {self.tail:g}")
+        if self.tail is not None:
+            check_share(self.tail)
+
+
+def check_share(share: float) -> None:
+    """Refuses what is no share of the worst episodes.
+
+    Raises:
+        UserError: it is not above 0 and at most 1.
+    """
+    if not 0.0 < share <= 1.0:
+        raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {share:g}")
 
 
 class FitOptions(TypedDict, total=False):

@@ -17,6 +17,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.settings import check_share
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
 
@@ -61,8 +62,7 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     Raises:
         UserError: a share that is none, no weight at all, or a tail of too few episodes.
     """
-    if not 0.0 < share <= 1.0:
-        raise UserError(f"the share of the worst episodes must be above 0 and at most 1, got {share:g}")
+    check_share(share)
     logs, returns = np.asarray(log_weights, float), np.asarray(returns, float)
     top = logs.max(initial=-np.inf)
     if not np.isfinite(top):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import expit
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
@@ -92,7 +93,7 @@ def _accumulated(shape: tuple[int, ...], where: tuple[np.ndarray, ...], logs: np
 class Episodes:
     """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
 
-    def __init__(self, data: Dataset, discount: float, seed: int, units: np.ndarray | None = None):
+    def __init__(self, data: Dataset, discount: float, seed: int, units: np.ndarray):
         if data.successors is not None:
             raise UserError(f"{data.name}: its rows do not follow each other, so ratios cannot be multiplied along them")
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
@@ -106,8 +107,6 @@ class Episodes:
         self.kept = self._kept()
         self.log_kept = np.log(self.kept)[self.time]  # (rows,)
         self.seed = seed
-        if units is None:  # as `OPEInput.units` draws them, so that the same episodes belong together
-            units = generator(seed, "units").permutation(np.arange(self.count) % min(self.count, GROUPS))
         self.group = units  # (episodes,)
         self.groups = int(units.max()) + 1
 
@@ -198,6 +197,17 @@ class Episodes:
             total = np.bincount(self.of, np.exp(log_rho) * fade[self.time], self.count)
             rest = np.append(np.cumsum(fade[::-1])[::-1], 0.0)[self.lengths]
             return (total + rest * np.exp(log_rho[self.first + self.lengths - 1])) / fade.sum()
+
+    def going_on(self, log_rho: np.ndarray) -> np.ndarray:
+        """(steps,) share of the policy's episodes that no terminal has ended after each step, by their weights; one where
+        nothing has weight. An episode that is cut off goes on: what follows is only not known."""
+        log_rho, ends = log_rho - self.log_kept, self.first + self.lengths - 1
+        over = _accumulated((self.steps + 1,), (self.lengths[self.ended],), log_rho[ends[self.ended]])[1:]
+        goes, on = np.ones(len(log_rho), bool), np.full(self.steps, -np.inf)
+        goes[ends[self.ended]] = False
+        np.logaddexp.at(on, self.time[goes], log_rho[goes])
+        some = np.isfinite(np.maximum(on, over))
+        return expit(np.subtract(on, over, out=np.full(self.steps, np.inf), where=some))
 
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool = False) -> np.ndarray:
         """(episodes,) what each adds without normalisation; per decision their mean is the estimate of `sums`, and with one

@@ -10,7 +10,7 @@ from deadreckon.collect.recipes import default_path
 from deadreckon.data.formats.io import read
 from deadreckon.errors import UserError
 from deadreckon.ope.dope import DopeOptions, DopeSettings, Result, evaluate_log
-from deadreckon.ope.registry import as_estimator
+from deadreckon.ope.registry import as_estimators
 from deadreckon.policies import library
 from deadreckon.progress import Watcher, unwatched
 
@@ -46,7 +46,7 @@ def dope(
         UserError: unknown estimators, tasks, kinds or logs, or seeds out of range, before anything is begun.
     """
     settings = DopeSettings.of(options)
-    first, estimators = settings.seed, [as_estimator(each) for each in estimators]
+    first, estimators = settings.seed, as_estimators(estimators)
     if seeds < 1 or first < 0 or first + seeds > 2**32:
         raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {first}")
     recipes = [recipe(name) for name in logs or [f"{task}-{kind}-v2" for task in tasks for kind in kinds]]

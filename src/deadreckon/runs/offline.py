@@ -17,7 +17,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, check, decide
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.groups import Groups
-from deadreckon.ope.registry import as_estimator, fits_name, titled
+from deadreckon.ope.registry import as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.runs.evaluate import evaluate
@@ -97,7 +97,7 @@ def judge_alone(
     )  # fmt: skip
     check(case, settings, groups)  # what is refused is no look
     if estimators != "auto":
-        estimators = [as_estimator(each) for each in ([estimators] if isinstance(estimators, str) else estimators)]
+        estimators = as_estimators(estimators)
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
         digested = digest([case.manner, case.estimand.as_json()], 16)

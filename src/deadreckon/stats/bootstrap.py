@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special
 
-from deadreckon.stats.interval import ALPHA, NORMAL
+from deadreckon.stats.interval import ALPHA
 
 RESAMPLES = 1000
 TAIL = 10  # bootstrap samples beyond a percentile that it takes to know it
@@ -25,20 +25,30 @@ def percentile_interval(draws: np.ndarray, ess: float, alpha: float = ALPHA) -> 
     return float(middle - wanted / safe * (middle - low)), float(middle + wanted / safe * (high - middle))
 
 
-def jackknife_error(values: np.ndarray, left_out: float) -> np.ndarray:
-    """Standard errors (...) of estimates, from (groups, ...) values of which each leaves out one group of the data.
+def jackknife(values: np.ndarray, left_out: float) -> np.ndarray:
+    """(groups, ...) deviations whose squares sum up to variances of estimates, from (groups, ...) values of which each leaves
+    out one group of the data. NaN of one group, whose variance is not known.
 
-    The delete-a-group jackknife (Shao and Wu 1989): with a share d of the data left out, the variance is (1/d - 1) times the
-    mean square of the values around their mean. It is made larger as Student's t asks for, so that `NORMAL` of these errors are
-    a 95 % interval.
+    The delete-a-group jackknife (Shao and Wu 1989) for G groups that need not make up the whole data: where each holds a share
+    d of it, the variance is (1 - d)^2 / d * G / (G - 1) times the mean square of the values around their mean, which is G - 1
+    times that where d = 1 / G. Its degrees of freedom are G - 1.
 
     Args:
-        values: with at least two groups.
+        values: of groups that have no row in common.
         left_out: share of the data that each leaves out, in (0, 1).
     """
     groups = len(values)
-    wider = special.stdtrit(groups - 1, 1 - ALPHA / 2) / NORMAL
-    return wider * np.sqrt((1.0 / left_out - 1.0) * np.square(values - values.mean(0)).mean(0))
+    if groups < 2:
+        return np.full(values.shape, np.nan)
+    return (values - values.mean(0)) * (1.0 - left_out) / np.sqrt(left_out * (groups - 1))
+
+
+def prediction(values: np.ndarray) -> np.ndarray:
+    """(members, ...) deviations whose squares sum up to the variances of `ensemble_interval`; NaN of one member."""
+    members = len(values)
+    if members < 2:
+        return np.full(values.shape, np.nan)
+    return (values - values.mean(0)) * np.sqrt((1 + 1 / members) / (members - 1))
 
 
 def ensemble_interval(values: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:

@@ -75,6 +75,23 @@ def intervals(
     return value - half, value + half
 
 
+def beside(half: np.ndarray, deviations: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
+    """(policies,) half-widths of intervals of estimates that have a second, independent error.
+
+    It is the root of the sum of the squares of both half-widths, an interval which misses at most as often as either of them
+    (Banerjee 1960).
+
+    Args:
+        half: (policies,) half-widths by the first error.
+        deviations: (groups, policies), whose squares sum up to the variance of the second, with groups - 1 degrees of freedom;
+            NaN where it is not known, and then so is the interval.
+        alpha: share of logs for which the interval may miss.
+    """
+    error, groups = np.sqrt(np.square(deviations).sum(0)), len(deviations)
+    student = special.stdtrit(groups - 1, 1 - alpha / 2) if groups > 1 else np.nan
+    return np.hypot(half, np.where(error == 0, 0.0, student * error))
+
+
 def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0) -> float:
     """The factor c for which value +- c times the standard error holds for all policies at once, at level 1 - alpha.
 
