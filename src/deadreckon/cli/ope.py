@@ -53,6 +53,7 @@ class Ope:
     estimators: Annotated[str, _NAMES] = "auto"
     """names of estimators with commas (see --list), of which the first one decides; auto: by properties of the log"""
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
+    log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
     episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
     task: str | None = None  # simulator in which to check the decision, if there is one
     settings: Annotated[_Judge, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Judge)
@@ -97,7 +98,7 @@ def ope(args: Sequence[str]) -> None:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options.fits.given)
         raise UserError(f"{names}: sizes are set for estimators that are named (--estimators fqe), not for auto")
     wanted = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
-    data = catalogue.load(options.data)
+    data = catalogue.load(options.data, horizon=options.log_horizon)
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
             raise UserError(f"--episodes must be 1 .. {data.episodes}, the log's own, got {options.episodes}")

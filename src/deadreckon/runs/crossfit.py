@@ -24,6 +24,7 @@ from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
+from deadreckon.runs.reading import noted
 from deadreckon.runs.seen import seen
 from deadreckon.runs.train import Run, load, train
 from deadreckon.versions import differences
@@ -132,7 +133,8 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], opt
         picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
         mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
-        store.save(path / MIXTURE, mixture, {"agent": config["agent"], "members": config["members"]}, taught=log.episode_ids)
+        meta = {"agent": config["agent"], "members": config["members"], "log": noted(log.provenance)}
+        store.save(path / MIXTURE, mixture, meta, taught=log.episode_ids, held=np.zeros(0, np.uint64))
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)
     write_json(path / NAME, config)

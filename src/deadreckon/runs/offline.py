@@ -21,7 +21,7 @@ from deadreckon.ope.registry import as_estimator, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.runs.evaluate import evaluate
-from deadreckon.runs.gather import Gathered, check_encoding, for_case, fresh, gather
+from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
 from deadreckon.stats.interval import ALPHA
@@ -84,7 +84,7 @@ def judge_alone(
     """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
-    check_encoding(candidates, data)
+    check_encodings(candidates, data)
     task = find_task(task) if isinstance(task, str) else task
     if task is not None:
         _check_spaces(task, data)
