@@ -75,7 +75,7 @@ def check_episodes(name: str, read: Read, data: Dataset) -> None:
     Raises:
         UserError: names the policy, and how to read the log.
     """
-    if read.episodes is None or not len(read.episodes):
+    if read.episodes is None or read.extra is None:  # it had no log, or nobody knows it
         return
     known = np.isin(data.episode_ids, read.episodes)
     if known.all():
@@ -84,8 +84,8 @@ def check_episodes(name: str, read: Read, data: Dataset) -> None:
     if not known.any():
         new = f"no episode of {data.name} is known to {name}"
     unseen = "or, if it has learned from none of these episodes, say so with --unseen"
-    before, here = (None if extra is None else extra.get(HORIZON) for extra in (read.extra, data.provenance.extra))
-    if read.extra is not None and before != here:
+    before, here = (extra.get(HORIZON) for extra in (read.extra, data.provenance.extra))
+    if before != here:
         how = ["with no horizon" if each is None else f"with a horizon of {each}" for each in (before, here)]
         option = "without --log-horizon" if before is None else f"with --log-horizon {before}"
         why = f"which learned from a log read {how[0]}, while this one was read {how[1]}"
