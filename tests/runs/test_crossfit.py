@@ -135,7 +135,10 @@ def test_as_many_policies_of_each_fold_are_mixed(log, tmp_path, monkeypatch):
 def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     for change, words in (
         ({"folds": 1}, "at least 2 folds"), ({"folds": 13}, "12 episodes, at least 13"), ({"by": "usr"}, "did you mean user"),
-        ({"deliver": "mean"}, "unknown delivery 'mean'"),
+        ({"deliver": "mean"}, "unknown delivery 'mean'"), ({"stepz": 4}, "unknown setting 'stepz'"),
+        ({"steps": 0}, "steps must be >= 1, got 0"), ({"seed": -1}, "seed must be from 0 to"),
+        ({"holdout": 0.2}, "holds every fold out in turn: leave holdout out, got 0.2"),
+        ({"task": "maze2d-umaz"}, "unknown task"),
     ):  # fmt: skip
         with pytest.raises(UserError, match=words):
             dr.cross_fit(BC, log, out=tmp_path / "no", **(OPTIONS | change))

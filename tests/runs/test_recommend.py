@@ -199,11 +199,32 @@ def test_an_interruption_ends_the_work(doing, tmp_path):
     (0.0, {}, "the budget must be more than nothing"), (-5.0, {}, "the budget must be more than nothing"),
     ("soon", {}, "a time is written"), (60.0, {"discount": 1.0}, r"discount must be in \[0, 1\), got 1"),
     (60.0, {"holdout": 0.0}, "the share held out must lie between 0 and 1"),
+    (60.0, {"seed": -1}, r"seed must be 0 .. 2\^32 - 1, got -1"), (60.0, {"seed": 2**32}, "seed must be 0"),
+    (60.0, {"columns": {"reward": "gain"}}, "a Dataset has its columns already: leave them out"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_at_once(tmp_path, budget, options, words):
     with pytest.raises(UserError, match=words):
         recommend(a_log(), budget, out=tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("given", [a_log, lambda: "near.csv"], ids=["log", "file"])
+def test_what_fails_at_the_start_leaves_nothing_in_the_way(doing, tmp_path, monkeypatch, given):
+    doing("send('done', True)")
+    with pytest.raises(UserError, match="settings of recommend must be numbers, texts and lists of these: got object"):
+        recommend(given(), 60.0, out=tmp_path / "out", holdout=Holdout(by=object()))
+    assert not (tmp_path / "out").exists()
+
+    def fails(*given, **options):
+        raise OSError("no more processes")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module.subprocess, "Popen", fails)
+        with pytest.raises(OSError, match="no more processes"):
+            recommend(given(), 60.0, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    found = recommend(given(), 60.0, out=tmp_path / "out", seed=np.int64(1), discount=np.float32(0.5), holdout=np.float64(0.25))
+    assert not found.judged
 
 
 def test_an_old_folder_is_left_alone(tmp_path):
@@ -228,7 +249,7 @@ def small(monkeypatch):
 
 def job_of(data, out, seconds=60.0, **options):
     """As it comes out of the pipe."""
-    settings = RecommendSettings.of({"discount": 0.9} | options).checked()
+    settings = RecommendSettings.of({"discount": 0.9} | options)
     job = Job(data, str(out), 60.0, time.time(), time.time() + seconds, settings)
     return Job.of_json(json.loads(json.dumps(job.as_json())))
 

@@ -124,14 +124,22 @@ class Job:
     settings: RecommendSettings = field(default_factory=RecommendSettings)
 
     def as_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        return dataclasses.asdict(self)
+        """As JSON values; NumPy's numbers, which people have in their hands, become plain ones.
+
+        Raises:
+            UserError: a setting is an object that no file can hold.
+        """
+        try:
+            return json.loads(json.dumps(dataclasses.asdict(self), default=_number))
+        except TypeError as error:
+            raise UserError(f"settings of recommend must be numbers, texts and lists of these: {error}") from error
 
     @classmethod
     def of_json(cls, values: dict[str, Any]) -> Self:
         """The job of which `as_json` made these values."""
         settings = dict(values["settings"])
-        settings["holdout"] = None if settings["holdout"] is None else Holdout(**settings["holdout"])
+        if isinstance(settings["holdout"], dict):
+            settings["holdout"] = Holdout(**settings["holdout"])
         fields: dict[str, Any] = values | {"settings": RecommendSettings(**settings)}
         return cls(**fields)
 
@@ -185,7 +193,8 @@ class Attempt:
         log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
         if len(log.spec.observation_shape) != 1:
             raise UserError(f"policies are judged by flat observations, {log.name} has shape {log.spec.observation_shape}")
-        holdout = self.settings.holdout if isinstance(self.settings.holdout, Holdout) else usual(log)
+        given = self.settings.holdout
+        holdout = usual(log) if given is None else given if isinstance(given, Holdout) else Holdout(given)
         holdout.parts(log)  # what cannot be held out is told before anything is learned
         manner = f"{len(log):,} rows, {log.episodes:,} episodes"
         self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
@@ -415,6 +424,12 @@ class Attempt:
 
 class Unfinished(Exception):
     """There is nothing to judge, for a reason that belongs on the card."""
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"got {type(value).__name__}")
 
 
 def _agent(candidate: Candidate, hidden: tuple[int, ...], discount: float) -> Agent:
