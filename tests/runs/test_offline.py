@@ -8,6 +8,7 @@ import pytest
 from deadreckon.agents.bc import BC
 from deadreckon.collect import generate
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.spec import Discrete
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
@@ -15,6 +16,7 @@ from deadreckon.files import write_json
 from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
 from deadreckon.policies import BlackBoxPolicy, store
 from deadreckon.report import write
+from deadreckon.runs import offline
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import checked, grounds, judge, read_estimates
@@ -190,6 +192,45 @@ def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_p
     note.write_text("[]")
     with pytest.raises(UserError, match="is not a note of looks"):
         judge([run], log, **QUICK)
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"estimators": []}, "no estimator is named"), ({"out": "file"}, "file is a file; --out must be a folder"),
+    ({"model": BehaviorModel(steps=0)}, "BehaviorModel.steps takes a whole number"),
+    ({"episodes": 1, "task": "maze2d-umaze"}, "episodes must be 2 or more, for a standard error, got 1"),
+])  # fmt: skip
+def test_what_is_refused_is_no_look(noise, tmp_path, monkeypatch, change, words):
+    log, run, _ = noise
+    monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(UserError, match=words):
+        judge([run], log, **QUICK | change)
+    assert not (tmp_path / "looks").exists()
+
+
+def test_estimates_outlive_a_simulator_that_fails(made, tmp_path, monkeypatch):
+    folder, log, _ = made
+
+    def fails(*given, **options):
+        raise RuntimeError("unstable")
+
+    monkeypatch.setattr(offline, "evaluate", fails)
+    estimators = [ImportanceSampling(model=QUICK["model"])]
+    with pytest.raises(RuntimeError, match="unstable"):
+        judge(folder / "bc", log, estimators, out=tmp_path, task="maze2d-umaze", unseen=True, **QUICK)
+    told = read_estimates(tmp_path)
+    assert told["truth"] is None
+    assert told["results"][0]["method"] == "WPDIS"
+
+
+def test_one_policy_and_a_file_of_a_log_do(noise, tmp_path, monkeypatch):
+    log, run, folder = noise
+    write_folder(log, tmp_path / "log")
+    monkeypatch.chdir(folder)
+    for given in ("bc", run, run.path):
+        assert [each["name"] for each in judge(given, tmp_path / "log", "is", **QUICK).told["policies"]] == ["bc seed 0"]
+    assert judge(run.policy, str(tmp_path / "log"), "is", unseen=True, **QUICK).choice.name == "policy 0"
 
 
 def test_a_cross_fit_is_judged_on_every_episode(noise):

@@ -115,14 +115,40 @@ def ope(args: Sequence[str]) -> None:
     if options.select:
         print(judged.choice)
         policy = next(each for each in judged.told["policies"] if each["name"] == judged.choice.name)
-        if judged.choice.deploy and policy["file"]:
-            drawn = "" if options.settings.greedy else ", rng, greedy=False"
-            print(f"  use it: deadreckon.policies.portable.load({policy['file']!r})(observations{drawn})")
+        if judged.choice.deploy and (how := use(policy, options.policies, options.settings.greedy)):
+            print(f"  use it: {how}")
     if options.settings.by_group:
         print(f"\n{groups(judged.told)}")
     if options.task:
         print(f"checked: {checked(judged.told)}")
     return None
+
+
+def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | None:
+    """The call that gives a policy's actions as they were judged; None where it is saved nowhere.
+
+    Args:
+        policy: of `estimates.json`.
+        given: folders and files that policies were taken from.
+        greedy: how it was judged.
+    """
+    from deadreckon.policies import portable
+    from deadreckon.policies.resolve import PICKLES
+    from deadreckon.runs.crossfit import NAME
+
+    file = policy["file"]
+    if file is None:
+        crossed = [each for each in given if Path(each).name == policy["run"] and (Path(each) / NAME).exists()]
+        # Of several seeds there is one file for all, which is another policy than the one that was judged.
+        return f"deadreckon.load_cross_fit({crossed[0]!r}).policy_of({policy['seed']})" if crossed else None
+    if Path(file).suffix in PICKLES:
+        call = f"deadreckon.policies.load_dope({file!r})"
+        return f"{call}(observations)" if greedy else f"{call}, whose act(step, carry, key, greedy=False) samples actions"
+    more = "" if greedy else ", rng, greedy=False"
+    if portable.read(file)[0]["policy"]["inner"]["kind"] == "Mixture":
+        more += ", first=first"
+    call = f"deadreckon.policies.portable.load({file!r})(observations{more})"
+    return f"{call}, where first is True at the first step of an episode" if "first" in more else call
 
 
 def bench(args: Sequence[str]) -> None:

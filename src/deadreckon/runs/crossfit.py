@@ -68,6 +68,19 @@ class CrossFit:
         """The policy to deploy."""
         return store.load(self.policy_path) if self.config["deliver"] == "mixture" else load(self.policy_path).policy
 
+    def policy_of(self, seed: int) -> EnvPolicy:
+        """What would be deployed of one seed: the mixture of its policies, or its policy of all episodes."""
+        if self.config["deliver"] != "mixture":
+            refit = load(self.policy_path)
+            return refit.policies[refit.seeds.index(seed)]
+        return Mixture.of([run.policies[run.seeds.index(seed)] for run in self.runs])
+
+    def file_of(self, seed: int) -> Path | None:
+        """The file of `policy_of`; None where there is only one of all seeds together."""
+        if self.config["deliver"] != "mixture":
+            return Folder(self.policy_path).policy(seed)
+        return self.policy_path if len(self.runs[0].seeds) == 1 else None
+
     def __str__(self) -> str:
         held = [run.config["data"]["holdout"]["held"] for run in self.runs]
         count, most = (f"{n:,}" for n in (sum(held), max(held)))

@@ -31,7 +31,7 @@ class Gathered(NamedTuple):
         seed: of the run's seeds; None where there is none.
         taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
         by: column whose values its run kept together when it held episodes out; None: none.
-        file: where it is saved; None: nowhere that is known.
+        file: where exactly this policy is saved; None: nowhere that is known.
         read: how the log was read that it learned from.
     """
 
@@ -44,16 +44,18 @@ class Gathered(NamedTuple):
     read: Read = Read()
 
 
-def gather(given: Sequence[Any]) -> list[Gathered]:
+def gather(given: Any) -> list[Gathered]:
     """Policies to judge.
 
     Args:
         given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), policies, of which nobody knows what they
-            have learned from, or names of tasks whose eleven snapshots are meant.
+            have learned from, or names of tasks whose eleven snapshots are meant; a sequence of these, or one alone.
 
     Raises:
         UserError: none of these.
     """
+    if isinstance(given, Run | CrossFit | str | Path) or not isinstance(given, Sequence):
+        given = [given]
     found: list[Gathered] = []
     for number, each in enumerate(given):
         if isinstance(each, Policy):
@@ -64,8 +66,8 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            known = cross.path.name, cross.config["by"], cross.policy_path, _read(cross.runs[0])
-            found += [Gathered((cross, seed), known[0], seed, None, *known[1:]) for seed in cross.runs[0].seeds]
+            name, by, read = cross.path.name, cross.config["by"], _read(cross.runs[0])
+            found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read) for s in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout")
@@ -168,5 +170,5 @@ def for_case(g: Gathered, data: Dataset) -> Any:
         return g.policy
     cross, seed = g.policy
     if (fold := cross.fold_of(data)).max() < 0:  # another log: the policy to deploy is evaluated, not those of the folds
-        return cross.policy
+        return cross.policy_of(seed)
     return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)

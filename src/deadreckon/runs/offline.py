@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.data.split import RANDOM, TIME
@@ -46,8 +47,8 @@ class Judged(NamedTuple):
 
 
 def judge(
-    policies: Sequence[Any],
-    data: Dataset,
+    policies: Any,
+    data: Dataset | str | Path,
     estimators: Sequence[Any] | str = "auto",
     *,
     task: Task | str | None = None,
@@ -59,8 +60,8 @@ def judge(
     Where there are none, or nobody knows, estimates say so and nothing is deployed.
 
     Args:
-        policies: the policies, or where they are; see `gather`.
-        data: the log: the one that they learned from, with the episodes that were held out, or a new one.
+        policies: the policies, or where they are, one or several; see `gather`.
+        data: a log, the name of a known one, or a file: what they learned from, with the episodes that were held out, or new.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
         task: simulator in which the estimates are checked; None checks nothing.
         **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `guarantee`,
@@ -72,14 +73,19 @@ def judge(
         UserError: input that does not fit, in one line.
     """
     settings = JudgeSettings.of(options)
+    settings.check_values()
+    log = data if isinstance(data, Dataset) else catalogue.load(data)
     if settings.out is None:
-        return judge_alone(policies, data, estimators, task, settings)
-    with alone(Path(settings.out), what=str(settings.out)):
-        return judge_alone(policies, data, estimators, task, settings)
+        return judge_alone(policies, log, estimators, task, settings)
+    out = Path(settings.out)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out} is a file; --out must be a folder")
+    with alone(out, what=str(out)):
+        return judge_alone(policies, log, estimators, task, settings)
 
 
 def judge_alone(
-    policies: Sequence[Any], data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
+    policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
 ) -> Judged:
     """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
@@ -98,6 +104,8 @@ def judge_alone(
     check(case, settings, groups)  # what is refused is no look
     if estimators != "auto":
         estimators = [as_estimator(each) for each in ([estimators] if isinstance(estimators, str) else estimators)]
+        if not estimators:
+            raise UserError("no estimator is named; name one, or leave them out (auto)")
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
         digested = digest([case.manner, case.estimand.as_json()], 16)
@@ -107,7 +115,7 @@ def judge_alone(
     )
     results = {
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": settings.seed,
-        "truth": None if task is None else _truth(candidates, task, case, settings.episodes),
+        "truth": None,
         "policies": [
             {"name": name, "run": each.run, "seed": each.seed, "file": None if each.file is None else str(each.file)}
             for name, each in zip(case.names, candidates)
@@ -119,9 +127,16 @@ def judge_alone(
         "looks": {"number": current.number, "policies": current.policies, "alpha": current.alpha, "counted": settings.counted},
         **_decision_as_json(decision, current.alpha),
     }  # fmt: skip
+    _write(settings, results)  # before the simulator, which may fail: the estimates have cost a look, and took longest
+    if task is not None:
+        results["truth"] = _truth(candidates, task, case, settings.episodes)
+        _write(settings, results)
+    return Judged(decision.estimates, decision.choice, results)
+
+
+def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
     if settings.out is not None:
         write_json(Path(settings.out) / NAME, results)
-    return Judged(decision.estimates, decision.choice, results)
 
 
 def _check_spaces(task: Task, data: Dataset) -> None:
@@ -149,7 +164,7 @@ def _with_fits_apart(settings: JudgeSettings) -> JudgeSettings:
 
 def _truth(candidates: Sequence[Gathered], task: Task, case: OPEInput, episodes: int) -> dict[str, Any]:
     """What the policies are worth in a simulator, by the estimand of the case."""
-    acting = [each.policy[0].policy if isinstance(each.policy, tuple) else each.policy for each in candidates]
+    acting = [each.policy[0].policy_of(each.seed) if isinstance(each.policy, tuple) else each.policy for each in candidates]
     return simulated(acting, task, episodes=episodes, seed=case.seed, **case.estimand.as_json())
 
 

@@ -19,6 +19,7 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings, EstimateOptions, EstimateSettings, EvidenceSettings
 from deadreckon.progress import unwatched
 from deadreckon.settings import Settings
+from deadreckon.training.hyperparameters import check_fields
 
 ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and the number of updates in all
 
@@ -121,6 +122,13 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
     counted: bool = True  # whether this counts as a look at these episodes; the level falls with the number of looks
     episodes: int = 100  # number of episodes per policy in the simulator that checks the choice
+
+    def check_values(self) -> None:
+        """Refuses what would be found out only after a look, which cannot be taken back."""
+        super().check_values()
+        if self.episodes < 2:
+            raise UserError(f"episodes must be 2 or more, for a standard error, got {self.episodes}")
+        check_fields(self.model)
 
 
 @dataclass(frozen=True, kw_only=True)
