@@ -19,6 +19,7 @@ from deadreckon.report import write
 from deadreckon.runs import offline
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.gather import gather
+from deadreckon.runs.looks import level_in_words
 from deadreckon.runs.offline import checked, grounds, judge, read_estimates
 from deadreckon.runs.train import train
 
@@ -166,6 +167,13 @@ def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_n
     assert not any("agrees" in line for line in alone.evidence)
     with pytest.raises(UserError, match="policies to judge are runs, folders, files or policies, got int"):
         judge([3], log, unseen=True, **QUICK)
+
+
+@pytest.mark.parametrize(("number", "words"), [
+    (1, "97.5 %"), (2, "98.8 %"), (7, "99.96 %"), (10, "99.995 %"), (40, "99.999999999995 %"),
+])  # fmt: skip
+def test_late_looks_have_a_level_below_100_percent(number, words):
+    assert level_in_words(1.0 - 0.05 / 2.0**number) == words
 
 
 def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):

@@ -412,6 +412,18 @@ def test_clusters_are_held_out_whole(small, tmp_path):
     told = read_json(out / "estimates.json")["judged"]
     assert told["cluster"] == "user"
     assert told["units"] == 4
+    assert "600 rows, 60 episodes; 12 of them (20 %) are held out for the card, by user" in of(sent, "line")[0]
+
+
+def test_what_leaves_no_episode_for_the_card_is_refused(tmp_path):
+    log = a_log(60)
+    site = dr.Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts, name="near",
+        site=log.episode_of % 2,
+    )  # fmt: skip
+    sent, _ = attempt(tmp_path, site, holdout=Holdout(by="site"))
+    assert "2 values of site are too few to hold some out (10 are needed), and a card rests on them" in of(sent, "refused")[0]
+    assert not [state for state in of(sent, "state") if "candidates" in state]
 
 
 def test_a_run_may_be_ended_early(tmp_path):

@@ -36,7 +36,7 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.runs import offline
 from deadreckon.runs.durations import in_words
-from deadreckon.runs.holdout import divided, usual
+from deadreckon.runs.holdout import divided, too_few, usual
 from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.train import Run, judge_of, train
@@ -195,11 +195,14 @@ class Attempt:
             raise UserError(f"policies are judged by flat observations, {log.name} has shape {log.spec.observation_shape}")
         given = self.settings.holdout
         holdout = usual(log) if given is None else given if isinstance(given, Holdout) else Holdout(given)
-        holdout.parts(log)  # what cannot be held out is told before anything is learned
+        held = len(holdout.parts(log).held)  # what cannot be held out is told before anything is learned
+        if few := too_few(log, holdout):
+            raise UserError(f"{few}, and a card rests on them; hold out by other values, or record more")
         manner = f"{len(log):,} rows, {log.episodes:,} episodes"
         self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
         by = {"random": "at random", "time": "the latest"}.get(holdout.by, f"by {holdout.by}")
-        self.send("line", f"{log.name}: {manner}; {100 * holdout.share:.0f} % of the episodes are held out for the card, {by}")
+        share = f"{held:,} of them ({100 * held / log.episodes:.0f} %)"  # of whole clusters seldom what was asked for
+        self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
         return log, judge_in, holdout
 
     # ---- pilots -------------------------------------------------------------------------------------------------------
@@ -276,7 +279,7 @@ class Attempt:
         phi = features.taken(seen, np.asarray(learning.actions[rows]))
         _ = phi.T @ features.expected(seen, np.full(shape, 1.0 / size, np.float32))[:, 0]
         row = (time.perf_counter() - begun) / len(rows)
-        held = len(log) - len(learning) or len(log)  # of very few episodes none is held out
+        held = len(log) - len(learning)
         sums = row * (count + 1) * (min(len(learning), TAUGHT) + 3 * held)
         return 2.0 * start + networks + sums + 3.0
 

@@ -74,6 +74,12 @@ def look(episodes: np.ndarray, policies: str, count: int) -> Look:
     return Look(number, ALPHA / 2.0 ** min(number, 40), judged)
 
 
+def level_in_words(level: float) -> str:
+    """A level in words, never as 100 %, which no interval has: late looks have levels that three digits do not show."""
+    digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)
+    return f"{100 * level:.{digits}g} %"
+
+
 def _read(path: Path) -> Note:
     told = read_json(path)
     try:

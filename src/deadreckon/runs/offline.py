@@ -23,7 +23,7 @@ from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
-from deadreckon.runs.looks import Look, look
+from deadreckon.runs.looks import Look, level_in_words, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
 from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.registry import task as find_task
@@ -198,7 +198,7 @@ def _known(values: np.ndarray) -> list[float | None]:
 
 def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     """What a decision rests on, as pairs of a name and a text; of the results of `judge`."""
-    judged, looks, level = results["judged"], results["looks"], f"{100 * results['choice']['level']:.3g} %"
+    judged, looks, level = results["judged"], results["looks"], level_in_words(results["choice"]["level"])
     cluster, count = judged["cluster"], judged.get("clusters")
     of = "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
     policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
@@ -259,7 +259,7 @@ def groups(results: dict[str, Any]) -> str:
     if "refused" in by:
         return f"gains by {by['column']} are not known: {by['refused']}"
     width = max(len(each["name"]) for each in by["values"])
-    level = f"{100 * choice['level']:.3g} %, for all groups at once"
+    level = f"{level_in_words(choice['level'])}, for all groups at once"
     lines = [f"gain of {choice['name']} by {by['column']} ({level})"]
     for each in by["values"]:
         ends = "too few for an interval" if each["low"] is None else f"[{each['low']:+.2f}, {each['high']:+.2f}]"
