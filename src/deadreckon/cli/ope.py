@@ -8,66 +8,20 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from deadreckon.cli.fits import NAMES, Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
 from deadreckon.errors import UserError
-from deadreckon.runs.settings import JudgeSettings
-
-_NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
-
-
-@dataclass
-class Fits:
-    """Sizes of what the estimators fit; None: each estimator's own default."""
-
-    steps: int | None = None  # updates of each estimator; None: its own default
-    members: int | None = None
-    """networks per policy, each fitted on a bootstrap sample; their spread gives the interval; None: the default"""
-    batch_size: int | None = None  # batch size (transitions per update); None: the default of each estimator
-    hidden: tuple[int, ...] | None = None  # width of each hidden layer; None: the default of each estimator
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """What is not left to the estimators."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Judge(JudgeSettings):
-    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints, to continue from
-    model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
-    counted: tyro.conf.Suppress[bool] = True
-    episodes: tyro.conf.Suppress[int] = JudgeSettings.episodes
-    watch: tyro.conf.Suppress[Any] = None
-
-
-@dataclass
-class Ope:
-    """Estimate the values of policies from a log alone, with confidence intervals, on episodes held out from training.
-
-    --select prints a decision, --list the estimators; `deadreckon ope bench` compares them.
-    """
-
-    data: str  # log to estimate from: a known name, or a file
-    policies: tuple[str, ...]  # run or cross-fit folders, policy files (.npz; DOPE's .pkl), or a task with policies
-    estimators: Annotated[str, _NAMES] = "auto"
-    """names of estimators with commas (see --list), of which the first one decides; auto: by properties of the log"""
-    select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
-    log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
-    episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
-    task: str | None = None  # simulator in which to check the decision, if there is one
-    settings: Annotated[_Judge, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Judge)
-    fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
 
 @dataclass
 class Bench:
     """The DOPE protocol: estimate the package's policies from its logs, and compare with their true values."""
 
-    tasks: Annotated[str, _NAMES] = "hopper"  # tasks whose policies and logs are used
-    kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
-    logs: Annotated[str | None, _NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
-    estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
+    tasks: Annotated[str, NAMES] = "hopper"  # tasks whose policies and logs are used
+    kinds: Annotated[str, NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
+    logs: Annotated[str | None, NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
+    estimators: Annotated[str, NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
     public: bool = False  # whether to compute weights as the public code: learned behaviour policy, log-ratios in [-6, 2]
     budget: Literal["full", "cpu"] = "full"  # sizes of fitted models: published (full), or feasible on one core (cpu)
     clip: bool = False  # whether to clip normalised estimates at 2, as the public notebook does
@@ -88,6 +42,8 @@ def ope(args: Sequence[str]) -> None:
 
         print(table([["estimator", "algorithm and source"], *([name, line] for name, (_, line) in ESTIMATORS.items())]))
         return None
+    from deadreckon.cli.options import Ope
+
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
     from deadreckon.ope.behavior_model import PROPENSITIES
@@ -180,10 +136,3 @@ def bench(args: Sequence[str]) -> None:
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
     print(f"\nDeploying by estimates: gain for risk, and errors against the behaviour policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
-
-
-def estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]] | None = None) -> list[Any]:
-    """Estimators by their names with commas between, of these sizes; `budget` has sizes by name where none are given."""
-    from deadreckon.ope.registry import estimator
-
-    return [estimator(name, **(budget or {}).get(name, {}) | fits.given) for name in map(str.strip, names.split(","))]
