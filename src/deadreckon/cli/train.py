@@ -65,6 +65,8 @@ def _train(name, parsed, preset):
     share = options.settings.holdout
     if options.cross_fit is not None and share is not None:
         raise UserError("--cross-fit holds every fold out in turn; leave --holdout out")
+    if options.cross_fit is None and options.deliver != "mixture":
+        raise UserError(f"--deliver {options.deliver} is for cross-fits; give --cross-fit FOLDS too, or leave it out")
 
     from deadreckon.agents import preset_for
     from deadreckon.data.catalogue import load
@@ -102,11 +104,17 @@ def columns_of(given: Mapping, by: str | None) -> dict[str, Any]:
 
 
 def holdout_of(share: float | None, by: str | None):
-    """As `runs.train.train` takes it."""
+    """As `runs.train.train` takes it.
+
+    Raises:
+        UserError: nothing is to be held out, but by a column.
+    """
     from deadreckon.data.split import Holdout
 
-    if by is None or share == 0:
+    if by is None:
         return share
+    if share == 0:
+        raise UserError(f"--holdout 0 holds nothing out; leave --holdout-by {by} out, or give a share above 0")
     return Holdout(by=by) if share is None else Holdout(share, by)
 
 

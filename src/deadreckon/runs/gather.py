@@ -33,6 +33,7 @@ class Gathered(NamedTuple):
         by: column whose values its run kept together when it held episodes out; None: none.
         file: where exactly this policy is saved; None: nowhere that is known.
         read: how the log was read that it learned from.
+        task: where its run was judged, or whose snapshot it is; None: nowhere that is known.
     """
 
     policy: Any
@@ -42,6 +43,17 @@ class Gathered(NamedTuple):
     by: str | None = None
     file: Path | None = None
     read: Read = Read()
+    task: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of run and seed."""
+        return self.run if self.seed is None else f"{self.run} seed {self.seed}"
+
+    @property
+    def acting(self) -> Any:
+        """What acts in a simulator: of a cross-fit, what would be deployed."""
+        return self.policy[0].policy_of(self.seed) if isinstance(self.policy, tuple) else self.policy
 
 
 def gather(given: Any) -> list[Gathered]:
@@ -66,14 +78,14 @@ def gather(given: Any) -> list[Gathered]:
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            name, by, read = cross.path.name, cross.config["by"], _read(cross.runs[0])
-            found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read) for s in cross.runs[0].seeds]
+            name, by, read, task = cross.path.name, cross.config["by"], _read(cross.runs[0]), cross.runs[0].config["task"]
+            found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read, task) for s in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout")
             by, folder, read = None if held is None else held["by"], Folder(run.path), _read(run)
             found += [
-                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read)
+                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, run.config["task"])
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
@@ -86,7 +98,7 @@ def gather(given: Any) -> list[Gathered]:
             if len(path.parts) > 1:
                 raise UserError(f"no folder or file {path}")
             snapshots = [s for s in library.library(str(each)) if s.name.startswith("snapshot-")]
-            found += [Gathered(s.policy(), f"{each} {s.name}", None, None) for s in snapshots]
+            found += [Gathered(s.policy(), f"{each} {s.name}", None, None, task=str(each)) for s in snapshots]
     if not found:
         raise UserError("no policy to judge")
     return found
@@ -170,5 +182,5 @@ def for_case(g: Gathered, data: Dataset) -> Any:
         return g.policy
     cross, seed = g.policy
     if (fold := cross.fold_of(data)).max() < 0:  # another log: the policy to deploy is evaluated, not those of the folds
-        return cross.policy_of(seed)
+        return g.acting
     return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)

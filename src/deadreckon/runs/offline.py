@@ -153,7 +153,7 @@ def _check_spaces(task: Task, data: Dataset) -> None:
 
 
 def _names(candidates: Sequence[Gathered]) -> list[str]:
-    names = [each.run if each.seed is None else f"{each.run} seed {each.seed}" for each in candidates]
+    names = [each.name for each in candidates]
     return [f"{name} ({i})" for i, name in enumerate(names)] if len(set(names)) < len(names) else names
 
 
@@ -164,8 +164,7 @@ def _with_fits_apart(settings: JudgeSettings) -> JudgeSettings:
 
 def _truth(candidates: Sequence[Gathered], task: Task, case: OPEInput, episodes: int) -> dict[str, Any]:
     """What the policies are worth in a simulator, by the estimand of the case."""
-    acting = [each.policy[0].policy_of(each.seed) if isinstance(each.policy, tuple) else each.policy for each in candidates]
-    return simulated(acting, task, episodes=episodes, seed=case.seed, **case.estimand.as_json())
+    return simulated([each.acting for each in candidates], task, episodes=episodes, seed=case.seed, **case.estimand.as_json())
 
 
 def _decision_as_json(decision: Decision, alpha: float) -> dict[str, Any]:
