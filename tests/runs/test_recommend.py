@@ -123,7 +123,7 @@ def test_what_was_found_is_told(doing, tmp_path):
     assert "a budget of 4m would do" in said  # 1.2 times the 200 s that the work came to
     assert f"deadreckon ope --data near.csv --policies {tmp_path / 'out' / 'bc'} --select" in said
     assert seen == [("iql", 30, 90)]
-    assert "was" not in found.told["recommend"]["candidates"][1]["state"]
+    assert "was" not in found.results["recommend"]["candidates"][1]["state"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "iql: was learning, 30 of 90 updates" in page
     with pytest.raises(UserError, match="holds no estimates: not enough time"):
@@ -364,13 +364,14 @@ def test_model_based_estimates_decide_where_they_are_accepted(small, tmp_path, m
 def test_the_choice_is_checked_if_time_is_left(tmp_path, monkeypatch, left, checked):
     sent, asked = [], []
 
-    def simulated(policies, task, *, episodes, **options):
+    def simulated(policies, task, estimand, *, episodes, seed):
         asked.append(episodes)
+        assert estimand["horizon"] == 7
         return {"mean": [1.0], "error": [0.1], "episodes": episodes, "task": "there"}
 
     monkeypatch.setattr(work.offline, "simulated", simulated)
     job = job_of("", tmp_path, left)
-    judged = work.offline.Judged([], None, {"estimand": {"horizon": None}})
+    judged = work.offline.Judged([], None, {"estimand": {"horizon": 7}})
     made = Attempt(job, lambda what, value: sent.append((what, value)))
     made._check([], SimpleNamespace(name="there"), judged)
     assert asked == ([2, 2, 20] if checked else [])

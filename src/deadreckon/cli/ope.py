@@ -64,19 +64,19 @@ def ope(args: Sequence[str]) -> None:
             options.policies, data, wanted, task=options.task,
             **vars(options.settings) | {"model": with_fields(PROPENSITIES, options.fits.given), "watch": watch},
         )  # fmt: skip
-    print("\n".join(f"{name}: {words}" for name, words in grounds(judged.told)) + "\n")
+    print("\n".join(f"{name}: {words}" for name, words in grounds(judged.results)) + "\n")
     for each in judged.estimates:
         print(f"{dataclasses.replace(each, method=titled(each.method))}\n")
-    print(f"{supports(judged.told)}\n")
+    print(f"{supports(judged.results)}\n")
     if options.select:
         print(judged.choice)
-        policy = next(each for each in judged.told["policies"] if each["name"] == judged.choice.name)
+        policy = next(each for each in judged.results["policies"] if each["name"] == judged.choice.name)
         if judged.choice.deploy and (how := use(policy, options.policies, options.settings.greedy)):
             print(f"  use it: {how}")
     if options.settings.by_group:
-        print(f"\n{groups(judged.told)}")
+        print(f"\n{groups(judged.results)}")
     if options.task:
-        print(f"checked: {checked(judged.told)}")
+        print(f"checked: {checked(judged.results)}")
     return None
 
 

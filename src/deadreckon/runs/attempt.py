@@ -395,11 +395,8 @@ class Attempt:
         self._stage("checking in the simulator")
 
         def seen(episodes: int) -> dict[str, Any]:
-            horizon = judged.told["estimand"]["horizon"]
-            return offline.simulated(
-                [run.policy for run in runs], judge_in, episodes=episodes, seed=self.settings.seed, greedy=False,
-                discount=self.settings.discount, horizon=horizon,
-            )  # fmt: skip
+            acting, estimand = [run.policy for run in runs], judged.results["estimand"]
+            return offline.simulated(acting, judge_in, estimand, episodes=episodes, seed=self.settings.seed)
 
         begun = time.perf_counter()
         if self.left() > 0:
@@ -410,7 +407,7 @@ class Attempt:
                 each = (time.perf_counter() - again) / 2
                 episodes = min(int(0.7 * self.left() / max(each, 1e-9)), EPISODES)
                 if episodes >= FEW:
-                    write_json(self.out / offline.NAME, judged.told | {"truth": seen(episodes)})
+                    write_json(self.out / offline.NAME, judged.results | {"truth": seen(episodes)})
                     self.send("state", {"checked": True})
                     return
         took = in_words(time.perf_counter() - begun)

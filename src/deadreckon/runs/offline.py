@@ -1,6 +1,6 @@
 """Policies of runs judged from a log alone, and, where there is a simulator, the judgement checked in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
@@ -38,12 +38,12 @@ class Judged(NamedTuple):
     Attributes:
         estimates: one per estimator.
         choice: by the first of them.
-        told: all results as JSON values, as in `estimates.json`.
+        results: all of them as JSON values, as in `estimates.json`.
     """
 
     estimates: list[Estimates]
     choice: Choice
-    told: dict[str, Any]
+    results: dict[str, Any]
 
 
 def judge(
@@ -129,7 +129,8 @@ def judge_alone(
     }  # fmt: skip
     _write(settings, results)  # before the simulator, which may fail: the estimates have cost a look, and took longest
     if task is not None:
-        results["truth"] = _truth(candidates, task, case, settings.episodes)
+        acting = [each.acting for each in candidates]
+        results["truth"] = simulated(acting, task, results["estimand"], episodes=settings.episodes, seed=settings.seed)
         _write(settings, results)
     return Judged(decision.estimates, decision.choice, results)
 
@@ -160,11 +161,6 @@ def _names(candidates: Sequence[Gathered]) -> list[str]:
 def _with_fits_apart(settings: JudgeSettings) -> JudgeSettings:
     """Checkpoints of fits have a folder of their own beside the results."""
     return settings if settings.out is None else replace(settings, out=Path(settings.out) / fits_name())
-
-
-def _truth(candidates: Sequence[Gathered], task: Task, case: OPEInput, episodes: int) -> dict[str, Any]:
-    """What the policies are worth in a simulator, by the estimand of the case."""
-    return simulated([each.acting for each in candidates], task, episodes=episodes, seed=case.seed, **case.estimand.as_json())
 
 
 def _decision_as_json(decision: Decision, alpha: float) -> dict[str, Any]:
@@ -214,9 +210,12 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     return lines + ([("propensities", known[results["propensities"]])] if "propensities" in results else [])
 
 
-def simulated(policies: Sequence[Any], task: Task, *, episodes: int, **options: Any) -> dict[str, Any]:
-    """What policies are worth in a simulator, as `estimates.json` holds it; `options` are those of `evaluate`."""
-    returns = evaluate(policies, task, episodes=episodes, **options).discounted
+def simulated(
+    policies: Sequence[Any], task: Task, estimand: Mapping[str, Any], *, episodes: int, seed: int
+) -> dict[str, Any]:
+    """What policies are worth in a simulator by an estimand, both as `estimates.json` has them; two episodes or more."""
+    asked = {name: estimand[name] for name in ("discount", "horizon", "greedy")}
+    returns = evaluate(policies, task, episodes=episodes, seed=seed, **asked).discounted
     errors = returns.std(1, ddof=1) / np.sqrt(episodes)
     return {"task": task.name, "episodes": episodes, "mean": returns.mean(1).tolist(), "error": errors.tolist()}
 

@@ -42,36 +42,37 @@ class Recommendation:
 
     Attributes:
         path: folder of the runs and of `estimates.json`.
-        told: what is in `estimates.json`; under "recommend", what was tried and how far it came.
+        results: what is in `estimates.json`; under "recommend", what was tried and how far it came.
         seconds: that it took.
     """
 
     path: Path
-    told: dict[str, Any]
+    results: dict[str, Any]
     seconds: float
 
     @property
     def judged(self) -> bool:
         """Whether policies were judged; otherwise the card says what was missing."""
-        return bool(self.told["results"])
+        return bool(self.results["results"])
 
     @property
     def failed(self) -> bool:
         """Whether it was ended by an error, of which the card has the reason."""
-        return self.told["recommend"]["failed"]
+        return self.results["recommend"]["failed"]
 
     @property
     def choice(self) -> Choice:
         """The decision."""
-        return _choice(self.told)
+        return _choice(self.results)
 
     @property
     def runs(self) -> list[Run]:
         """One of each candidate that has learned."""
-        return [load(self.path / each["name"]) for each in self.told["recommend"]["candidates"] if each["state"] == "learned"]
+        candidates = self.results["recommend"]["candidates"]
+        return [load(self.path / each["name"]) for each in candidates if each["state"] == "learned"]
 
     def __str__(self) -> str:
-        return card(self.told)
+        return card(self.results)
 
 
 def recommend(

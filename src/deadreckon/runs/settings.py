@@ -151,7 +151,7 @@ class RecommendSettings(EvidenceSettings):
             raise UserError(f"discount must be in [0, 1), got {self.discount}")
         share = self.holdout.share if isinstance(self.holdout, Holdout) else self.holdout
         if share is not None and not 0 < share < 1:
-            raise UserError(f"the share held out must lie between 0 and 1, got {share}: the card judges by it")
+            raise UserError(f"holdout: the share held out must lie between 0 and 1, got {share}: the card judges by it")
 
 
 class _Options(TypedDict, total=False):
