@@ -203,7 +203,7 @@ def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_p
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"estimators": []}, "no estimator is named"), ({"out": "file"}, "file is a file; --out must be a folder"),
+    ({"estimators": []}, "no estimator"), ({"out": "file"}, "file is a file; --out must be a folder"),
     ({"model": BehaviorModel(steps=0)}, "BehaviorModel.steps takes a whole number"),
     ({"episodes": 1, "task": "maze2d-umaze"}, "episodes must be 2 or more, for a standard error, got 1"),
 ])  # fmt: skip
