@@ -93,6 +93,9 @@ def test_the_same_file_of_which_nothing_is_known_is_refused(part, tmp_path):
     with pytest.raises(UserError, match=r"no episode of log is known to run, although it learned from .*log\.csv too"):
         fresh(gather([run]), dr.read(tmp_path / "log.csv", **whole), False)
     assert len(fresh(gather([run]), log, False).held) == 30  # another log
+    days = dr.read(tmp_path / "log.csv", episode="day", **columns)
+    other = train(BC, days.select(range(5)), out=tmp_path / "other", **SHORT)
+    assert len(fresh(gather([other]), days.select(range(5, 10)), False).held) == 5  # another part of the same file
 
 
 # ---- what columns became ------------------------------------------------------------------------------------------------

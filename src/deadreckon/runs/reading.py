@@ -90,7 +90,7 @@ def check_episodes(name: str, read: Read, data: Dataset) -> None:
         option = "without --log-horizon" if before is None else f"with --log-horizon {before}"
         why = f"which learned from a log read {how[0]}, while this one was read {how[1]}"
         raise UserError(f"{new}, {why}: read it {option}, {unseen}")
-    path = data.provenance.path
+    path = data.provenance.path if data.part_of is None else None  # parts of one file may well have no episode in common
     if not known.any() and (path is None or read.path is None or Path(path) != Path(read.path)):
         return  # another log
     why = "while the others are" if known.any() else f"although it learned from {path} too"
