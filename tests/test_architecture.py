@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from deadreckon._version import __version__
+from deadreckon.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = Path(sysconfig.get_path("scripts"))
@@ -64,7 +65,11 @@ def test_no_module_imports_itself_through_others():
     graphlib.TopologicalSorter(graph).prepare()  # a CycleError names the circle
 
 
-@pytest.mark.parametrize("module", ["deadreckon", "deadreckon.cli.main"])
+# Modules of commands, which are imported before a command begins; `cli.options` waits for it.
+COMMANDS = sorted({f"deadreckon.cli.{module}" for module, _, _ in main.COMMANDS.values()})
+
+
+@pytest.mark.parametrize("module", ["deadreckon", "deadreckon.cli.main", *COMMANDS])
 def test_import_is_light(module):
     heavy = ["jax", "equinox", "optax", "mujoco", "gymnasium", "minari", "h5py", "pyarrow", "pandas", "scipy"]
     loaded = python(f"import sys, {module}; print(*(name for name in {heavy} if name in sys.modules))").split()

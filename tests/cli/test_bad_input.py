@@ -96,6 +96,7 @@ def other_run(folder, good):
 
 
 # name: (arguments, or a function of (folder, a good log) that makes them; words that the line must hold)
+OPE = ["ope", "--data", "log.csv", "--policies", "run"]
 CASES = {
     "truncated hdf5": (truncated, ["cut.hdf5"]),
     "NaN": (lambda f, g: [*BC, hdf5(f / "x.hdf5", rewards=with_bad("rewards", 7, np.nan))], ["rewards", "row 7"]),
@@ -119,7 +120,12 @@ CASES = {
                       "--task", "maze2d-umaze", "--strict"], ["out of bounds", "--strict"]),
     "negative steps": (lambda f, g: [*BC, g, "--steps", "-5"], ["steps", ">= 1"]),
     "zero seeds": (lambda f, g: [*BC, g, "--seeds", "0"], ["seeds"]),
-    "steps that are no number": (lambda f, g: [*BC, g, "--steps", "many"], ["--steps", "many"]),
+    "steps that are no number": (lambda f, g: [*BC, g, "--steps", "many"], ["--steps takes a whole number, got 'many'"]),
+    "one number of two": (lambda f, g: [*OPE, "--return-range", "1"], ["--return-range takes FLOAT FLOAT, got '1'"]),
+    "texts for two numbers": (lambda f, g: [*OPE, "--return-range", "a", "b"], ["takes FLOAT FLOAT, got 'a b'"]),
+    "no horizon": (lambda f, g: [*OPE, "--horizon", "x"], ["--horizon takes INT|auto, got 'x'"]),
+    "width that is no number": (lambda f, g: [*BC, g, "--agent.hidden", "x"], ["--agent.hidden takes INT [INT ...], got 'x'"]),
+    "option that prose names": (lambda f, g: [*OPE, "--selct"], ["unknown option --selct: did you mean --select or --seed?"]),
     "unknown agent": (lambda f, g: ["train", "--agent", "baer", "--data", g], ["did you mean", "bear"]),
     "no agent": (lambda f, g: ["train", "--data", g], ["--agent"]),
     "no data": (lambda f, g: ["train", "--agent", "bc"], ["--data"]),

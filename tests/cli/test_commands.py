@@ -1,5 +1,6 @@
 """The commands as a user types them, on small settings."""
 
+import pickle
 import shutil
 from pathlib import Path
 
@@ -7,7 +8,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import deadreckon as dr
 from deadreckon.cli.main import COMMANDS, main
+from deadreckon.collect import generate
 from deadreckon.files import read_json, write_json
 
 
@@ -67,6 +70,28 @@ def test_collect_info_convert_train_evaluate_report(tmp_path, monkeypatch, capsy
     assert "the runs are of several tasks (maze2d-large, maze2d-umaze)" in capsys.readouterr().err
     assert main(["report", "run", "--out", "page.html"]) == 0
     assert (tmp_path / "page.html").stat().st_size > 10_000
+
+
+def test_cross_fits_and_files_of_dope_are_evaluated_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    log = generate("maze2d-umaze-v1", steps=1500, seed=0)
+    dr.cross_fit(dr.agents.BC(hidden=(4,), batch_size=8), log, folds=2, seeds=2, steps=2, episodes=1, out="c")
+    (tmp_path / "dope.pkl").write_bytes(pickle.dumps({"last_fc/weight": np.zeros((2, 4)), "last_fc/bias": np.zeros(2)}))
+    assert main(["evaluate", "c", "dope.pkl", "--episodes", "1"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in ("maze2d-umaze: 1 episodes", "c seed 0", "c seed 1", "dope"))
+
+
+def test_options_that_would_do_nothing_are_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given = ["train", "--agent", "bc", "--data", "log.csv"]
+    (tmp_path / "log.csv").write_text("x,action,reward\n" + "0.1,1,0.5\n0.2,0,0.5\n" * 20)
+    for options, words in (
+        (["--deliver", "refit"], "--deliver refit is for cross-fits; give --cross-fit FOLDS too"),
+        (["--holdout", "0", "--holdout-by", "time"], "--holdout 0 holds nothing out; leave --holdout-by time out"),
+    ):
+        assert main([*given, "--action", "action", "--reward", "reward", *options]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_a_table_of_ones_own_by_its_columns(tmp_path, monkeypatch, capsys):

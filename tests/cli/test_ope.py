@@ -7,6 +7,7 @@ import pytest
 
 from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
+from deadreckon.cli.ope import use
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.runs.train import train
 from tests.ope.test_case import lqr
@@ -53,6 +54,16 @@ def test_options_of_what_is_estimated(made, capsys):
     assert "DEPLOY" not in out  # nobody asked for a decision
     assert main([*common, "--cluster", "user"]) == 2
     assert "user" in capsys.readouterr().err
+
+
+def test_what_is_deployed_is_used_as_it_was_judged(made):
+    """The call that is printed is one that works on that file."""
+    file = str(made / "bc" / "policies" / "seed0.npz")
+    plain = f"deadreckon.policies.portable.load({file!r})(observations"
+    assert use({"file": file}, [], True) == f"{plain})"
+    assert use({"file": file}, [], False) == f"{plain}, rng, greedy=False)"
+    assert use({"file": "dope.pkl"}, [], True) == "deadreckon.policies.load_dope('dope.pkl')(observations)"
+    assert use({"file": None, "run": "hopper snapshot-01", "seed": None}, ["hopper"], True) is None
 
 
 def test_list(capsys):

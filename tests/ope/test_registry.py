@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from deadreckon.cli.ope import Fits, estimators
+from deadreckon.cli.fits import Fits, estimators
 from deadreckon.errors import UserError
 from deadreckon.ope.registry import CPU_BUDGET, ESTIMATORS, estimator, titled
 

@@ -6,8 +6,8 @@ import shlex
 import pytest
 from run_folders import write_run
 
+from deadreckon.cli.options import TrainOnline
 from deadreckon.cli.parse import parse
-from deadreckon.cli.train import TrainOnline
 from deadreckon.online import Online
 from deadreckon.report import headline, picture, table
 from deadreckon.report.entries import read

@@ -1,18 +1,23 @@
 """Cross-fitting: each fold's policies have not seen it, the policy to deploy, and resuming after a kill."""
 
+import dataclasses
+import json
+
 import numpy as np
 import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.cli.ope import use
 from deadreckon.collect import generate
 from deadreckon.data.spec import Box
 from deadreckon.data.split import folds
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
-from deadreckon.policies import store
+from deadreckon.policies import portable, store
 from deadreckon.policies.deployed import Mixture
 from deadreckon.runs import crossfit
+from deadreckon.runs.gather import for_case, gather
 from deadreckon.runs.train import train
 from deadreckon.training.fit import Failure
 
@@ -135,7 +140,10 @@ def test_as_many_policies_of_each_fold_are_mixed(log, tmp_path, monkeypatch):
 def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     for change, words in (
         ({"folds": 1}, "at least 2 folds"), ({"folds": 13}, "12 episodes, at least 13"), ({"by": "usr"}, "did you mean user"),
-        ({"deliver": "mean"}, "unknown delivery 'mean'"),
+        ({"deliver": "mean"}, "unknown delivery 'mean'"), ({"stepz": 4}, "unknown setting 'stepz'"),
+        ({"steps": 0}, "steps must be >= 1, got 0"), ({"seed": -1}, "seed must be from 0 to"),
+        ({"holdout": 0.2}, "holds every fold out in turn: leave holdout out, got 0.2"),
+        ({"task": "maze2d-umaz"}, "unknown task"),
     ):  # fmt: skip
         with pytest.raises(UserError, match=words):
             dr.cross_fit(BC, log, out=tmp_path / "no", **(OPTIONS | change))
@@ -176,3 +184,28 @@ def test_each_episode_of_a_mixture_is_one_of_its_members(tmp_path):
     near = np.isclose(alone, mixed, rtol=1e-4)
     assert near.any(0).all()
     assert near.any(1).sum() > 1
+
+
+@pytest.mark.parametrize(("deliver", "seeds"), [("mixture", 1), ("mixture", 2), ("refit", 2)])
+def test_what_is_judged_of_a_seed_is_what_is_deployed_of_it(log, tmp_path, deliver, seeds):
+    found = dr.cross_fit(BC, log, out=tmp_path / "c", deliver=deliver, seeds=seeds, **OPTIONS)
+    given = gather(found)
+    assert [each.seed for each in given] == list(range(seeds))
+    elsewhere = log.select([0])
+    for each in given:
+        own = found.policy_of(each.seed)
+        state = json.loads(json.dumps({"file": None if each.file is None else str(each.file), "run": "c", "seed": each.seed}))
+        said = use(state, [str(found.path)], True)
+        if each.file is None:
+            assert said == f"deadreckon.load_cross_fit({str(found.path)!r}).policy_of({each.seed})"
+            members = [run.policies[each.seed] for run in found.runs]
+            for member, expected in zip(own.inner.members, members, strict=True):
+                np.testing.assert_array_equal(member(X), expected(X))
+            continue
+        play = portable.load(each.file)
+        assert ("first" in said) == (deliver == "mixture")
+        acts = play(X[0], first=True) if deliver == "mixture" else play(X[0])
+        possible = own.inner.members if deliver == "mixture" else [own]
+        assert any(np.allclose(acts, member(X[0]), atol=1e-5) for member in possible)
+    new = dataclasses.replace(elsewhere, rewards=elsewhere.rewards + 1.0, part_of=None)
+    np.testing.assert_array_equal(for_case(given[-1], new)(X), found.policy_of(seeds - 1)(X))

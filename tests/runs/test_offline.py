@@ -8,6 +8,7 @@ import pytest
 from deadreckon.agents.bc import BC
 from deadreckon.collect import generate
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.spec import Discrete
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
@@ -15,10 +16,12 @@ from deadreckon.files import write_json
 from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
 from deadreckon.policies import BlackBoxPolicy, store
 from deadreckon.report import write
+from deadreckon.runs import offline
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import checked, grounds, judge, read_estimates
 from deadreckon.runs.train import train
+from deadreckon.stats.interval import level_in_words
 
 SMALL = FQE(members=2, hidden=(8,), steps=100)
 
@@ -111,19 +114,19 @@ QUICK = {"model": BehaviorModel(hidden=(8,), steps=50), "discount": 0.0}
 
 def test_policies_are_judged_on_the_episodes_that_taught_none_of_them(noise):
     log, run, _ = noise
-    told = judge([run], log, **QUICK).told
+    told = judge([run], log, **QUICK).results
     assert (told["judged"]["episodes"], told["judged"]["of"], told["judged"]["fresh"]) == (60, 300, True)
     assert np.isin(run.held, log.episode_ids).all()
     # The part that was learned from, under whatever name: nothing of it is fresh.
     part = log.select(np.flatnonzero(np.isin(log.episode_ids, run.taught)), name="another")
     own = judge([run], part, **QUICK)
-    assert not own.told["judged"]["fresh"]
+    assert not own.results["judged"]["fresh"]
     assert not own.choice.deploy
     assert "it has learned from these episodes" in own.choice.reason
     # A log that it has never seen.
     other = log.select(np.arange(300)[::-1])
     new = dataclasses.replace(other, rewards=other.rewards + 1.0, part_of=None)
-    assert judge([run], new, **QUICK).told["judged"]["episodes"] == 300
+    assert judge([run], new, **QUICK).results["judged"]["episodes"] == 300
 
 
 def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_path):
@@ -132,8 +135,8 @@ def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_pa
     unknown = judge([tmp_path / "mine.npz"], log, **QUICK)
     assert "nobody knows whether it has learned from these episodes" in unknown.choice.reason
     said = judge([tmp_path / "mine.npz"], log, unseen=True, **QUICK)
-    assert said.told["judged"]["fresh"]
-    assert "as the user says" in said.told["judged"]["words"]
+    assert said.results["judged"]["fresh"]
+    assert "as the user says" in said.results["judged"]["words"]
 
 
 def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_no_ends():
@@ -152,7 +155,7 @@ def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_n
 
     policies = [policy(0.0), policy(0.3)]
     judged = judge(policies, log, ["dr-linear", "is"], unseen=True, **QUICK)
-    told = judged.told
+    told = judged.results
     assert [each["name"] for each in told["policies"]] == ["policy 0", "policy 1"]
     assert "30 % of its actions have no support" in told["choice"]["objections"][1][0]
     for each in told["results"]:
@@ -166,10 +169,17 @@ def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_n
         judge([3], log, unseen=True, **QUICK)
 
 
+@pytest.mark.parametrize(("number", "words"), [
+    (1, "97.5 %"), (2, "98.8 %"), (7, "99.96 %"), (10, "99.995 %"), (40, "99.999999999995 %"),
+])  # fmt: skip
+def test_late_looks_have_a_level_below_100_percent(number, words):
+    assert level_in_words(1.0 - 0.05 / 2.0**number) == words
+
+
 def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):
     log, _, folder = noise
     run = train(BC(hidden=(8,)), log, steps=20, out=folder / "users", holdout=Holdout(0.4, "user"))
-    told = judge([run], log, **QUICK).told
+    told = judge([run], log, **QUICK).results
     assert told["judged"]["cluster"] == "user"
     assert told["judged"]["units"] == len(np.unique(log.extras["user"][np.isin(log.episode_ids, run.held)]))
 
@@ -178,13 +188,13 @@ def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_p
     log, run, folder = noise
     monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
     other = train(BC(hidden=(8,)), log, steps=30, seed=5, out=folder / "other", holdout=Holdout())
-    levels = [judge(each, log, **QUICK).told["looks"] for each in ([run], [other], [run], [run, other])]
+    levels = [judge(each, log, **QUICK).results["looks"] for each in ([run], [other], [run], [run, other])]
     assert [each["number"] for each in levels] == [1, 2, 1, 3]  # the same policies again are the same look
     assert [each["alpha"] for each in levels] == [0.025, 0.0125, 0.025, 0.00625]
     assert levels[-1]["policies"] == 4
-    fewer = judge([run], log.select(range(log.episodes - 5)), **QUICK).told["looks"]
+    fewer = judge([run], log.select(range(log.episodes - 5)), **QUICK).results["looks"]
     assert fewer["number"] == 4  # some of the same episodes are no new ones
-    uncounted = judge([run], log, counted=False, **QUICK).told["looks"]
+    uncounted = judge([run], log, counted=False, **QUICK).results["looks"]
     assert (uncounted["alpha"], uncounted["counted"]) == (0.05, False)
     note, _ = (tmp_path / "looks").glob("*.json")
     note.write_text("[]")
@@ -192,13 +202,52 @@ def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_p
         judge([run], log, **QUICK)
 
 
+@pytest.mark.parametrize(("change", "words"), [
+    ({"estimators": []}, "no estimator"), ({"out": "file"}, "file is a file; --out must be a folder"),
+    ({"model": BehaviorModel(steps=0)}, "BehaviorModel.steps takes a whole number"),
+    ({"episodes": 1, "task": "maze2d-umaze"}, "episodes must be 2 or more, for a standard error, got 1"),
+])  # fmt: skip
+def test_what_is_refused_is_no_look(noise, tmp_path, monkeypatch, change, words):
+    log, run, _ = noise
+    monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(UserError, match=words):
+        judge([run], log, **QUICK | change)
+    assert not (tmp_path / "looks").exists()
+
+
+def test_estimates_outlive_a_simulator_that_fails(made, tmp_path, monkeypatch):
+    folder, log, _ = made
+
+    def fails(*given, **options):
+        raise RuntimeError("unstable")
+
+    monkeypatch.setattr(offline, "evaluate", fails)
+    estimators = [ImportanceSampling(model=QUICK["model"])]
+    with pytest.raises(RuntimeError, match="unstable"):
+        judge(folder / "bc", log, estimators, out=tmp_path, task="maze2d-umaze", unseen=True, **QUICK)
+    told = read_estimates(tmp_path)
+    assert told["truth"] is None
+    assert told["results"][0]["method"] == "WPDIS"
+
+
+def test_one_policy_and_a_file_of_a_log_do(noise, tmp_path, monkeypatch):
+    log, run, folder = noise
+    write_folder(log, tmp_path / "log")
+    monkeypatch.chdir(folder)
+    for given in ("bc", run, run.path):
+        assert [each["name"] for each in judge(given, tmp_path / "log", "is", **QUICK).results["policies"]] == ["bc seed 0"]
+    assert judge(run.policy, str(tmp_path / "log"), "is", unseen=True, **QUICK).choice.name == "policy 0"
+
+
 def test_a_cross_fit_is_judged_on_every_episode(noise):
     log, _, folder = noise
     crossed = cross_fit(BC(hidden=(8,)), log, folds=3, steps=20, out=folder / "crossed")
     judged = judge([folder / "crossed"], log, **QUICK)
-    assert judged.told["judged"]["episodes"] == 300
-    assert judged.told["judged"]["fresh"]
-    [name] = [each["name"] for each in judged.told["policies"]]
+    assert judged.results["judged"]["episodes"] == 300
+    assert judged.results["judged"]["fresh"]
+    [name] = [each["name"] for each in judged.results["policies"]]
     assert name == "crossed seed 0"
     # By hand: each episode weighted by the policy that has not seen it.
     fold = crossed.fold_of(log)

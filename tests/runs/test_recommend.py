@@ -123,7 +123,7 @@ def test_what_was_found_is_told(doing, tmp_path):
     assert "a budget of 4m would do" in said  # 1.2 times the 200 s that the work came to
     assert f"deadreckon ope --data near.csv --policies {tmp_path / 'out' / 'bc'} --select" in said
     assert seen == [("iql", 30, 90)]
-    assert "was" not in found.told["recommend"]["candidates"][1]["state"]
+    assert "was" not in found.results["recommend"]["candidates"][1]["state"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "iql: was learning, 30 of 90 updates" in page
     with pytest.raises(UserError, match="holds no estimates: not enough time"):
@@ -199,11 +199,32 @@ def test_an_interruption_ends_the_work(doing, tmp_path):
     (0.0, {}, "the budget must be more than nothing"), (-5.0, {}, "the budget must be more than nothing"),
     ("soon", {}, "a time is written"), (60.0, {"discount": 1.0}, r"discount must be in \[0, 1\), got 1"),
     (60.0, {"holdout": 0.0}, "the share held out must lie between 0 and 1"),
+    (60.0, {"seed": -1}, r"seed must be 0 .. 2\^32 - 1, got -1"), (60.0, {"seed": 2**32}, "seed must be 0"),
+    (60.0, {"columns": {"reward": "gain"}}, "a Dataset has its columns already: leave them out"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused_at_once(tmp_path, budget, options, words):
     with pytest.raises(UserError, match=words):
         recommend(a_log(), budget, out=tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("given", [a_log, lambda: "near.csv"], ids=["log", "file"])
+def test_what_fails_at_the_start_leaves_nothing_in_the_way(doing, tmp_path, monkeypatch, given):
+    doing("send('done', True)")
+    with pytest.raises(UserError, match="settings of recommend must be numbers, texts and lists of these: got object"):
+        recommend(given(), 60.0, out=tmp_path / "out", holdout=Holdout(by=object()))
+    assert not (tmp_path / "out").exists()
+
+    def fails(*given, **options):
+        raise OSError("no more processes")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module.subprocess, "Popen", fails)
+        with pytest.raises(OSError, match="no more processes"):
+            recommend(given(), 60.0, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    found = recommend(given(), 60.0, out=tmp_path / "out", seed=np.int64(1), discount=np.float32(0.5), holdout=np.float64(0.25))
+    assert not found.judged
 
 
 def test_an_old_folder_is_left_alone(tmp_path):
@@ -228,7 +249,7 @@ def small(monkeypatch):
 
 def job_of(data, out, seconds=60.0, **options):
     """As it comes out of the pipe."""
-    settings = RecommendSettings.of({"discount": 0.9} | options).checked()
+    settings = RecommendSettings.of({"discount": 0.9} | options)
     job = Job(data, str(out), 60.0, time.time(), time.time() + seconds, settings)
     return Job.of_json(json.loads(json.dumps(job.as_json())))
 
@@ -343,13 +364,14 @@ def test_model_based_estimates_decide_where_they_are_accepted(small, tmp_path, m
 def test_the_choice_is_checked_if_time_is_left(tmp_path, monkeypatch, left, checked):
     sent, asked = [], []
 
-    def simulated(policies, task, *, episodes, **options):
+    def simulated(policies, task, estimand, *, episodes, seed):
         asked.append(episodes)
+        assert estimand["horizon"] == 7
         return {"mean": [1.0], "error": [0.1], "episodes": episodes, "task": "there"}
 
     monkeypatch.setattr(work.offline, "simulated", simulated)
     job = job_of("", tmp_path, left)
-    judged = work.offline.Judged([], None, {"estimand": {"horizon": None}})
+    judged = work.offline.Judged([], None, {"estimand": {"horizon": 7}})
     made = Attempt(job, lambda what, value: sent.append((what, value)))
     made._check([], SimpleNamespace(name="there"), judged)
     assert asked == ([2, 2, 20] if checked else [])
@@ -391,6 +413,18 @@ def test_clusters_are_held_out_whole(small, tmp_path):
     told = read_json(out / "estimates.json")["judged"]
     assert told["cluster"] == "user"
     assert told["units"] == 4
+    assert "600 rows, 60 episodes; 12 of them (20 %) are held out for the card, by user" in of(sent, "line")[0]
+
+
+def test_what_leaves_no_episode_for_the_card_is_refused(tmp_path):
+    log = a_log(60)
+    site = dr.Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts, name="near",
+        site=log.episode_of % 2,
+    )  # fmt: skip
+    sent, _ = attempt(tmp_path, site, holdout=Holdout(by="site"))
+    assert "2 values of site are too few to hold some out (10 are needed), and a card rests on them" in of(sent, "refused")[0]
+    assert not [state for state in of(sent, "state") if "candidates" in state]
 
 
 def test_a_run_may_be_ended_early(tmp_path):

@@ -131,6 +131,19 @@ def test_a_run_of_code_that_learns_otherwise_is_not_gone_on_with(run, log, tmp_p
         dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
 
 
+def test_a_run_that_notes_no_revisions_is_not_gone_on_with(run, log, tmp_path):
+    """It was begun before they were noted, and its random streams are no longer ours."""
+    import shutil
+
+    shutil.copytree(run.path, tmp_path / "r")
+    config = read_json(tmp_path / "r" / "run.json")
+    del config["revisions"]
+    write_json(tmp_path / "r" / "run.json", config)
+    with pytest.raises(dr.UserError, match="was begun by code of other revisions, which learns otherwise; begin anew"):
+        dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
+    assert read_json(tmp_path / "r" / "run.json") == config
+
+
 def test_an_evaluation_lost_to_a_kill_is_done_again(run, log, tmp_path):
     import shutil
 

@@ -264,7 +264,7 @@ def _estimated(
     judged = judge(list(folders), log, estimators, **vars(replace(judging, out=out)))
     values: dict[str, list[float]] = {}
     owners = {folder.name: method for folder, method in folders.items()}
-    for policy, value in zip(judged.told["policies"], judged.told["results"][0]["value"]):
+    for policy, value in zip(judged.results["policies"], judged.results["results"][0]["value"]):
         values.setdefault(owners[policy["run"]], []).append(value)
     return values
 

@@ -68,5 +68,6 @@ def demo(args: Sequence[str]) -> None:
         )  # fmt: skip
     page = write(folders, out / "report.html", title="From a log to a decision", estimates=out / "ope")
     print(f"in the simulator:\n\n{table(folders)}\n")
-    print(f"from the log alone, on {judged.told['judged']['words']}:\n\n{judged.estimates[0]}\n\n{supports(judged.told)}\n")
-    print(f"{judged.choice}\n\nchecked: {checked(judged.told)}\n\nreport: {page}")
+    held = judged.results["judged"]["words"]
+    print(f"from the log alone, on {held}:\n\n{judged.estimates[0]}\n\n{supports(judged.results)}\n")
+    print(f"{judged.choice}\n\nchecked: {checked(judged.results)}\n\nreport: {page}")

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -15,7 +14,8 @@ from deadreckon.errors import UserError
 class Evaluate:
     """Run policies in a simulator and print returns, scores and confidence intervals."""
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional]  # run folders or policy files
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """run or cross-fit folders, policy files (.npz; DOPE's .pkl), or a task with policies"""
     task: str | None = None  # simulator to evaluate in; None: that of the run
     episodes: int = 100  # number of episodes per policy
     seed: int = 0  # random seed of starts and sampled actions
@@ -29,27 +29,17 @@ def evaluate(args: Sequence[str]) -> None:
     if not options.policies:
         raise UserError("missing a run folder or a policy file")
 
-    from deadreckon.policies import store
     from deadreckon.runs.evaluate import evaluate as run_evaluation
-    from deadreckon.runs.train import load
+    from deadreckon.runs.gather import gather
 
-    policies, names, tasks = [], [], []
-    for text in options.policies:
-        path = Path(text)
-        if path.is_dir():
-            run = load(path)
-            policies += run.policies
-            names += [f"{path.name} seed {seed}" for seed in run.seeds]
-            tasks.append(run.config["task"])
-        else:
-            policies.append(store.load(path))
-            names.append(path.stem)
-    found = sorted({task for task in tasks if task})
+    given = gather(options.policies)
+    names, found = [each.name for each in given], sorted({each.task for each in given if each.task})
     if options.task is None and len(found) > 1:
         raise UserError(f"the runs are of several tasks ({', '.join(found)}); evaluate those of one, or name one with --task")
     task = options.task or next(iter(found), None)
     if task is None:
         raise UserError("missing --task: the policies do not say where they belong")
+    policies = [each.acting for each in given]
     result = run_evaluation(
         policies, task, episodes=options.episodes, seed=options.seed, greedy=not options.sample, names=names
     )

@@ -8,65 +8,20 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from deadreckon.cli.fits import NAMES, Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
 from deadreckon.errors import UserError
-from deadreckon.runs.settings import JudgeSettings
-
-_NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
-
-
-@dataclass
-class Fits:
-    """Sizes of what the estimators fit; None: each estimator's own default."""
-
-    steps: int | None = None  # updates of each estimator; None: its own default
-    members: int | None = None
-    """networks per policy, each fitted on a bootstrap sample; their spread gives the interval; None: the default"""
-    batch_size: int | None = None  # batch size (transitions per update); None: the default of each estimator
-    hidden: tuple[int, ...] | None = None  # width of each hidden layer; None: the default of each estimator
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """What is not left to the estimators."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Judge(JudgeSettings):
-    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints, to continue from
-    model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
-    counted: tyro.conf.Suppress[bool] = True
-    episodes: tyro.conf.Suppress[int] = JudgeSettings.episodes
-    watch: tyro.conf.Suppress[Any] = None
-
-
-@dataclass
-class Ope:
-    """Estimate the values of policies from a log alone, with confidence intervals, on episodes held out from training.
-
-    --select prints a decision, --list the estimators; `deadreckon ope bench` compares them.
-    """
-
-    data: str  # log to estimate from: a known name, or a file
-    policies: tuple[str, ...]  # run or cross-fit folders, policy files (.npz; DOPE's .pkl), or a task with policies
-    estimators: Annotated[str, _NAMES] = "auto"
-    """names of estimators with commas (see --list), of which the first one decides; auto: by properties of the log"""
-    select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
-    episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
-    task: str | None = None  # simulator in which to check the decision, if there is one
-    settings: Annotated[_Judge, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Judge)
-    fits: Annotated[Fits, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fits)
 
 
 @dataclass
 class Bench:
     """The DOPE protocol: estimate the package's policies from its logs, and compare with their true values."""
 
-    tasks: Annotated[str, _NAMES] = "hopper"  # tasks whose policies and logs are used
-    kinds: Annotated[str, _NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
-    logs: Annotated[str | None, _NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
-    estimators: Annotated[str, _NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
+    tasks: Annotated[str, NAMES] = "hopper"  # tasks whose policies and logs are used
+    kinds: Annotated[str, NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
+    logs: Annotated[str | None, NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
+    estimators: Annotated[str, NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
     public: bool = False  # whether to compute weights as the public code: learned behaviour policy, log-ratios in [-6, 2]
     budget: Literal["full", "cpu"] = "full"  # sizes of fitted models: published (full), or feasible on one core (cpu)
     clip: bool = False  # whether to clip normalised estimates at 2, as the public notebook does
@@ -87,6 +42,8 @@ def ope(args: Sequence[str]) -> None:
 
         print(table([["estimator", "algorithm and source"], *([name, line] for name, (_, line) in ESTIMATORS.items())]))
         return None
+    from deadreckon.cli.options import Ope
+
     options = parse(Ope, args, "ope")
     from deadreckon.data import catalogue
     from deadreckon.ope.behavior_model import PROPENSITIES
@@ -97,7 +54,7 @@ def ope(args: Sequence[str]) -> None:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options.fits.given)
         raise UserError(f"{names}: sizes are set for estimators that are named (--estimators fqe), not for auto")
     wanted = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
-    data = catalogue.load(options.data)
+    data = catalogue.load(options.data, horizon=options.log_horizon)
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
             raise UserError(f"--episodes must be 1 .. {data.episodes}, the log's own, got {options.episodes}")
@@ -107,21 +64,47 @@ def ope(args: Sequence[str]) -> None:
             options.policies, data, wanted, task=options.task,
             **vars(options.settings) | {"model": with_fields(PROPENSITIES, options.fits.given), "watch": watch},
         )  # fmt: skip
-    print("\n".join(f"{name}: {words}" for name, words in grounds(judged.told)) + "\n")
+    print("\n".join(f"{name}: {words}" for name, words in grounds(judged.results)) + "\n")
     for each in judged.estimates:
         print(f"{dataclasses.replace(each, method=titled(each.method))}\n")
-    print(f"{supports(judged.told)}\n")
+    print(f"{supports(judged.results)}\n")
     if options.select:
         print(judged.choice)
-        policy = next(each for each in judged.told["policies"] if each["name"] == judged.choice.name)
-        if judged.choice.deploy and policy["file"]:
-            drawn = "" if options.settings.greedy else ", rng, greedy=False"
-            print(f"  use it: deadreckon.policies.portable.load({policy['file']!r})(observations{drawn})")
+        policy = next(each for each in judged.results["policies"] if each["name"] == judged.choice.name)
+        if judged.choice.deploy and (how := use(policy, options.policies, options.settings.greedy)):
+            print(f"  use it: {how}")
     if options.settings.by_group:
-        print(f"\n{groups(judged.told)}")
+        print(f"\n{groups(judged.results)}")
     if options.task:
-        print(f"checked: {checked(judged.told)}")
+        print(f"checked: {checked(judged.results)}")
     return None
+
+
+def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | None:
+    """The call that gives a policy's actions as they were judged; None where it is saved nowhere.
+
+    Args:
+        policy: of `estimates.json`.
+        given: folders and files that policies were taken from.
+        greedy: how it was judged.
+    """
+    from deadreckon.policies import portable
+    from deadreckon.policies.resolve import PICKLES
+    from deadreckon.runs.crossfit import NAME
+
+    file = policy["file"]
+    if file is None:
+        crossed = [each for each in given if Path(each).name == policy["run"] and (Path(each) / NAME).exists()]
+        # Of several seeds there is one file for all, which is another policy than the one that was judged.
+        return f"deadreckon.load_cross_fit({crossed[0]!r}).policy_of({policy['seed']})" if crossed else None
+    if Path(file).suffix in PICKLES:
+        call = f"deadreckon.policies.load_dope({file!r})"
+        return f"{call}(observations)" if greedy else f"{call}, whose act(step, carry, key, greedy=False) samples actions"
+    more = "" if greedy else ", rng, greedy=False"
+    if portable.read(file)[0]["policy"]["inner"]["kind"] == "Mixture":
+        more += ", first=first"
+    call = f"deadreckon.policies.portable.load({file!r})(observations{more})"
+    return f"{call}, where first is True at the first step of an episode" if "first" in more else call
 
 
 def bench(args: Sequence[str]) -> None:
@@ -153,10 +136,3 @@ def bench(args: Sequence[str]) -> None:
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
     print(f"\nDeploying by estimates: gain for risk, and errors against the behaviour policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")
-
-
-def estimators(names: str, fits: Fits, budget: Mapping[str, dict[str, Any]] | None = None) -> list[Any]:
-    """Estimators by their names with commas between, of these sizes; `budget` has sizes by name where none are given."""
-    from deadreckon.ope.registry import estimator
-
-    return [estimator(name, **(budget or {}).get(name, {}) | fits.given) for name in map(str.strip, names.split(","))]

@@ -16,9 +16,9 @@ from deadreckon.training.field_names import COMMON, meant
 
 T = TypeVar("T")
 _OF_A_PART = re.compile(r"--(\w+)\.(no-)?([\w-]+)(=.*)?")  # such as --agent.no-layer-norm
-_NOT_A_NUMBER = re.compile(
-    r"Error parsing (--[\w.-]+): .*(?:could not convert|invalid literal|no type matching).*'([^']*)'[^']*$"
-)
+_WRONG = ("could not convert", "invalid literal", "no type matching", "Could not find valid parse", "input length")
+_NOT_PARSED = re.compile(rf"Error parsing (--[\w.-]+): .*(?:{'|'.join(_WRONG)}).*")
+_NUMBERS = {"INT": "a whole number", "FLOAT": "a number", "SHARE": "a number"}
 
 
 def parse(kind: type[T], args: Sequence[str], command: str) -> T:
@@ -101,9 +101,18 @@ def _line(kind: type, box: str, prog: str) -> str:
         near = _nearest(kind, unknown[1], _options(kind))
         return f"unknown option {unknown[1]}" + (f": did you mean {' or '.join(near)}?" if near else f" (see {prog} --help)")
     message = re.sub(rf"Missing from {prog}:", "missing", message)
-    if number := _NOT_A_NUMBER.match(message):
-        return f"{number[1]} takes a number, got {number[2]!r}"
+    if wrong := _NOT_PARSED.match(message):
+        got = re.findall(r"'([^']*)'", message.rpartition("[")[2])  # all that were given, or the one
+        return f"{wrong[1]} takes {_taken(wrong[1], text)}, got {' '.join(got)!r}"
     return message[:1].lower() + message[1:]
+
+
+def _taken(option: str, text: list[str]) -> str:
+    """What an option takes, as its line of the help says: `FLOAT FLOAT`, or in words where that is one number."""
+    line = next((line for line in text if line.startswith(f"{option} ")), "")
+    shown = line.removeprefix(option).strip().removeprefix("{None}|").strip("{}").replace("{", "")
+    shown = shown[1:-1] if shown.startswith("[") else shown  # any number of them, none too
+    return _NUMBERS.get(shown, shown or "another kind of value")
 
 
 def _nearest(kind: type, given: str, known: list[str]) -> list[str]:
@@ -120,6 +129,7 @@ def _nearest(kind: type, given: str, known: list[str]) -> list[str]:
     if inside:
         holding = [k for last_part, k in inside.items() if last in last_part]
         return holding[:2] or [inside[k] for k in difflib.get_close_matches(last, inside, n=2, cutoff=0.5)]
+    known = [option for option in known if option.startswith("--no-") <= given.startswith("--no-")]  # --no-X is the same as --X
     return difflib.get_close_matches(given, known, n=2, cutoff=0.6)
 
 
@@ -127,6 +137,7 @@ def _options(kind: type) -> list[str]:
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
         tyro.cli(kind, args=["--help"])
-    rows = re.findall(r"^[│ ]*(?=-)(.*)", out.getvalue(), re.MULTILINE)  # options begin a row; prose behind them names others
+    # Options begin the rows of a list, which are framed or indented; prose stands above it, or behind them.
+    rows = re.findall(r"^(?:│ | {2})(?=--?\w)(.*)", out.getvalue(), re.MULTILINE)
     names = (re.match(r"(?:-\w, )?--[\w.-]+(?:(?:, |\|)--[\w.-]+)*", row) for row in rows)
-    return [option for found in names if found for option in re.findall(r"--[\w.-]+", found[0])]
+    return list(dict.fromkeys(option for found in names if found for option in re.findall(r"--[\w.-]+", found[0])))

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -11,67 +11,15 @@ from deadreckon.cli.data import Mapping, mapping_options
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar
 from deadreckon.errors import UserError
-from deadreckon.runs.settings import OnlineSettings, TrainSettings
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Online(OnlineSettings):
-    demonstrations: str | None = None  # log of demonstrations, a known name or a file, for agents that learn from them
-    settings: tyro.conf.Suppress[Any] = None
-    watch: tyro.conf.Suppress[Any] = None
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _OnLog(TrainSettings):
-    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
-    """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 if there is a simulator"""
-    watch: tyro.conf.Suppress[Any] = None
-
-
-@dataclasses.dataclass
-class TrainOnline:
-    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
-
-    task: str  # simulator to learn in (see `deadreckon tasks`)
-    steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
-    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
-    seed: int = 0  # first random seed
-    out: str | None = None  # run folder; None: runs/AGENT-TASK-online
-    copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8
-    explore: int | None = None  # environment steps with uniform actions before the first update; None: the agent's, or 10,000
-    updates_per_step: float | None = None  # updates per environment step after the random ones; None: the agent's, or 1
-    block: int | None = None  # environment steps between two blocks of updates; None: the agent's own number, or 64
-    settings: Annotated[_Online, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_Online)
-
-
-@dataclasses.dataclass
-class Train:
-    """Learn a policy from a log with the algorithm --agent NAME (required), or with --online by acting in a simulator.
-
-    --preset NAME sets the hyperparameters to those published for a log or domain; see `deadreckon agents`.
-    """
-
-    data: str  # log to learn from: a known name, or a file
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
-    horizon: int | None = None  # number of steps after which episodes were cut off, for logs that do not mark time limits
-    steps: int = 100_000  # number of updates per seed
-    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
-    seed: int = 0  # first random seed
-    task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
-    out: str | None = None  # run folder; None: runs/AGENT-LOG
-    mmap: bool = False  # whether to memory-map the log, for logs larger than memory
-    settings: Annotated[_OnLog, tyro.conf.arg(name="")] = dataclasses.field(default_factory=_OnLog)
-    holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
-    """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
-    cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
-    """number of folds: one policy per fold, trained on all other folds, so that every episode is held out once"""
-    deliver: Literal["mixture", "refit"] = "mixture"
-    """policy to deploy after --cross-fit: one fold's, sampled per episode (mixture), or one trained on all episodes (refit)"""
+if TYPE_CHECKING:
+    from deadreckon.cli.options import Train, TrainOnline
 
 
 def train(args: Sequence[str]) -> None:
     """Trains, evaluates and says where the run lies."""
     from deadreckon.agents import AGENTS, agent_class, preset
+    from deadreckon.cli.options import Train, TrainOnline
 
     name, rest = chosen("agent", args)
     own, rest = chosen("preset", rest)
@@ -117,6 +65,8 @@ def _train(name, parsed, preset):
     share = options.settings.holdout
     if options.cross_fit is not None and share is not None:
         raise UserError("--cross-fit holds every fold out in turn; leave --holdout out")
+    if options.cross_fit is None and options.deliver != "mixture":
+        raise UserError(f"--deliver {options.deliver} is for cross-fits; give --cross-fit FOLDS too, or leave it out")
 
     from deadreckon.agents import preset_for
     from deadreckon.data.catalogue import load
@@ -154,11 +104,17 @@ def columns_of(given: Mapping, by: str | None) -> dict[str, Any]:
 
 
 def holdout_of(share: float | None, by: str | None):
-    """As `runs.train.train` takes it."""
+    """As `runs.train.train` takes it.
+
+    Raises:
+        UserError: nothing is to be held out, but by a column.
+    """
     from deadreckon.data.split import Holdout
 
-    if by is None or share == 0:
+    if by is None:
         return share
+    if share == 0:
+        raise UserError(f"--holdout 0 holds nothing out; leave --holdout-by {by} out, or give a share above 0")
     return Holdout(by=by) if share is None else Holdout(share, by)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from deadreckon.cli.ope import Fits, estimators
+from deadreckon.cli.fits import Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
 

@@ -16,7 +16,7 @@ from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
 from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
-from deadreckon.stats.interval import ALPHA
+from deadreckon.stats.interval import ALPHA, level_in_words
 
 BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
 MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
@@ -162,7 +162,7 @@ def select(
         objections.append(tuple(own))
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]
-    level = f"{100 * (1 - alpha):.3g} %"
+    level = level_in_words(1 - alpha)
     unit = (
         f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy "
         f"by {first.method}"

@@ -18,7 +18,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.sequence import Sequence
 
-_TAUGHT = "taught"  # an array beside those of the policy, which all start with `policy.`
+_TAUGHT, _HELD = "taught", "held"  # arrays beside those of the policy, which all start with `policy.`
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
 # Beside the policies that register themselves (`policy.KINDS`) the only classes that a file can name: reading one runs no code
 # of the file's choosing.
@@ -32,6 +32,7 @@ def save(
     *,
     half: bool = False,
     taught: np.ndarray | None = None,
+    held: np.ndarray | None = None,
 ) -> None:
     """Writes a policy as arrays and JSON, atomically.
 
@@ -41,6 +42,7 @@ def save(
         meta: JSON values to keep beside it (agent, data, scores, ...).
         half: store the networks as float16 and compress them, a third of the size; read back, they are float32 again.
         taught: (episodes,) uint64 `episode_ids` of the episodes that it has learned from; None where that is not known.
+        held: (episodes,) uint64 `episode_ids` of the other episodes of its log; None where that is not known.
 
     Raises:
         UserError: a number is beyond float16, or the file cannot be written.
@@ -66,7 +68,7 @@ def save(
 
     tree = {"format": portable.FORMAT, "meta": meta or {}, "policy": encode(policy, "policy")}
     text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
-    noted = {} if taught is None else {_TAUGHT: np.asarray(taught, np.uint64)}
+    noted = {name: np.asarray(ids, np.uint64) for name, ids in ((_TAUGHT, taught), (_HELD, held)) if ids is not None}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         write = np.savez_compressed if half else np.savez
         write(file, **{"policy.json": text}, **arrays, **noted)  # pyright: ignore[reportArgumentType]
@@ -114,6 +116,15 @@ def taught(path: Path | str) -> np.ndarray | None:
         UserError: the file is missing, broken or not a policy file.
     """
     return _read(path)[1].get(_TAUGHT)
+
+
+def held(path: Path | str) -> np.ndarray | None:
+    """(episodes,) uint64 `episode_ids` of the episodes of its log that a saved policy has not learned from, or None.
+
+    Raises:
+        UserError: see `taught`.
+    """
+    return _read(path)[1].get(_HELD)
 
 
 def _read(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -10,7 +10,7 @@ from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import colours, figure, note, tile
 from deadreckon.report.text import number, percent
 from deadreckon.runs.offline import checked, grounds
-from deadreckon.stats.interval import Interval
+from deadreckon.stats.interval import Interval, level_in_words
 
 
 def headline(told: dict[str, Any]) -> str:
@@ -63,7 +63,7 @@ def card(page: Page) -> Markup | None:
 
 def _tiles(told: dict[str, Any], chosen: int) -> list[Markup]:
     choice, judged = told["choice"], told["judged"]
-    level = f"{100 * choice['level']:.3g} % for all policies at once"
+    level = f"{level_in_words(choice['level'])} for all policies at once"
     missing = told["support"]["missing"][chosen]
     held = tag(
         "div", tag("small", "held-out episodes" if judged["fresh"] else "episodes, not held out"),
@@ -125,7 +125,7 @@ def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
     if not marks:
         return None
     marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.value))
-    level = f"{100 * told['choice']['level']:.3g} %"
+    level = level_in_words(told["choice"]["level"])
     hollow = "; hollow: something speaks against it" if any(mark.hollow for mark in marks) else ""
     drawn = forest.forest(marks, f"estimated gain over the behaviour policy, {level} for all at once", [(LOGGED, 0.0)])
     return figure(drawn, f"Estimated gain over the behaviour policy ({first['method']}, {level} for all at once{hollow})")

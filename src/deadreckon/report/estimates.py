@@ -9,7 +9,7 @@ from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import colours, figure, heads_of, note, scroll
 from deadreckon.report.text import number, percent
-from deadreckon.stats.interval import NORMAL, PERCENT
+from deadreckon.stats.interval import NORMAL, PERCENT, level_in_words
 
 
 def section(page: Page) -> Markup | None:
@@ -17,7 +17,7 @@ def section(page: Page) -> Markup | None:
     told = page.estimates
     if told is None:
         return None
-    truth, level = told["truth"], f"{100 * told['choice']['level']:.3g} %"
+    truth, level = told["truth"], level_in_words(told["choice"]["level"])
     how = note(
         f"Values: {told['estimand']['words']}; {PERCENT} intervals, each for itself. Gains: over the behaviour policy, "
         f"estimated by the same method on the same episodes, with intervals of {level} for all policies at once; the first "

@@ -36,7 +36,7 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.runs import offline
 from deadreckon.runs.durations import in_words
-from deadreckon.runs.holdout import divided, usual
+from deadreckon.runs.holdout import divided, too_few, usual
 from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.train import Run, judge_of, train
@@ -124,14 +124,22 @@ class Job:
     settings: RecommendSettings = field(default_factory=RecommendSettings)
 
     def as_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        return dataclasses.asdict(self)
+        """As JSON values; NumPy's numbers, which people have in their hands, become plain ones.
+
+        Raises:
+            UserError: a setting is an object that no file can hold.
+        """
+        try:
+            return json.loads(json.dumps(dataclasses.asdict(self), default=_number))
+        except TypeError as error:
+            raise UserError(f"settings of recommend must be numbers, texts and lists of these: {error}") from error
 
     @classmethod
     def of_json(cls, values: dict[str, Any]) -> Self:
         """The job of which `as_json` made these values."""
         settings = dict(values["settings"])
-        settings["holdout"] = None if settings["holdout"] is None else Holdout(**settings["holdout"])
+        if isinstance(settings["holdout"], dict):
+            settings["holdout"] = Holdout(**settings["holdout"])
         fields: dict[str, Any] = values | {"settings": RecommendSettings(**settings)}
         return cls(**fields)
 
@@ -185,12 +193,16 @@ class Attempt:
         log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
         if len(log.spec.observation_shape) != 1:
             raise UserError(f"policies are judged by flat observations, {log.name} has shape {log.spec.observation_shape}")
-        holdout = self.settings.holdout if isinstance(self.settings.holdout, Holdout) else usual(log)
-        holdout.parts(log)  # what cannot be held out is told before anything is learned
+        given = self.settings.holdout
+        holdout = usual(log) if given is None else given if isinstance(given, Holdout) else Holdout(given)
+        held = len(holdout.parts(log).held)  # what cannot be held out is told before anything is learned
+        if few := too_few(log, holdout):
+            raise UserError(f"{few}, and a card rests on them; hold out by other values, or record more")
         manner = f"{len(log):,} rows, {log.episodes:,} episodes"
         self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
         by = {"random": "at random", "time": "the latest"}.get(holdout.by, f"by {holdout.by}")
-        self.send("line", f"{log.name}: {manner}; {100 * holdout.share:.0f} % of the episodes are held out for the card, {by}")
+        share = f"{held:,} of them ({100 * held / log.episodes:.0f} %)"  # of whole clusters seldom what was asked for
+        self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
         return log, judge_in, holdout
 
     # ---- pilots -------------------------------------------------------------------------------------------------------
@@ -267,7 +279,7 @@ class Attempt:
         phi = features.taken(seen, np.asarray(learning.actions[rows]))
         _ = phi.T @ features.expected(seen, np.full(shape, 1.0 / size, np.float32))[:, 0]
         row = (time.perf_counter() - begun) / len(rows)
-        held = len(log) - len(learning) or len(log)  # of very few episodes none is held out
+        held = len(log) - len(learning)
         sums = row * (count + 1) * (min(len(learning), TAUGHT) + 3 * held)
         return 2.0 * start + networks + sums + 3.0
 
@@ -383,11 +395,8 @@ class Attempt:
         self._stage("checking in the simulator")
 
         def seen(episodes: int) -> dict[str, Any]:
-            horizon = judged.told["estimand"]["horizon"]
-            return offline.simulated(
-                [run.policy for run in runs], judge_in, episodes=episodes, seed=self.settings.seed, greedy=False,
-                discount=self.settings.discount, horizon=horizon,
-            )  # fmt: skip
+            acting, estimand = [run.policy for run in runs], judged.results["estimand"]
+            return offline.simulated(acting, judge_in, estimand, episodes=episodes, seed=self.settings.seed)
 
         begun = time.perf_counter()
         if self.left() > 0:
@@ -398,7 +407,7 @@ class Attempt:
                 each = (time.perf_counter() - again) / 2
                 episodes = min(int(0.7 * self.left() / max(each, 1e-9)), EPISODES)
                 if episodes >= FEW:
-                    write_json(self.out / offline.NAME, judged.told | {"truth": seen(episodes)})
+                    write_json(self.out / offline.NAME, judged.results | {"truth": seen(episodes)})
                     self.send("state", {"checked": True})
                     return
         took = in_words(time.perf_counter() - begun)
@@ -415,6 +424,12 @@ class Attempt:
 
 class Unfinished(Exception):
     """There is nothing to judge, for a reason that belongs on the card."""
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"got {type(value).__name__}")
 
 
 def _agent(candidate: Candidate, hidden: tuple[int, ...], discount: float) -> Agent:

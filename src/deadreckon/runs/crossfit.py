@@ -5,10 +5,11 @@ procedure, and exactly that of the mixture that draws one of them for each episo
 everything it says what the procedure does with a little less data.
 """
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
@@ -24,8 +25,11 @@ from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
+from deadreckon.runs.reading import noted
 from deadreckon.runs.seen import seen
+from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.runs.train import Run, load, train
+from deadreckon.tasks.task import Task
 from deadreckon.versions import differences
 
 Deliver = Literal["mixture", "refit"]
@@ -64,6 +68,19 @@ class CrossFit:
         """The policy to deploy."""
         return store.load(self.policy_path) if self.config["deliver"] == "mixture" else load(self.policy_path).policy
 
+    def policy_of(self, seed: int) -> EnvPolicy:
+        """What would be deployed of one seed: the mixture of its policies, or its policy of all episodes."""
+        if self.config["deliver"] != "mixture":
+            refit = load(self.policy_path)
+            return refit.policies[refit.seeds.index(seed)]
+        return Mixture.of([run.policies[run.seeds.index(seed)] for run in self.runs])
+
+    def file_of(self, seed: int) -> Path | None:
+        """The file of `policy_of`; None where there is only one of all seeds together."""
+        if self.config["deliver"] != "mixture":
+            return Folder(self.policy_path).policy(seed)
+        return self.policy_path if len(self.runs[0].seeds) == 1 else None
+
     def __str__(self) -> str:
         held = [run.config["data"]["holdout"]["held"] for run in self.runs]
         count, most = (f"{n:,}" for n in (sum(held), max(held)))
@@ -80,7 +97,10 @@ def cross_fit(
     seed: int = 0,
     out: Path | str | None = None,
     deliver: Deliver = "mixture",
-    **options: Any,
+    steps: int = 100_000,
+    seeds: int = 1,
+    task: Task | str | Literal[False] | None = None,
+    **settings: Unpack[TrainOptions],
 ) -> CrossFit:
     """Trains an agent once for each fold of a log, from the other folds, and makes what is to be deployed.
 
@@ -92,33 +112,45 @@ def cross_fit(
         seed: of the folds, and the first of each run's.
         out: folder of the run folders `fold0`, `fold1`, ...; None is `runs/AGENT-LOG-crossfit`.
         deliver: "mixture" makes a policy of those of all folds, `mixture.npz`; "refit" a run on all episodes, `refit`.
-        **options: others of `train`, for every fold. With `resume` finished folds are not done again, and another delivery
-            may be asked for.
+        steps: number of updates, for every fold.
+        seeds: number of independent runs of every fold.
+        task: see `runs.train.train`.
+        **settings: see `train`; for every fold, and without `holdout`. With `resume` finished folds are not done again, and
+            another delivery may be asked for.
 
     Raises:
-        UserError: input that does not fit, or a fold in which every seed failed, in one line.
+        UserError: input that does not fit, and nothing is written then, or a fold in which every seed failed; in one line.
     """
+    if (holdout := settings.get("holdout")) is not None:
+        raise UserError(f"cross_fit holds every fold out in turn: leave holdout out, got {holdout}")
+    asked = TrainSettings.of(settings)
+    asked.check(seed, steps=steps, seeds=seeds)
     if deliver not in get_args(Deliver):
         raise unknown("delivery", deliver, get_args(Deliver))
-    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=options.get("strict", False))
+    log = data if isinstance(data, Dataset) else catalogue.load(data, strict=asked.strict)
     fold = dealt(log, folds, by, seed)
-    first = lanes_of(agent, options.get("seeds", 1))[0]
+    first = lanes_of(agent, seeds)[0]
     name = agent_name(first)
     path = Path(out) if out is not None else Path("runs") / file_part(f"{short_name(first)}-{log.name}-crossfit")
     config = {
         "folds": folds, "by": by, "seed": seed, "agent": name, "episodes": np.bincount(fold).tolist(),
         "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,
     }  # fmt: skip
+    shared: dict[str, Any] = {**settings, "seed": seed, "steps": steps, "seeds": seeds, "task": task}
     with Folder(path).alone():
-        return _cross_fit(agent, log, path, config, options)
+        new = not path.exists()
+        _begin(path, config, asked.resume)
+        try:
+            return _cross_fit(agent, log, path, config, shared)
+        except UserError:
+            if new and not any(path.glob("fold*")):  # what only training itself can know does not fit: nothing has begun
+                shutil.rmtree(path, ignore_errors=True)
+            raise
 
 
-def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], options: dict[str, Any]) -> CrossFit:
-    """The cross-fit in the folder `path`."""
+def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], shared: dict[str, Any]) -> CrossFit:
+    """The cross-fit in the folder `path`, which has begun; `shared` are options of `train`."""
     folds, by, seed = config["folds"], config["by"], config["seed"]
-    _begin(path, config, options.get("resume", False))
-
-    shared: dict[str, Any] = {"seed": seed} | options
     runs = [
         train(agent, log, out=path / f"fold{each}", holdout=Fold(each, folds, by, seed), **shared) for each in range(folds)
     ]
@@ -132,7 +164,8 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], opt
         picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
         mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
-        store.save(path / MIXTURE, mixture, {"agent": config["agent"], "members": config["members"]}, taught=log.episode_ids)
+        meta = {"agent": config["agent"], "members": config["members"], "log": noted(log.provenance)}
+        store.save(path / MIXTURE, mixture, meta, taught=log.episode_ids, held=np.zeros(0, np.uint64))
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)
     write_json(path / NAME, config)

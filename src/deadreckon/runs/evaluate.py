@@ -14,7 +14,7 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.policies.resolve import policies_of
-from deadreckon.runs.settings import ReturnOptions, ReturnSettings
+from deadreckon.runs.settings import ReturnOptions, ReturnSettings, check_seed
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.registry import task as find_task
@@ -144,18 +144,20 @@ def evaluate(
         **options: `discount` and `horizon` of the discounted returns, and `greedy`; see `runs.settings.ReturnSettings`.
 
     Raises:
-        UserError: an unknown task, no episodes, or actions and observations that do not fit.
+        UserError: an unknown task, no episodes, settings out of range, or actions and observations that do not fit.
     """
     settings = ReturnSettings.of(options)
+    settings.check_values()
+    check_seed(seed)
     task = find_task(task) if isinstance(task, str) else task
     if episodes < 1:
         raise UserError(f"episodes must be >= 1, got {episodes}")
-    if not 0 <= seed < 2**32:
-        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
     found = policies_of(policies)
     if not found:
         raise UserError("no policy to evaluate")
-    discounts = np.broadcast_to(np.asarray(settings.discount, np.float64), (len(found),))
+    if len(settings.discounts) not in (1, len(found)):
+        raise UserError(f"discount must be one for all policies or one each ({len(found)}), got {len(settings.discounts)}")
+    discounts = np.broadcast_to(np.asarray(settings.discounts, np.float64), (len(found),))
     names = tuple(names) if names else tuple(f"policy {i}" for i in range(len(found)))
     for name, policy in zip(names, found):
         _check_fit(policy, task, name)

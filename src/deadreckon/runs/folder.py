@@ -149,11 +149,14 @@ class Folder:
         kept = ("together", "agent", "online", "demonstrations", "data", "task", "seeds", "steps", "evaluation")
         if different := differences(before, asked, kept):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
-        if "revisions" in before and (different := differences(before, asked, ("revisions",))):
+        if "revisions" not in before:  # from before they were noted: random streams have changed since
+            why = "was begun by code of other revisions, which learns otherwise"
+            raise UserError(f"{self.path} {why}; begin anew with another --out")
+        if different := differences(before, asked, ("revisions",)):
             raise UserError(f"{self.path} was begun by code that learns otherwise: {different[0]}; choose another --out")
         return [
             f"{text}: the last bits of the numbers may differ from those of an unbroken run"
-            for text in differences(before, config, ("versions", "revisions"))
+            for text in differences(before, config, ("versions",))
         ]
 
     def begin(self, config: dict[str, Any]) -> None:

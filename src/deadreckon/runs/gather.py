@@ -1,7 +1,6 @@
 """Policies to judge, from runs, folders and files, and the episodes that none of them has learned from."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ from deadreckon.policies.resolve import PICKLES, policy_of_file
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.reading import Read, check_encoding, check_episodes
 from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
 
@@ -31,8 +31,9 @@ class Gathered(NamedTuple):
         seed: of the run's seeds; None where there is none.
         taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
         by: column whose values its run kept together when it held episodes out; None: none.
-        file: where it is saved; None: nowhere that is known.
-        encoded: what the table's columns became in the log that it learned from: `provenance.extra`; empty where not known.
+        file: where exactly this policy is saved; None: nowhere that is known.
+        read: how the log was read that it learned from.
+        task: where its run was judged, or whose snapshot it is; None: nowhere that is known.
     """
 
     policy: Any
@@ -41,19 +42,32 @@ class Gathered(NamedTuple):
     taught: np.ndarray | None
     by: str | None = None
     file: Path | None = None
-    encoded: Mapping[str, Any] = {}
+    read: Read = Read()
+    task: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of run and seed."""
+        return self.run if self.seed is None else f"{self.run} seed {self.seed}"
+
+    @property
+    def acting(self) -> Any:
+        """What acts in a simulator: of a cross-fit, what would be deployed."""
+        return self.policy[0].policy_of(self.seed) if isinstance(self.policy, tuple) else self.policy
 
 
-def gather(given: Sequence[Any]) -> list[Gathered]:
+def gather(given: Any) -> list[Gathered]:
     """Policies to judge.
 
     Args:
         given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), policies, of which nobody knows what they
-            have learned from, or names of tasks whose eleven snapshots are meant.
+            have learned from, or names of tasks whose eleven snapshots are meant; a sequence of these, or one alone.
 
     Raises:
         UserError: none of these.
     """
+    if isinstance(given, Run | CrossFit | str | Path) or not isinstance(given, Sequence):
+        given = [given]
     found: list[Gathered] = []
     for number, each in enumerate(given):
         if isinstance(each, Policy):
@@ -64,52 +78,40 @@ def gather(given: Sequence[Any]) -> list[Gathered]:
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
-            known = cross.path.name, cross.config["by"], cross.policy_path, _encoded(cross.runs[0])
-            found += [Gathered((cross, seed), known[0], seed, None, *known[1:]) for seed in cross.runs[0].seeds]
+            name, by, read, task = cross.path.name, cross.config["by"], _read(cross.runs[0]), cross.runs[0].config["task"]
+            found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read, task) for s in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout")
-            by, folder = None if held is None else held["by"], Folder(run.path)
+            by, folder, read = None if held is None else held["by"], Folder(run.path), _read(run)
             found += [
-                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), _encoded(run))
+                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, run.config["task"])
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
             policy = policy_of_file(path)
-            taught = None if path.suffix in PICKLES else store.taught(path)
-            found.append(Gathered(policy, path.stem, None, taught, None, path))
+            ours = path.suffix not in PICKLES
+            taught, held = (store.taught(path), store.held(path)) if ours else (None, None)
+            read = Read.of(store.meta(path).get("log"), taught, held) if ours else Read()
+            found.append(Gathered(policy, path.stem, None, taught, None, path, read))
         else:
             if len(path.parts) > 1:
                 raise UserError(f"no folder or file {path}")
             snapshots = [s for s in library.library(str(each)) if s.name.startswith("snapshot-")]
-            found += [Gathered(s.policy(), f"{each} {s.name}", None, None) for s in snapshots]
+            found += [Gathered(s.policy(), f"{each} {s.name}", None, None, task=str(each)) for s in snapshots]
     if not found:
         raise UserError("no policy to judge")
     return found
 
 
-def _encoded(run: Run) -> dict[str, Any]:
-    return run.config["data"].get("provenance", {}).get("extra", {})
+def _read(run: Run) -> Read:
+    return Read.of(run.config["data"].get("provenance"), run.taught, run.held)
 
 
-def check_encoding(found: Sequence[Gathered], data: Dataset) -> None:
-    """Refuses a log of a table whose columns became other numbers than those of the log that a policy learned from.
-
-    Raises:
-        UserError: names the policy, and what differs.
-    """
-    words = {
-        "observation_names": "observations are", "observation_levels": "levels of observations are",
-        "action_levels": "levels of actions are",
-    }  # fmt: skip
-    here = json.loads(json.dumps(data.provenance.extra, default=str))
+def check_encodings(found: Sequence[Gathered], data: Dataset) -> None:
+    """See `reading.check_encoding`; of all policies."""
     for each in found:
-        for key, what in words.items():
-            if key in each.encoded and key in here and each.encoded[key] != here[key]:
-                raise UserError(
-                    f"{each.run} learned from a log whose {what} {each.encoded[key]}; those of {data.name} are {here[key]}: "
-                    "its policies would misread them"
-                )
+        check_encoding(each.run, each.read, data)
 
 
 class Fresh(NamedTuple):
@@ -134,7 +136,13 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         data: the log.
         unseen: the user says that policies of which nobody knows it have not learned from this log, and that episodes equal to
             those that taught a policy are there by chance.
+
+    Raises:
+        UserError: nobody can tell which episodes a policy has learned from, or no episode is left.
     """
+    if not unseen:
+        for each in {id(g.read): g for g in found}.values():  # the seeds of a run share theirs
+            check_episodes(each.run, each.read, data)
     left = np.ones(data.episodes, bool)
     for each in {id(g.policy[0]): g.policy[0] for g in found if isinstance(g.policy, tuple)}.values():
         if (fold := each.fold_of(data)).max() >= 0:  # of another log it has seen nothing
@@ -174,5 +182,5 @@ def for_case(g: Gathered, data: Dataset) -> Any:
         return g.policy
     cross, seed = g.policy
     if (fold := cross.fold_of(data)).max() < 0:  # another log: the policy to deploy is evaluated, not those of the folds
-        return cross.policy
+        return g.acting
     return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)

@@ -48,16 +48,22 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
         asked = given
     else:
         asked = Holdout(given) if given else None
-    if isinstance(asked, Holdout) and (count := int(clusters(log, asked.by).max()) + 1) < FEWEST:
-        what = "episodes" if asked.by in (RANDOM, TIME) else f"values of {asked.by}"
-        text = f"{log.name}: {count} {what} are too few to hold some out ({FEWEST} are needed): all are learned from"
-        warnings.warn(f"{text}, and none is left to judge by", stacklevel=4)
+    if isinstance(asked, Holdout) and (few := too_few(log, asked)):
+        warnings.warn(f"{few}: all are learned from, and none is left to judge by", stacklevel=4)
         asked = None
     if asked is None:
         return Divided(log, log.episode_ids, np.zeros(0, np.uint64), None)
     parts = asked.parts(log)
     told = asked.told() | {"learning": len(parts.learning), "held": len(parts.held)}
     return Divided(log.select(parts.learning), log.episode_ids[parts.learning], log.episode_ids[parts.held], told)
+
+
+def too_few(log: Dataset, asked: Holdout) -> str | None:
+    """That there are too few episodes or clusters to hold some out, in words; None where there are enough."""
+    if (count := int(clusters(log, asked.by).max()) + 1) >= FEWEST:
+        return None
+    what = "episodes" if asked.by in (RANDOM, TIME) else f"values of {asked.by}"
+    return f"{log.name}: {count} {what} are too few to hold some out ({FEWEST} are needed)"
 
 
 def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:

@@ -1,12 +1,13 @@
 """Policies of runs judged from a log alone, and, where there is a simulator, the judgement checked in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.data.split import RANDOM, TIME
@@ -21,10 +22,10 @@ from deadreckon.ope.registry import as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.runs.evaluate import evaluate
-from deadreckon.runs.gather import Gathered, check_encoding, for_case, fresh, gather
+from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
-from deadreckon.stats.interval import ALPHA
+from deadreckon.stats.interval import ALPHA, level_in_words
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 
@@ -37,17 +38,17 @@ class Judged(NamedTuple):
     Attributes:
         estimates: one per estimator.
         choice: by the first of them.
-        told: all results as JSON values, as in `estimates.json`.
+        results: all of them as JSON values, as in `estimates.json`.
     """
 
     estimates: list[Estimates]
     choice: Choice
-    told: dict[str, Any]
+    results: dict[str, Any]
 
 
 def judge(
-    policies: Sequence[Any],
-    data: Dataset,
+    policies: Any,
+    data: Dataset | str | Path,
     estimators: Sequence[Any] | str = "auto",
     *,
     task: Task | str | None = None,
@@ -59,8 +60,8 @@ def judge(
     Where there are none, or nobody knows, estimates say so and nothing is deployed.
 
     Args:
-        policies: the policies, or where they are; see `gather`.
-        data: the log: the one that they learned from, with the episodes that were held out, or a new one.
+        policies: the policies, or where they are, one or several; see `gather`.
+        data: a log, the name of a known one, or a file: what they learned from, with the episodes that were held out, or new.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
         task: simulator in which the estimates are checked; None checks nothing.
         **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `guarantee`,
@@ -72,19 +73,24 @@ def judge(
         UserError: input that does not fit, in one line.
     """
     settings = JudgeSettings.of(options)
+    settings.check_values()
+    log = data if isinstance(data, Dataset) else catalogue.load(data)
     if settings.out is None:
-        return judge_alone(policies, data, estimators, task, settings)
-    with alone(Path(settings.out), what=str(settings.out)):
-        return judge_alone(policies, data, estimators, task, settings)
+        return judge_alone(policies, log, estimators, task, settings)
+    out = Path(settings.out)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out} is a file; --out must be a folder")
+    with alone(out, what=str(out)):
+        return judge_alone(policies, log, estimators, task, settings)
 
 
 def judge_alone(
-    policies: Sequence[Any], data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
+    policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
 ) -> Judged:
     """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
-    check_encoding(candidates, data)
+    check_encodings(candidates, data)
     task = find_task(task) if isinstance(task, str) else task
     if task is not None:
         _check_spaces(task, data)
@@ -107,7 +113,7 @@ def judge_alone(
     )
     results = {
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": settings.seed,
-        "truth": None if task is None else _truth(candidates, task, case, settings.episodes),
+        "truth": None,
         "policies": [
             {"name": name, "run": each.run, "seed": each.seed, "file": None if each.file is None else str(each.file)}
             for name, each in zip(case.names, candidates)
@@ -119,9 +125,17 @@ def judge_alone(
         "looks": {"number": current.number, "policies": current.policies, "alpha": current.alpha, "counted": settings.counted},
         **_decision_as_json(decision, current.alpha),
     }  # fmt: skip
+    _write(settings, results)  # before the simulator, which may fail: the estimates have cost a look, and took longest
+    if task is not None:
+        acting = [each.acting for each in candidates]
+        results["truth"] = simulated(acting, task, results["estimand"], episodes=settings.episodes, seed=settings.seed)
+        _write(settings, results)
+    return Judged(decision.estimates, decision.choice, results)
+
+
+def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
     if settings.out is not None:
         write_json(Path(settings.out) / NAME, results)
-    return Judged(decision.estimates, decision.choice, results)
 
 
 def _check_spaces(task: Task, data: Dataset) -> None:
@@ -138,19 +152,13 @@ def _check_spaces(task: Task, data: Dataset) -> None:
 
 
 def _names(candidates: Sequence[Gathered]) -> list[str]:
-    names = [each.run if each.seed is None else f"{each.run} seed {each.seed}" for each in candidates]
+    names = [each.name for each in candidates]
     return [f"{name} ({i})" for i, name in enumerate(names)] if len(set(names)) < len(names) else names
 
 
 def _with_fits_apart(settings: JudgeSettings) -> JudgeSettings:
     """Checkpoints of fits have a folder of their own beside the results."""
     return settings if settings.out is None else replace(settings, out=Path(settings.out) / fits_name())
-
-
-def _truth(candidates: Sequence[Gathered], task: Task, case: OPEInput, episodes: int) -> dict[str, Any]:
-    """What the policies are worth in a simulator, by the estimand of the case."""
-    acting = [each.policy[0].policy if isinstance(each.policy, tuple) else each.policy for each in candidates]
-    return simulated(acting, task, episodes=episodes, seed=case.seed, **case.estimand.as_json())
 
 
 def _decision_as_json(decision: Decision, alpha: float) -> dict[str, Any]:
@@ -183,7 +191,7 @@ def _known(values: np.ndarray) -> list[float | None]:
 
 def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     """What a decision rests on, as pairs of a name and a text; of the results of `judge`."""
-    judged, looks, level = results["judged"], results["looks"], f"{100 * results['choice']['level']:.3g} %"
+    judged, looks, level = results["judged"], results["looks"], level_in_words(results["choice"]["level"])
     cluster, count = judged["cluster"], judged.get("clusters")
     of = "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
     policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
@@ -200,9 +208,12 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     return lines + ([("propensities", known[results["propensities"]])] if "propensities" in results else [])
 
 
-def simulated(policies: Sequence[Any], task: Task, *, episodes: int, **options: Any) -> dict[str, Any]:
-    """What policies are worth in a simulator, as `estimates.json` holds it; `options` are those of `evaluate`."""
-    returns = evaluate(policies, task, episodes=episodes, **options).discounted
+def simulated(
+    policies: Sequence[Any], task: Task, estimand: Mapping[str, Any], *, episodes: int, seed: int
+) -> dict[str, Any]:
+    """What policies are worth in a simulator by an estimand, both as `estimates.json` has them; two episodes or more."""
+    asked = {name: estimand[name] for name in ("discount", "horizon", "greedy")}
+    returns = evaluate(policies, task, episodes=episodes, seed=seed, **asked).discounted
     errors = returns.std(1, ddof=1) / np.sqrt(episodes)
     return {"task": task.name, "episodes": episodes, "mean": returns.mean(1).tolist(), "error": errors.tolist()}
 
@@ -244,7 +255,7 @@ def groups(results: dict[str, Any]) -> str:
     if "refused" in by:
         return f"gains by {by['column']} are not known: {by['refused']}"
     width = max(len(each["name"]) for each in by["values"])
-    level = f"{100 * choice['level']:.3g} %, for all groups at once"
+    level = f"{level_in_words(choice['level'])}, for all groups at once"
     lines = [f"gain of {choice['name']} by {by['column']} ({level})"]
     for each in by["values"]:
         ends = "too few for an interval" if each["low"] is None else f"[{each['low']:+.2f}, {each['high']:+.2f}]"

@@ -42,36 +42,37 @@ class Recommendation:
 
     Attributes:
         path: folder of the runs and of `estimates.json`.
-        told: what is in `estimates.json`; under "recommend", what was tried and how far it came.
+        results: what is in `estimates.json`; under "recommend", what was tried and how far it came.
         seconds: that it took.
     """
 
     path: Path
-    told: dict[str, Any]
+    results: dict[str, Any]
     seconds: float
 
     @property
     def judged(self) -> bool:
         """Whether policies were judged; otherwise the card says what was missing."""
-        return bool(self.told["results"])
+        return bool(self.results["results"])
 
     @property
     def failed(self) -> bool:
         """Whether it was ended by an error, of which the card has the reason."""
-        return self.told["recommend"]["failed"]
+        return self.results["recommend"]["failed"]
 
     @property
     def choice(self) -> Choice:
         """The decision."""
-        return _choice(self.told)
+        return _choice(self.results)
 
     @property
     def runs(self) -> list[Run]:
         """One of each candidate that has learned."""
-        return [load(self.path / each["name"]) for each in self.told["recommend"]["candidates"] if each["state"] == "learned"]
+        candidates = self.results["recommend"]["candidates"]
+        return [load(self.path / each["name"]) for each in candidates if each["state"] == "learned"]
 
     def __str__(self) -> str:
-        return card(self.told)
+        return card(self.results)
 
 
 def recommend(
@@ -106,28 +107,35 @@ def recommend(
         UserError: a log or options that do not fit, in one line; nothing is written then.
     """
     clock = Clock.of(budget, began)
-    settings = RecommendSettings.of(options).checked()
+    settings = RecommendSettings.of(options)
+    settings.check_values()
     out = Path(out)
     with alone(out, what=str(out)):
         if out.exists():
             raise UserError(f"{out} is there already; give another --out")
         if not isinstance(data, Dataset) and not isinstance(data, Path) and not str(data):
             raise UserError("no log is named")
-        tell(clock.divided())
         source, columns = str(data), settings.columns
+        if isinstance(data, Dataset):
+            if columns:
+                raise UserError("columns say which column of a file is what; a Dataset has its columns already: leave them out")
+            source = str(out / LOG)
+            settings = replace(settings, columns={"mmap": isinstance(data.observations, np.memmap)})
+        now = time.time()
+        job = Job(source, str(out), clock.budget, now - clock.spent(), now + clock.left(), settings).as_json()
+        tell(clock.divided())
         try:
             if isinstance(data, Dataset):
-                source = str(out / LOG)
                 write_folder(data, source)
-                settings = replace(settings, columns={"mmap": isinstance(data.observations, np.memmap)})
             else:
                 try:
                     out.mkdir(parents=True)
                 except OSError as error:
                     raise UserError(f"cannot write {out}: {error.strerror or error}") from error
-            now = time.time()
-            job = Job(source, str(out), clock.budget, now - clock.spent(), now + clock.left(), settings)
-            found = followed(job.as_json(), clock, tell, watch)
+            found = followed(job, clock, tell, watch)
+        except Exception:  # there is no card yet, and what is left would stand in the way of another try
+            shutil.rmtree(out, ignore_errors=True)
+            raise
         finally:
             shutil.rmtree(out / LOG, ignore_errors=True)
         if found.refused and not found.state.get("candidates"):

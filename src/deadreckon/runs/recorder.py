@@ -16,6 +16,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.reading import noted
 from deadreckon.runs.settings import ChunkWatcher
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
@@ -46,15 +47,17 @@ class Recorder:
         every: updates between evaluations.
         episodes: an evaluation, a lane.
         taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from.
+        held: (episodes,) uint64 of those of the log that are not; None: nobody knows of any.
     """
 
     def __init__(
         self, folders: Sequence[Folder], job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int,
-        taught: np.ndarray,
+        taught: np.ndarray, held: np.ndarray | None = None,
     ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
-        self.every, self.episodes, self.taught = every, episodes, taught
+        self.every, self.episodes, self.taught, self.held = every, episodes, taught, held
+        self.read = {} if log is None else {"log": noted(log.provenance)}
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.probe = LogProbe(log) if log is not None else _nothing  # an online run has no log to stay near to
         self.pool = ThreadPoolExecutor(1)
@@ -148,10 +151,10 @@ class Recorder:
         if self.starts is not None:
             values = estimated_values(self.job.learner, self.job.states, self.job.rows.view, policies, self.starts)
         for i, (path, seed, policy) in enumerate(zip(self._paths(step), self.job.seeds, policies)):
-            meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step}
+            meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step, **self.read}
             if values is not None:
                 meta["estimated_values"] = [float(v) for v in values[i]]
-            store.save(path, policy, meta, taught=self.taught)
+            store.save(path, policy, meta, taught=self.taught, held=self.held)
 
     def _submit(self, step: int) -> None:
         self.pending.append(self.pool.submit(self._judge, step))
@@ -198,7 +201,8 @@ class Recorder:
             future.result()
         for path, seed, policy in zip(self._paths(), self.job.seeds, self.policies()):
             if not path.exists():
-                store.save(path, policy, {"agent": agent_name(self.job.learners[0]), "seed": seed}, taught=self.taught)
+                meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, **self.read}
+                store.save(path, policy, meta, taught=self.taught, held=self.held)
         self._status(self.job.step, finished=True)
 
     def close(self) -> None:

@@ -5,19 +5,33 @@ named `...Options` are the same keywords for type checkers.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, TypedDict
+from typing import Any, Literal, TypedDict
+
+import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import Fold, Holdout
 from deadreckon.errors import UserError
 from deadreckon.online import Online
+from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings, EstimateOptions, EstimateSettings, EvidenceSettings
 from deadreckon.progress import unwatched
 from deadreckon.settings import Settings
+from deadreckon.training.hyperparameters import check_fields
 
 ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and the number of updates in all
+
+
+def check_seed(seed: int) -> None:
+    """Refuses seeds that no generator takes.
+
+    Raises:
+        UserError: it is negative or too large.
+    """
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +97,17 @@ class ReturnSettings(Settings):
     horizon: int | None = None  # number of first steps that are discounted and summed; None: all until an end or a time-out
     greedy: bool = True  # whether actions are deterministic (greedy) instead of sampled
 
+    def check_values(self) -> None:
+        """Refuses what an `Estimand` refuses."""
+        super().check_values()
+        for discount in self.discounts:
+            Estimand(discount, self.horizon, self.greedy)
+
+    @property
+    def discounts(self) -> list[float]:
+        """One for all policies, or one each."""
+        return np.atleast_1d(np.asarray(self.discount, np.float64)).tolist()
+
 
 @dataclass(frozen=True, kw_only=True)
 class JudgeSettings(DecisionSettings, EstimateSettings):
@@ -98,6 +123,13 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     counted: bool = True  # whether this counts as a look at these episodes; the level falls with the number of looks
     episodes: int = 100  # number of episodes per policy in the simulator that checks the choice
 
+    def check_values(self) -> None:
+        """Refuses what would be found out only after a look, which cannot be taken back."""
+        super().check_values()
+        if self.episodes < 2:
+            raise UserError(f"episodes must be 2 or more, for a standard error, got {self.episodes}")
+        check_fields(self.model)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecommendSettings(EvidenceSettings):
@@ -111,20 +143,15 @@ class RecommendSettings(EvidenceSettings):
     a memory-mapped log the latest."""
     columns: dict[str, Any] | None = None  # of tables, which column is what; see `Dataset.from_frame`
 
-    def checked(self) -> Self:
-        """The same with its holdout as an object.
-
-        Raises:
-            UserError: a value that is out of range.
-        """
+    def check_values(self) -> None:
+        """Refuses what no card can come of, before anything is read."""
+        super().check_values()
+        check_seed(self.seed)
         if not 0.0 <= self.discount < 1.0:
             raise UserError(f"discount must be in [0, 1), got {self.discount}")
-        if self.holdout is None:
-            return self
-        holdout = self.holdout if isinstance(self.holdout, Holdout) else Holdout(float(self.holdout))
-        if not 0 < holdout.share < 1:
-            raise UserError(f"the share held out must lie between 0 and 1, got {holdout.share}: the card judges by it")
-        return replace(self, holdout=holdout)
+        share = self.holdout.share if isinstance(self.holdout, Holdout) else self.holdout
+        if share is not None and not 0 < share < 1:
+            raise UserError(f"holdout: the share held out must lie between 0 and 1, got {share}: the card judges by it")
 
 
 class _Options(TypedDict, total=False):

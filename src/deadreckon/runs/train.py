@@ -221,7 +221,7 @@ def _train(
         folder.lengthen(config)
         folder.drop_after(job.step)
 
-    recorder = Recorder(folders, job, judge, part.learning, every, settings.episodes, part.taught)
+    recorder = Recorder(folders, job, judge, part.learning, every, settings.episodes, part.taught, part.held)
     try:
         recorder.picture(part.learning)
         recorder.catch_up()

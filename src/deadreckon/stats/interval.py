@@ -32,3 +32,9 @@ class Interval:
 
     def __str__(self) -> str:
         return f"{self:.4g}"
+
+
+def level_in_words(level: float) -> str:
+    """A level in words, never as 100 %, which no interval has: late looks have levels that three digits do not show."""
+    digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)
+    return f"{100 * level:.{digits}g} %"

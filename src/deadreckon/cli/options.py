@@ -1,0 +1,117 @@
+"""Options of commands that are settings of functions too: each is declared once, where the function is.
+
+These functions need numerical libraries, which take a second to load. So commands import this module when they begin, and
+nothing imports it on the way to another command.
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from deadreckon.cli.data import Mapping
+from deadreckon.cli.fits import NAMES, Fits
+from deadreckon.runs.settings import JudgeSettings, OnlineSettings, RecommendSettings, TrainSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Online(OnlineSettings):
+    demonstrations: str | None = None  # log of demonstrations, a known name or a file, for agents that learn from them
+    settings: tyro.conf.Suppress[Any] = None
+    watch: tyro.conf.Suppress[Any] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OnLog(TrainSettings):
+    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
+    """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 if there is a simulator"""
+    watch: tyro.conf.Suppress[Any] = None
+
+
+@dataclass
+class TrainOnline:
+    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
+
+    task: str  # simulator to learn in (see `deadreckon tasks`)
+    steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
+    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
+    seed: int = 0  # first random seed
+    out: str | None = None  # run folder; None: runs/AGENT-TASK-online
+    copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8
+    explore: int | None = None  # environment steps with uniform actions before the first update; None: the agent's, or 10,000
+    updates_per_step: float | None = None  # updates per environment step after the random ones; None: the agent's, or 1
+    block: int | None = None  # environment steps between two blocks of updates; None: the agent's own number, or 64
+    settings: Annotated[_Online, tyro.conf.arg(name="")] = field(default_factory=_Online)
+
+
+@dataclass
+class Train:
+    """Learn a policy from a log with the algorithm --agent NAME (required), or with --online by acting in a simulator.
+
+    --preset NAME sets the hyperparameters to those published for a log or domain; see `deadreckon agents`.
+    """
+
+    data: str  # log to learn from: a known name, or a file
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    horizon: int | None = None  # number of steps after which episodes were cut off, for logs that do not mark time limits
+    steps: int = 100_000  # number of updates per seed
+    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
+    seed: int = 0  # first random seed
+    task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
+    out: str | None = None  # run folder; None: runs/AGENT-LOG
+    mmap: bool = False  # whether to memory-map the log, for logs larger than memory
+    settings: Annotated[_OnLog, tyro.conf.arg(name="")] = field(default_factory=_OnLog)
+    holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
+    """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
+    cross_fit: Annotated[int | None, tyro.conf.arg(metavar="FOLDS")] = None
+    """number of folds: one policy per fold, trained on all other folds, so that every episode is held out once"""
+    deliver: Literal["mixture", "refit"] = "mixture"
+    """policy to deploy after --cross-fit: one fold's, sampled per episode (mixture), or one trained on all episodes (refit)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Judge(JudgeSettings):
+    out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints, to continue from
+    model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
+    counted: tyro.conf.Suppress[bool] = True
+    episodes: tyro.conf.Suppress[int] = JudgeSettings.episodes
+    watch: tyro.conf.Suppress[Any] = None
+
+
+@dataclass
+class Ope:
+    """Estimate the values of policies from a log alone, with confidence intervals, on episodes held out from training.
+
+    --select prints a decision, --list the estimators; `deadreckon ope bench` compares them.
+    """
+
+    data: str  # log to estimate from: a known name, or a file
+    policies: tuple[str, ...]  # run or cross-fit folders, policy files (.npz; DOPE's .pkl), or a task with policies
+    estimators: Annotated[str, NAMES] = "auto"
+    """names of estimators with commas (see --list), of which the first one decides; auto: by properties of the log"""
+    select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
+    log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
+    episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
+    task: str | None = None  # simulator in which to check the decision, if there is one
+    settings: Annotated[_Judge, tyro.conf.arg(name="")] = field(default_factory=_Judge)
+    fits: Annotated[Fits, tyro.conf.arg(name="")] = field(default_factory=Fits)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Recommend(RecommendSettings):
+    holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
+    """share of the episodes that is held out for the decision; None: 0.2"""
+    holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
+    """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
+    columns: tyro.conf.Suppress[Any] = None
+
+
+@dataclass
+class Recommend:
+    """Train agents on a log, estimate their values on held-out episodes, and recommend which to deploy in a given time."""
+
+    data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # log to learn from: a known name, or a file
+    budget: str = "30m"  # time of the whole command, such as 90s, 30m or 2h; a decision card is written at its end
+    out: str = "runs/recommend"  # folder of the runs, the estimates and report.html, which must not exist yet
+    settings: Annotated[_Recommend, tyro.conf.arg(name="")] = field(default_factory=_Recommend)
+    map: Annotated[Mapping, tyro.conf.arg(name="")] = field(default_factory=Mapping)  # columns of a table

@@ -1,0 +1,100 @@
+"""How a log was read: what runs and policy files note of it, and whether another log was read alike.
+
+A policy sees numbers, and its run knows episodes by their contents. Both hold for a log whose columns become the same numbers
+and whose rows are divided into the same episodes; anything else is refused here, before it passes for new data.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
+from deadreckon.errors import UserError
+
+HORIZON = "horizon"  # in `Provenance.extra`: steps after which episodes were cut when a file was read
+ENCODED = {
+    "observation_names": "observations are", "observation_levels": "levels of observations are",
+    "action_levels": "levels of actions are",
+}  # fmt: skip
+
+
+class Read(NamedTuple):
+    """How the log was read that a policy has learned from, as far as it is known.
+
+    Attributes:
+        extra: of the log's provenance; None where nobody knows it.
+        path: of its file.
+        episodes: uint64 `episode_ids` of the whole log, held-out ones included; None where they were not noted.
+    """
+
+    extra: Mapping[str, Any] | None = None
+    path: str | None = None
+    episodes: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, provenance: Mapping[str, Any] | None, taught: np.ndarray | None, held: np.ndarray | None) -> "Read":
+        """From what a run or a policy file holds."""
+        known = None if taught is None or held is None else np.concatenate([taught, held])
+        provenance = provenance or {}
+        return cls(provenance.get("extra"), provenance.get("path"), known)
+
+
+def noted(provenance: Provenance) -> dict[str, Any]:
+    """What a policy file notes of the log: no path, since such files are passed on."""
+    extra = {key: value for key, value in provenance.extra.items() if key in (*ENCODED, HORIZON)}
+    return json.loads(json.dumps({"extra": extra}, default=str))
+
+
+def check_encoding(name: str, read: Read, data: Dataset) -> None:
+    """Refuses a log of a table whose columns became other numbers than those of the log that a policy learned from.
+
+    Raises:
+        UserError: names the policy, and what differs.
+    """
+    before, here = read.extra or {}, json.loads(json.dumps(dict(data.provenance.extra), default=str))
+    if "observation_names" not in before or "observation_names" not in here:
+        return  # one of them is no table: its columns have no names that could differ
+    for key, what in ENCODED.items():
+        if before.get(key) != here.get(key):
+            kinds = [each.get(key, "plain numbers") for each in (before, here)]
+            raise UserError(
+                f"{name} learned from a log whose {what} {kinds[0]}; those of {data.name} are {kinds[1]}: "
+                "its policies would misread them"
+            )
+
+
+def check_episodes(name: str, read: Read, data: Dataset) -> None:
+    """Refuses a log of which nobody can tell which episodes a policy has learned from, because it was read in another way.
+
+    Episodes are known by their contents. The same file divided otherwise has other episodes, which would all seem to be new.
+
+    Raises:
+        UserError: names the policy, and how to read the log.
+    """
+    if read.episodes is None or read.extra is None:  # it had no log, or nobody knows it
+        return
+    known = np.isin(data.episode_ids, read.episodes)
+    if known.all():
+        return
+    new = f"{int((~known).sum()):,} of {data.episodes:,} episodes of {data.name} are not known to {name}"
+    if not known.any():
+        new = f"no episode of {data.name} is known to {name}"
+    unseen = "or, if it has learned from none of these episodes, say so with --unseen"
+    before, here = (extra.get(HORIZON) for extra in (read.extra, data.provenance.extra))
+    if before != here:
+        how = ["with no horizon" if each is None else f"with a horizon of {each}" for each in (before, here)]
+        option = "without --log-horizon" if before is None else f"with --log-horizon {before}"
+        why = f"which learned from a log read {how[0]}, while this one was read {how[1]}"
+        raise UserError(f"{new}, {why}: read it {option}, {unseen}")
+    path = data.provenance.path if data.part_of is None else None  # parts of one file may well have no episode in common
+    if not known.any() and (path is None or read.path is None or Path(path) != Path(read.path)):
+        return  # another log
+    why = "while the others are" if known.any() else f"although it learned from {path} too"
+    raise UserError(
+        f"{new}, {why}: the log was read with other options or has changed since; read it as for training, "
+        f"judge new episodes as a log of their own, {unseen}"
+    )
