@@ -63,6 +63,43 @@ MUTANTS = (
         ("agents/test_actor_critics.py::test_td3_target_is_smoothed_clipped_masked_and_the_smaller",),
     ),
     Mutant(
+        "greedy-candidates-drawn", "policies/candidates.py",
+        "pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, len(observation), size)))",
+        "pre = self.actor.drawn(observation, key, (samples, *count))", "greedy actions depend on the place in a batch",
+        ("policies/test_policies.py::test_file_round_trip_and_numpy_player",),
+    ),
+    Mutant(
+        "mean-without-tanh", "policies/kinds.py", "mean = jnp.tanh(self.net(observation))", "mean = self.net(observation)",
+        "the mean of a normal likelihood is not squashed",
+        ("policies/test_policies.py::test_a_gaussian_around_a_tanh_has_the_likelihood_of_actions_and_the_density_of_what_acts",),
+    ),
+    Mutant(
+        "reward-shift", "agents/scaled_rewards.py", "self.reward_scale * batch.reward + self.reward_shift",
+        "self.reward_scale * (batch.reward + self.reward_shift)", "rewards are shifted before they are scaled",
+        ("agents/test_scaled_rewards.py",),
+    ),
+    Mutant(
+        "rewards-unscaled", "training/program.py", "batch = learner.learned(batch)", "learner.learned(batch)",
+        "agents learn from rewards as logged, whatever their scale", ("agents/test_scaled_rewards.py",),
+    ),
+    Mutant(
+        "cosine-upside-down", "nets/optim.py", "0.5 * (1.0 + jnp.cos(jnp.pi * share))", "0.5 * (1.0 - jnp.cos(jnp.pi * share))",
+        "learning rates rise instead of falling", ("agents/test_scaled_rewards.py",),
+    ),
+    Mutant(
+        "unbiased-diagonal", "nets/mmd.py", "(m * yy - 1.0) / (m - 1)", "yy", "the unbiased MMD counts a draw beside itself",
+        ("nets/test_mmd.py",),
+    ),
+    Mutant(
+        "fql-smaller-critic", "agents/fql.py", "q.mean(0) if self.target_q == \"mean\" else minimum(q)", "q.mean(0)",
+        "FQL's targets always take the mean of its critics",
+        ("agents/test_rivals.py::test_fqls_targets_take_the_mean_of_the_critics_or_the_smaller",),
+    ),
+    Mutant(
+        "cql-gap-limit", "agents/cql.py", "self.min_gap).mean(-1)", "-jnp.inf).mean(-1)", "CQL's difference has no limit",
+        ("agents/test_offline.py::test_cqls_difference_has_a_lower_limit_row_by_row",),
+    ),
+    Mutant(
         "bellman-stop-gradient", "agents/agent.py", "jnp.square(q - jax.lax.stop_gradient(target))", "jnp.square(q - target)",
         "critics learn through their own targets",
         ("agents/test_bear.py::test_bellman_loss_is_the_squared_error_with_no_gradient_through_the_target",),
@@ -116,8 +153,8 @@ MUTANTS = (
         ("agents/test_actor_critics.py::test_sac_temperature_falls_when_the_policy_is_more_random_than_asked",),
     ),
     Mutant(
-        "sac-key-reuse", "agents/sac.py", "self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)",
-        "self.actor_loss, has_aux=True)(state.actor, state, batch, k_target)", "actor and target share their draws",
+        "sac-key-reuse", "agents/sac.py", "self.update_actor(state, batch, step, k_actor)",
+        "self.update_actor(state, batch, step, k_target)", "actor and target share their draws",
         (
             "agents/test_actor_critics.py::test_sac_draws_of_targets_and_actor_have_keys_of_their_own",
         ),

@@ -10,7 +10,7 @@ import scipy.stats
 from scipy.special import logsumexp, softmax
 
 from deadreckon.agents import AWAC, BCQ, BRAC, CQL, CRR, EDAC, IQL, SACN, XQL, ReBRAC
-from deadreckon.agents.cql import weighted_mean
+from deadreckon.agents.cql import soft_maximum, weighted_mean
 from deadreckon.agents.edac import likeness
 from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
@@ -278,6 +278,25 @@ def test_rebrac_target_and_actor_loss(batch):
 
 def with_held(state, **changes):
     return state._replace(model=state.model._replace(**changes))
+
+
+def test_cqls_targets_may_take_the_best_of_several_actions(batch):
+    agent, state = made(CQL(discount=0.9, max_target_backup=True, samples=3, **SMALL))
+    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
+    drawn = np.tanh(mean + np.exp(log_std) * np.asarray(jax.random.normal(KEY, (3, 6, 1))))
+    best = np.max([least_q(state.target_critics, batch.next_observation, action) for action in drawn], 0)
+    expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * best
+    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+
+
+def test_cqls_difference_has_a_lower_limit_row_by_row(batch):
+    agent, state = made(CQL(samples=2, **SMALL))
+    high = np.asarray(soft_maximum(state.critics, state.actor, batch, 2, KEY))
+    gaps = high - np.stack([q(state.critics, j, batch.observation, batch.action) for j in range(2)])
+    limit = float(np.median(gaps))
+    for least in (-1e9, limit):
+        _, metrics = agent.replace(min_gap=least).critic_loss(state.critics, state, batch, jnp.arange(6.0), KEY)
+        np.testing.assert_allclose(metrics["gap"], np.maximum(gaps, least).mean(), rtol=1e-4)
 
 
 def test_cql_penalty(batch):

@@ -46,8 +46,8 @@ def test_what_is_no_preset_says_so():
     assert preset("SAC-N", "walker2d") == {"critics": 20}
     with pytest.raises(UserError, match="unknown preset of rebrac 'hopper-medum': did you mean hopper-medium"):
         preset("rebrac", "hopper-medum")
-    with pytest.raises(UserError, match="td3 has no presets; leave 'hopper' out"):
-        preset("td3", "hopper")
+    with pytest.raises(UserError, match="bc has no presets; leave 'hopper' out"):
+        preset("bc", "hopper")
 
 
 def test_the_command_line_begins_from_a_preset_and_fields_win(capsys, tmp_path):
@@ -61,5 +61,5 @@ def test_the_command_line_begins_from_a_preset_and_fields_win(capsys, tmp_path):
     assert main([*words, "--agent.actor-penalty", "0.5", "--agent.hidden", "8"]) == 0
     agent: Any = agents_of(dr.load_run(tmp_path / "run").config)[0]
     assert (agent.actor_penalty, agent.critic_penalty, agent.batch_size) == (0.5, 0.001, 256)
-    assert main(["train", "--agent", "td3", "--preset", "maze2d", "--data", "x"]) == 2
-    assert "td3 has no presets" in capsys.readouterr().err
+    assert main(["train", "--agent", "bc", "--preset", "maze2d", "--data", "x"]) == 2
+    assert "bc has no presets" in capsys.readouterr().err

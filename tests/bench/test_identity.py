@@ -92,7 +92,7 @@ def test_a_problem_has_a_revision(planned, monkeypatch):
 def test_revisions_of_a_class_stand_before_those_it_inherits_and_those_it_holds(monkeypatch):
     monkeypatch.setattr(SAC, "revision", 5)
     monkeypatch.setattr(FQE, "revision", 7)
-    assert revisions(CQL) == revisions(CQL()) == [1, 5, 1]
+    assert revisions(CQL) == revisions(CQL()) == [1, 1, 5, 1]  # ScaledRewards stands before SAC
     own, base, *held = revisions(estimator("dr"))
     assert (own, base) == (vars(DoublyRobust)["revision"], 1)
     assert held == [7, 1, 1]  # FQE, which is an estimator, and the behaviour model

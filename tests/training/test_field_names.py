@@ -58,7 +58,7 @@ def test_what_is_meant():
 
 
 def test_a_run_folder_with_old_names_is_read_reported_and_gone_on_with(tmp_path):
-    log, agent = corridor(200), dr.agents.IQL(beta=2.0, tau=0.1, **SMALL)
+    log, agent = corridor(200), dr.agents.IQL(beta=2.0, tau=0.1, actor_decay_steps=0.0, **SMALL)
     path = dr.train(agent, log, steps=4, out=tmp_path / "run").path
     config = json.loads((path / "run.json").read_text())
     now = config["agent"]["fields"]
@@ -68,7 +68,7 @@ def test_a_run_folder_with_old_names_is_read_reported_and_gone_on_with(tmp_path)
 
     run = dr.load_run(path)
     assert run.config["agent"]["fields"] == now
-    assert agents_of(run.config) == [agent]
+    assert agents_of(run.config) == [agent.resolve(log.spec, 4)]
     text = write(path, tmp_path / "report.html").read_text()
     assert "beta = 2.0" in text
     assert "sharpness" not in text

@@ -23,8 +23,8 @@ MADE = {
 }
 # Numbers of any sign.
 FREE = {
-    "log_ratio_range", "min_target", "multiplier_max", "multiplier_min", "return_range", "target_entropy", "target_return",
-    "threshold",
+    "log_ratio_range", "min_gap", "min_target", "multiplier_max", "multiplier_min", "return_range", "reward_shift",
+    "target_entropy", "target_return", "threshold",
 }  # fmt: skip
 
 

@@ -69,8 +69,7 @@ class BEAR(Agent):
     kernel: Kernel = static("laplacian")  # kernel of the MMD: "laplacian" works in all cases, "gaussian" on expert data (A.4)
     bandwidth: Positive = 20.0  # scale of the Laplacian kernel, or VARIANCE of the Gaussian one (20 in all settings, A.4)
     mixture: Annotated[tuple[float, ...], Range(gt=0)] = static((1.0, 10.0, 50.0))  # bandwidths of the mixture kernel (A.4)
-    mmd_estimate: Literal["biased", "unbiased"] = static("biased")
-    """estimate of the MMD: mean over states of roots of the biased one (thesis), or root of the mean of unbiased squares"""
+    mmd_estimate: Literal["biased", "unbiased"] = static("biased")  # mean of roots of biased squares, or root of unbiased mean
     policy_samples: Count = static(4)  # actions sampled from the policy in the MMD (m)
     behavior_samples: Count = static(4)  # actions sampled from the behaviour model in the MMD (n); 4 or 5 is best (4.4)
     dual: bool = static(True)  # whether the multiplier is adapted; otherwise it keeps its initial value (tuned, Figure A.5)
@@ -88,8 +87,6 @@ class BEAR(Agent):
     test_samples: Count = static(10)  # actions sampled for greedy_q (p, 4.3); the D4RL version takes 100
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
-
-    # ---- the log ----------------------------------------------------------------------------------------------------
 
     def resolve(self, spec, steps):
         """Fills in threshold, warm start and the behaviour model's width."""
@@ -120,12 +117,10 @@ class BEAR(Agent):
         # A multiplier of zero is the unconstrained actor; its logarithm must stay finite to be a healthy state.
         log_multiplier = jnp.log(jnp.maximum(self.multiplier, 1e-30))
         log_temperature = jnp.log(jnp.asarray(self.temperature))
-        trained = {"actor": actor, "critics": critics, "behavior": model, "multiplier": log_multiplier,
-                   "temperature": log_temperature}  # fmt: skip
+        trained = {"actor": actor, "critics": critics, "behavior": model}
+        trained |= {"multiplier": log_multiplier, "temperature": log_temperature}
         opts = {name: init_opt(part) for name, part in trained.items()}
         return State(actor, critics, model, log_multiplier, log_temperature, copy(actor), copy(critics), opts)
-
-    # ---- losses -----------------------------------------------------------------------------------------------------
 
     def mix(self, q: Float[Array, "k *n b"]) -> Float[Array, "*n b"]:
         """lambda min_j Q_j + (1 - lambda) max_j Q_j (Algorithm 1, line 5)."""
@@ -136,9 +131,8 @@ class BEAR(Agent):
         d = dist.gaussian_head(state.target_actor(batch.next_observation))
         pre = dist.sample(d, key, (self.target_samples,))
         value = self.mix(q_values(state.target_critics, batch.next_observation, jnp.tanh(pre)))
-        if self.base == "sac":
-            value = value - jnp.exp(state.log_temperature) * dist.log_prob(d, pre)
-        return value.max(0)
+        entropy = jnp.exp(state.log_temperature) * dist.log_prob(d, pre) if self.base == "sac" else 0.0
+        return (value - entropy).max(0)
 
     def bellman_weight(self, state, batch) -> Float[Array, "b"] | None:
         """1 / beta(a|s) by the fitted model, scaled to mean one over the batch, then clipped (A.3)."""
@@ -150,16 +144,14 @@ class BEAR(Agent):
 
     def divergence(self, d: dist.Gaussian, pre, state, batch, key) -> Float[Array, "b"]:
         """How far the policy `d`, with draws `pre` before the tanh, is from the behaviour model, for every state."""
-        observation = batch.observation
         if self.constraint == "kl":
-            return dist.kl(d, dist.gaussian_head(state.behavior(observation)))
+            return dist.kl(d, dist.gaussian_head(state.behavior(batch.observation)))
         if self.constraint == "cross_entropy":
-            return -dist.log_prob(dist.gaussian_head(state.behavior(observation)), pre).mean(0)
+            return -dist.log_prob(dist.gaussian_head(state.behavior(batch.observation)), pre).mean(0)
         if self.mmd_reference == "logged":
             logged = jnp.arctanh(batch.action)[None]
         else:
-            model = models.policy(state.behavior)
-            logged = model.pre_actions(observation, key, greedy=False, count=(self.behavior_samples,))
+            logged = models.draws(state.behavior, batch.observation, key, self.behavior_samples)
         # Before the tanh by default: after it, gradients all but vanish where actions saturate (A.4).
         squash = (lambda x: x) if self.mmd_actions == "before_tanh" else jnp.tanh
         sets = squash(pre), squash(jax.lax.stop_gradient(logged))
@@ -169,15 +161,11 @@ class BEAR(Agent):
 
     def constrained(self, divergence: Float[Array, "b"]) -> Float[Array, ""]:
         """What the threshold is for: the mean over states, of unbiased squares its root."""
-        squares = self.constraint == "mmd" and self.mmd_estimate == "unbiased"
+        squares = (self.constraint, self.mmd_estimate) == ("mmd", "unbiased")
         return root(divergence.mean()) if squares else divergence.mean()
 
     def actor_loss(self, actor, state, batch, step, key):
-        """The Lagrangian of eq. 4.1 for fixed multiplier: -E[Q] + alpha E_s[MMD]; at first the constraint alone.
-
-        Returns:
-            The loss, and (mean divergence, mean log-probability, mean value).
-        """
+        """The Lagrangian of eq. 4.1, -E[Q] + alpha E_s[MMD], and means of divergence, log-probability and value."""
         k_policy, k_behavior = keys(key, "policy", "behavior")
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
@@ -202,15 +190,12 @@ class BEAR(Agent):
         slope = -jnp.exp(state.log_multiplier) * (divergence - self.threshold)
         value, opt = apply_gradients(state.log_multiplier, slope, state.opts["multiplier"], self.multiplier_lr)
         value = jnp.clip(value, self.multiplier_min, self.multiplier_max)
-        if self.dual_warm_start:
-            return value, opt
-        return self.after_warm_start((value, opt), (state.log_multiplier, state.opts["multiplier"]), step)
+        rested = state.log_multiplier, state.opts["multiplier"]
+        return (value, opt) if self.dual_warm_start else self.after_warm_start((value, opt), rested, step)
 
     def after_warm_start(self, new, old, step):
         """`new` once the warm start is over, until then `old`."""
         return jax.tree.map(lambda n, o: jnp.where(step < self.warm_start, o, n), new, old)
-
-    # ---- one update -------------------------------------------------------------------------------------------------
 
     def learn_values(self, state, batch, k_model, k_future) -> tuple[Any, Metrics]:
         """One step of the behaviour model and of the critics, whose weights use the model from before it."""
@@ -252,8 +237,6 @@ class BEAR(Agent):
             target_critics=targets[1], opts=opts,
         )  # fmt: skip
         return state, metrics
-
-    # ---- acting -----------------------------------------------------------------------------------------------------
 
     def policy(self, state):
         """The best of `test_samples` draws by Q_1, or the actor itself."""

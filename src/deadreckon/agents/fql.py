@@ -49,7 +49,7 @@ class FQL(ScaledRewards):
     discount: UnitInterval = 0.99  # discount factor per step
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
     alpha: NonNegative = 10.0  # weight of the distance to the actions of the flow (published: 3 to 30000, by log)
-    target_q: Literal["mean", "min"] = static("mean")  # of the critics' values, what targets take (Adroit: min)
+    target_q: Literal["mean", "min"] = static("mean")  # value of the critics in the targets: mean or minimum (Adroit: min)
     flow_steps: Count = static(10)  # Euler steps of the flow from noise to actions
     scale_q: bool = static(True)  # whether the actor loss divides Q by its mean absolute value
     hidden: Sizes = static((512, 512, 512, 512))  # width of each hidden layer

@@ -5,7 +5,7 @@
 Returns, evaluations, reports and estimates of policies stay in the log's units.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -18,6 +18,8 @@ from deadreckon.training.hyperparameters import Number, Positive, host
 
 class ScaledRewards(Agent):
     """What agents share that learn from scaled rewards."""
+
+    revision: ClassVar[int] = 1
 
     normalized_return_range: Positive | None = host(None)
     """range that the returns of the log's episodes are scaled to (published for IQL and XQL on robots: 1000); None: none"""

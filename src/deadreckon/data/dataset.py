@@ -167,7 +167,6 @@ class Dataset:
     @cached_property
     def spec(self) -> Spec:
         """Shape, bounds and statistics of the log."""
-        returns = self.returns()
         return Spec(
             observation_shape=self.observations.shape[1:],
             observation_dtype=str(self.observations.dtype),
@@ -178,7 +177,7 @@ class Dataset:
             rows=len(self),
             episodes=self.episodes,
             longest=int(self.lengths.max()),
-            returns=(float(returns.min()), float(returns.max())),
+            returns=(float(self.returns().min()), float(self.returns().max())),
             name=self.name,
         )
 

@@ -90,6 +90,11 @@ def policy(model: MLP | VAE | Clipped | TanhMeanGaussian | Categorical) -> Norma
     return VAEDecoder(model) if isinstance(model, VAE) else stochastic(model)
 
 
+def draws(model: MLP | VAE, observation: Float[Array, "b o"], key: PRNGKeyArray, count: int) -> Float[Array, "n b a"]:
+    """`count` actions of the model at each observation, before the tanh."""
+    return policy(model).pre_actions(observation, key, greedy=False, count=(count,))
+
+
 def _clipped(model: Clipped) -> ClippedGaussian:
     return ClippedGaussian.of(model.means, _deviations(model))
 
