@@ -11,7 +11,8 @@ STEPS, CHUNK = 150, 50
 MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites": 2, "rollout_batch_size": 40, "model_epochs": 2,
          "rollout_length": 2, "real_batch_size": 20}  # fmt: skip
 
-OWN = {"bcq": {"behavior_hidden": (16, 16), "test_samples": 10}, "brac": {"behavior_steps": 20},
+# EDAC: of one action the gradient of its likeness is a spike where a slope changes its sign, and no number to compare.
+OWN = {"edac": {"diversity": 0.0}, "bcq": {"behavior_hidden": (16, 16), "test_samples": 10}, "brac": {"behavior_steps": 20},
        "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
        "decision_transformer": {"context_length": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
 
