@@ -25,12 +25,6 @@ class VAEDecoder(Sampler):
 
     vae: VAE
 
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
-        return self.drawn(observation, key, count)
-
     @property
     def noise_size(self):
         """See `Sampler`."""
@@ -61,12 +55,6 @@ class PerturbedPolicy(Sampler):
     perturbation: MLP
     max_perturbation: Array
 
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
-        return self.drawn(observation, key, count)
-
     @property
     def noise_size(self):
         """See `Sampler`."""
@@ -87,12 +75,6 @@ class OneStep(Sampler):
     def decode(self, observation: Float[Array, "n o"], noise: Float[Array, "*c #n a"]) -> Float[Array, "*c n a"]:
         """Actions in [-1, 1] from noise."""
         return jnp.clip(self.net.beside(observation, noise), -1.0, 1.0)
-
-    def pre_actions(self, observation, key, *, greedy, count=()):
-        """See `NormalizedPolicy`."""
-        if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
-        return self.drawn(observation, key, count)
 
     @property
     def noise_size(self):

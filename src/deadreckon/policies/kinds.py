@@ -26,7 +26,16 @@ class Deterministic(NormalizedPolicy):
 
 
 class Sampler(NormalizedPolicy):
-    """A policy whose draws are a function of the observation and of noise: it implements `from_noise` and `noise_size`."""
+    """A policy whose draws are a function of the observation and of noise: it implements `from_noise` and `noise_size`.
+
+    Greedy is no noise.
+    """
+
+    def pre_actions(self, observation, key, *, greedy, count=()):
+        """See `NormalizedPolicy`."""
+        if greedy:
+            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
+        return self.drawn(observation, key, count)
 
     @property
     def noise_size(self) -> int:
