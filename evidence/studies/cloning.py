@@ -1,6 +1,6 @@
 """How well agents imitate a log with many actions at the bounds, by the likelihood that they learn by.
 
-    python evidence/studies/cloning.py                 (two minutes; collects 200,000 steps of maze2d-umaze first)
+    python evidence/studies/cloning.py                 (some minutes; collects 200,000 steps of maze2d-umaze first)
 
 Root mean squared error of the greedy action on the last fifth of the log, after 5,000 updates on the others. Agents that weigh
 actions do so equally here: a clone is what their likelihood makes of the log.
