@@ -135,14 +135,18 @@ def test_sac_n_steps_temperature_then_actor_then_critics(batch):
     agent = SACN(hidden=(16, 16), critics=3, actor_lr=0.01, critic_lr=0.01, temperature_lr=0.1).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))
     k_target, k_critics, k_entropy, k_actor = keys(KEY, "target", "critic_loss", "entropy", "actor_loss")
-    after, metrics = agent.update(state, batch, step=jnp.int32(0), key=KEY)
-    _, log_prob = agent.actor_loss(state.actor, state, batch, k_entropy)
-    first = agent.update_temperature(state, log_prob)
+    after, metrics = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
+
+    @jax.jit
+    def by_hand(state):
+        first = agent.update_temperature(state, agent.actor_loss(state.actor, state, batch, k_entropy)[1])
+        second, loss, _ = agent.update_actor(first, batch, jnp.int32(0), k_actor)  # the critics have not moved
+        return first, loss, agent.target(second, batch, k_target)  # by the new actor
+
+    first, loss, target = by_hand(state)
     assert float(first.log_temperature) != float(state.log_temperature)
     np.testing.assert_allclose(after.log_temperature, first.log_temperature, rtol=1e-6)
-    second, loss, _ = agent.update_actor(first, batch, jnp.int32(0), k_actor)  # the critics have not moved
     np.testing.assert_allclose(metrics["actor_loss"], loss, rtol=1e-5)
-    target = agent.target(second, batch, k_target)  # by the new actor
     errors = [(q(state.critics, j, batch.observation, batch.action) - np.asarray(target)) ** 2 for j in range(3)]
     np.testing.assert_allclose(metrics["critic_loss"], np.mean(errors), rtol=1e-3)
     rate = agent.tau

@@ -102,7 +102,7 @@ def gaussian_kl(p, q):
 
 @pytest.mark.parametrize("value_penalty", [True, False])
 def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_penalty):
-    agent, state = made(BRAC(discount=0.9, penalty=0.6, value_penalty=value_penalty, **SMALL))
+    agent, state = made(BRAC(discount=0.9, penalty=0.6, value_penalty=value_penalty, warm_start=5, **SMALL))
     k_act = key_for(KEY, "act")
     noise = np.asarray(jax.random.normal(k_act, (6, 1)))
 
@@ -117,9 +117,11 @@ def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_pe
     expected = np.asarray(batch.reward) + 0.9 * (1 - np.asarray(batch.terminal)) * future
     np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
     value, away = parts(batch.observation, state.critics)
-    loss, mean = agent.actor_loss(state.actor, state, batch, KEY)
+    loss, mean = agent.actor_loss(state.actor, state, batch, 5, KEY)
     np.testing.assert_allclose(loss, (0.6 * away - value).mean(), rtol=1e-3)
     np.testing.assert_allclose(mean, away.mean(), rtol=1e-3)
+    loss, mean = agent.actor_loss(state.actor, state, batch, 4, KEY)  # the last update of the warm start
+    np.testing.assert_allclose(loss, 0.6 * mean, rtol=1e-6)
 
 
 def test_brac_with_the_mmd_sees_how_far_two_policies_are_apart(batch):
@@ -415,6 +417,6 @@ def test_edac_likeness_by_hand_and_by_pairs():
 
 def test_edac_adds_it_to_the_critics_loss(batch):
     agent, state = made(EDAC(critics=3, diversity=2.0, **SMALL))
-    plain, _ = SACN(critics=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
-    loss, metrics = agent.critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)
+    of = lambda each: jax.jit(each.critic_loss)(state.critics, state, batch, jnp.zeros(6), KEY)  # noqa: E731
+    (plain, _), (loss, metrics) = of(SACN(critics=3, **SMALL)), of(agent)
     np.testing.assert_allclose(loss, plain + 2.0 * metrics["likeness"], rtol=1e-5)

@@ -47,6 +47,7 @@ def test_from_files_to_a_decision(made, capsys):
 def test_options_of_what_is_estimated(made, capsys):
     """A horizon, clusters that are no column, and who says that the policies are new to the log."""
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe-linear"]
+    common += ["--steps", "50", "--hidden", "8"]
     assert main([*common, "--horizon", "5", "--discount", "1", "--unseen", "--accept-model-based"]) == 0
     out = capsys.readouterr().out
     assert "evaluated on: 40 episodes, which no policy has learned from as the user says, although 32 of them equal" in out

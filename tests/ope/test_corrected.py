@@ -66,7 +66,7 @@ def test_the_truth_lies_within_as_often_as_promised(name):
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     rng, truth = np.random.default_rng(1), true.value(target, 0.9)
     inside = []
-    for _ in range(60):
+    for _ in range(40):
         case = OPEInput(true.log(behavior, 200, 60, rng), [as_policy(target)], discount=0.9)
         found = with_fields(estimator(name), {"ridge": 1.0}).on(case)
         inside.append(found.low[0] <= truth <= found.high[0])
@@ -78,7 +78,7 @@ def test_critics_of_least_variance_have_less_of_it():
     rng = np.random.default_rng(0)
     n, x = 400, None
     errors = {"dr-linear": [], "mrdr": []}
-    for _ in range(40):
+    for _ in range(25):
         x = rng.uniform(-1, 1, n)
         rare = rng.random(n) < np.where(x > 0, 0.05, 0.5)
         action = np.where(rare, 1, 0)

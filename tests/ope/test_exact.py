@@ -113,7 +113,7 @@ def test_mean_over_many_logs(name):
         estimator = estimator.replace(fqe=wrong)
         critics = wrong.fitted(OPEInput(true.log(behavior, 50, 60, rng), [as_policy(target)], discount=DISCOUNT))
     values = []
-    for _ in range(150):
+    for _ in range(75):
         case = OPEInput(true.log(behavior, 50, 60, rng), [as_policy(target)], discount=DISCOUNT)
         if name in ("dr", "wdr"):
             case.once(wrong, lambda: critics)  # not of this log: its errors are independent of the log's

@@ -25,7 +25,7 @@ COVERED = {
 
 @pytest.fixture(scope="module")
 def logs():
-    """400 logs of one world, as functions that make cases, with a value function that knows nothing of them."""
+    """Logs of one world, as functions that make cases, with a value function that knows nothing of them."""
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     rng = np.random.default_rng(0)
@@ -42,17 +42,18 @@ def logs():
             keep_nuisances(case, COVERED[each], v[state[case.data.starts]][None, None], errors[None].astype(float))
         return case
 
-    return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(400)], true.value(target, 0.9)
+    return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(LOGS)], true.value(target, 0.9)
 
 
 FAST = "wpdis, bootstrap", "dr, t"  # one of each method and of each kind of interval
+LOGS = 200
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in COVERED])
 def test_coverage(logs, name):
     makers, exact = logs
     inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]
-    assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
+    assert 0.91 <= np.mean(inside) <= 0.985, np.mean(inside)  # 2.5 deviations of so many logs
 
 
 @pytest.mark.parametrize("normalised", [True, False])
@@ -70,7 +71,7 @@ def test_bounds_hold_more_often_than_promised(interval):
     rng = np.random.default_rng(0)
     estimator = ImportanceSampling(normalised=False, interval=interval, return_range=(0.0, 1.0), max_weight=1.5)
     inside, widths = [], []
-    for _ in range(150):
+    for _ in range(80):
         log = one_state(200, np.ones(200, int), np.ones(200, bool), 0.5, rng)
         found = estimator.estimate(log, as_policy(np.array([[0.75, 0.25]])), discount=0.0)
         inside.append(found.low[0] <= 0.75 <= found.high[0])

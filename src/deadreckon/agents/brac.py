@@ -4,7 +4,7 @@ The model is fitted first and stays. With D an estimate of a divergence at each 
 
     y = r + discount (min_j Q'_j(s', a') - [value form] penalty D(s')),   a' from the actor,
 
-and the actor minimises E[ penalty D(s) - min_j Q_j(s, a) ].
+and the actor minimises E[ penalty D(s) - min_j Q_j(s, a) ], in the warm start without Q.
 """
 
 from typing import ClassVar, Literal, NamedTuple
@@ -23,7 +23,9 @@ from deadreckon.nets.mmd import mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.randomness import keys
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
+from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Positive, Sizes, UnitInterval, static
+
+WARM_STEPS, WARM_SHARE = 20_000, 0.2  # of the run, whichever is smaller (the D4RL version: 20,000 of 1,000,000)
 
 
 class State(NamedTuple):
@@ -40,12 +42,12 @@ class State(NamedTuple):
 class BRAC(Agent):
     """Behaviour-regularised actor-critic; the value form is BRAC-v, the other BRAC-p."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"value_form": "value_penalty", "draws": "samples"}
 
-    actor_lr: NonNegative = 3e-4  # learning rate of the actor
-    critic_lr: NonNegative = 3e-4  # learning rate of the critics
-    behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
+    actor_lr: NonNegative = 3e-5  # learning rate of the actor (D4RL version)
+    critic_lr: NonNegative = 1e-3  # learning rate of the critics (D4RL version)
+    behavior_lr: NonNegative = 5e-4  # learning rate of the behaviour model (D4RL version)
     discount: UnitInterval = 0.99  # discount factor per step
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
     penalty: NonNegative = 1.0  # weight of the divergence (alpha in the paper); the best one depends on the task
@@ -54,8 +56,15 @@ class BRAC(Agent):
     divergence: Literal["kl", "mmd"] = static("kl")  # divergence from the behaviour model that is penalised
     samples: Count = static(10)  # actions sampled from each policy to estimate the MMD
     behavior_steps: Count = static(100_000)  # updates of the behaviour model before all others
+    warm_start: CountOrZero | None = static(None)
+    """updates in which the actor minimises the divergence alone; None: min(20,000, 20 % of the run)"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+
+    def resolve(self, spec, steps):
+        """Fills in the warm start."""
+        agent = super().resolve(spec, steps)
+        return agent if self.warm_start is not None else agent.replace(warm_start=min(WARM_STEPS, int(WARM_SHARE * steps)))
 
     def needs(self, spec):
         """Transitions."""
@@ -91,13 +100,13 @@ class BRAC(Agent):
             future = future - self.penalty * self.away(d, state.behavior, batch.next_observation, k_away)
         return backup(batch, self.discount, future)
 
-    def actor_loss(self, actor: MLP, state, batch, key):
-        """E[ penalty D(s) - min_j Q_j(s, a) ], a reparameterised; also gives the mean divergence (eq. 7)."""
+    def actor_loss(self, actor: MLP, state, batch, step, key):
+        """E[ penalty D(s) - min_j Q_j(s, a) ], a reparameterised, in the warm start without Q; and the mean of D (eq. 7)."""
         k_act, k_away = keys(key, "act", "divergence")
         d = dist.gaussian_head(actor(batch.observation))
         q = minimum(q_values(state.critics, batch.observation, jnp.tanh(dist.sample(d, k_act))))
         away = self.away(d, state.behavior, batch.observation, k_away)
-        return (self.penalty * away - q).mean(), away.mean()
+        return (self.penalty * away - jnp.where(step < self.warm_start, 0.0, q)).mean(), away.mean()
 
     def update(self, state, batch, *, step, key):
         """Critics, actor, targets."""
@@ -106,7 +115,7 @@ class BRAC(Agent):
         grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target)
         critics, critics_opt = apply_gradients(state.critics, grads, state.critics_opt, self.critic_lr)
         state = state._replace(critics=critics, critics_opt=critics_opt)
-        (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, k_actor)
+        (loss, away), grads = jax.value_and_grad(self.actor_loss, has_aux=True)(state.actor, state, batch, step, k_actor)
         actor, actor_opt = apply_gradients(state.actor, grads, state.actor_opt, self.actor_lr)
         targets = polyak_update(state.target_critics, critics, self.tau)
         state = state._replace(actor=actor, actor_opt=actor_opt, target_critics=targets)

@@ -23,7 +23,7 @@ from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.features import Features
 from deadreckon.ope.linear_sums import BLOCK, SUMMED, Critic, Sums, blocks
 from deadreckon.randomness import generator
-from deadreckon.stats.bootstrap import percentile_interval
+from deadreckon.stats.bootstrap import percentile_interval, resample_counts
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
@@ -69,7 +69,7 @@ class LinearFQE(Estimator):
         sums = fit.sums(case, group, groups)
         once = np.ones(groups)
         ridges = [fit.ridge(sums, i, None) for i in range(case.count)]
-        counts = rng.multinomial(groups, np.full(groups, 1 / groups), self.n_bootstrap).astype(float)
+        counts = resample_counts(rng, groups, self.n_bootstrap)
         values, bootstrap, warnings = np.empty(case.count), np.empty((self.n_bootstrap, case.count)), []
         for i in range(case.count):
             critic = fit.critic(sums, once, i, ridges[i])

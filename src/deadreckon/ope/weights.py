@@ -18,7 +18,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.sequences import cumulate
 from deadreckon.randomness import generator
-from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval
+from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval, resample_counts
 
 GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
 FEW = 10.0  # effective sample size, in episodes, below which there is a warning
@@ -114,8 +114,7 @@ class Episodes:
     def counts(self) -> np.ndarray:
         """(n_bootstrap, groups) how often each group counts."""
         # The same for every policy: what they share falls out of differences between them.
-        rng = generator(self.seed, "redrawn groups")
-        return rng.multinomial(self.groups, np.full(self.groups, 1 / self.groups), RESAMPLES).astype(float)
+        return resample_counts(generator(self.seed, "redrawn groups"), self.groups, RESAMPLES)
 
     def means(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Mean of `x` (episodes,), its (groups,) influence function, and its (n_bootstrap,) bootstrap means."""

@@ -7,6 +7,21 @@ from deadreckon.stats.interval import ALPHA
 
 RESAMPLES = 1000
 TAIL = 10  # bootstrap samples beyond a percentile that it takes to know it
+_AT_ONCE = 2**16  # draws, which stay in the processor's cache
+
+
+def resample_counts(rng: np.random.Generator, units: int, resamples: int) -> np.ndarray:
+    """(resamples, units) how often each unit is in a sample of as many, drawn with replacement.
+
+    The multinomial of equal chances, from the units drawn rather than one binomial for each: ten times as fast.
+    """
+    counts = np.empty((resamples, units))
+    rows = max(1, _AT_ONCE // units)
+    for first in range(0, resamples, rows):
+        part = counts[first : first + rows]
+        drawn = rng.integers(units, size=part.shape, dtype=np.int32) + units * np.arange(len(part))[:, None]
+        part[:] = np.bincount(drawn.ravel(), minlength=part.size).reshape(part.shape)
+    return counts
 
 
 def percentile_interval(draws: np.ndarray, ess: float, alpha: float = ALPHA) -> tuple[float, float]:

@@ -4,6 +4,7 @@ import numpy as np
 from scipy import special
 
 from deadreckon.randomness import generator
+from deadreckon.stats.bootstrap import resample_counts
 from deadreckon.stats.interval import ALPHA
 
 N_BOOTSTRAP = 2000  # of the units, for the simultaneous interval
@@ -39,7 +40,7 @@ def studentised(influence: np.ndarray, seed: int = 0, n_bootstrap: int = N_BOOTS
     with np.errstate(divide="ignore", invalid="ignore"):
         psi = (influence - influence.mean(0)) / influence.std(0)
     # The same for all that is compared with one seed.
-    counts = generator(seed, "resamples").multinomial(n, np.full(n, 1 / n), n_bootstrap).astype(np.float64)
+    counts = resample_counts(generator(seed, "resamples"), n, n_bootstrap)
     mean = counts @ psi / n
     variance = np.maximum(counts @ np.square(psi) / n - np.square(mean), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):

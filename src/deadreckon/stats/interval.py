@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
-REVISION = 2  # of how intervals are made, in all of `stats`; raised where their ends change (see bench/identity.py)
+REVISION = 3  # of how intervals are made, in all of `stats`; raised where their ends change (see bench/identity.py)
 ALPHA = 0.05  # share of cases in which an interval misses
 LEVEL = 1.0 - ALPHA
 NORMAL = NormalDist().inv_cdf(1.0 - ALPHA / 2)  # half of a normal's interval at `LEVEL`, in standard deviations

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadreckon.errors import UserError
+from deadreckon.stats.bootstrap import resample_counts
 from deadreckon.stats.by_task import Scores, by_task, check_level, numbers, pairs_of
 from deadreckon.stats.interval import LEVEL, Interval
 
@@ -46,11 +47,6 @@ def _limits(values: np.ndarray, level: float) -> tuple[Any, Any]:
     """Percentiles over (resamples, ...)."""
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2], axis=0)
     return low, high
-
-
-def _counts(rng: np.random.Generator, runs: int, resamples: int) -> np.ndarray:
-    """(resamples, runs) how often each run is in a redrawn set."""
-    return rng.multinomial(runs, np.full(runs, 1 / runs), resamples).astype(np.float64)
 
 
 def iqm(scores: Scores) -> Any:
@@ -138,7 +134,8 @@ def probability_of_improvement(
     for _, x, y in pairs:
         wins = (x[:, None] > y) + (x[:, None] == y) / 2
         total += float(wins.mean())
-        redrawn += ((_counts(rng, len(x), resamples) @ wins) * _counts(rng, len(y), resamples)).sum(-1) / wins.size
+        of_x, of_y = (resample_counts(rng, len(each), resamples) for each in (x, y))
+        redrawn += ((of_x @ wins) * of_y).sum(-1) / wins.size
     value = total / len(pairs)
     if min(min(len(x), len(y)) for _, x, y in pairs) < 2:
         return Interval(value, math.nan, math.nan)
@@ -170,7 +167,7 @@ def performance_profile(
     for x in tasks:
         above = (x[:, None] > cuts).astype(np.float64)
         share += above.mean(0)
-        redrawn += _counts(rng, len(x), resamples) @ above / len(x)
+        redrawn += resample_counts(rng, len(x), resamples) @ above / len(x)
     share, redrawn = share / len(tasks), redrawn / len(tasks)
     if min(map(len, tasks)) < 2:
         return Profile(cuts, share, np.full(cuts.size, np.nan), np.full(cuts.size, np.nan))
