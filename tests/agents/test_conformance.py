@@ -218,7 +218,7 @@ LEARNERS = {
     "edac": (0.25, {"temperature": 0.01, "critics": 4}),
     "algae_dice": (0.25, {"temperature": 0.01}),
     "awr": (0.45, {"temperature": 0.15, "max_weight": 100.0, "td_lambda": 0.5}),
-    "rem": (0.25, {"temperature": 0.01}),
+    "rem": (0.25, {}),
     "kl_control": (0.25, {"target_kl": 3.0, "temperature": 0.05, "behavior_steps": 500}),
     "dqfd": (0.25, {"margin": 0.02, "margin_weight": 0.02}),
     "fql": (0.35, {"alpha": 0.1}),

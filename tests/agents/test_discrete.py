@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import log_softmax, logsumexp, softmax
 
-from deadreckon.agents import AGENTS, BC, BCQ, CQL, IQL, REM, agent_class
+from deadreckon.agents import AGENTS, BC, BCQ, CQL, IQL, agent_class
+from deadreckon.agents.rem import simplex
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
@@ -18,6 +19,7 @@ from deadreckon.policies.candidates import ThresholdedPolicy, probable_enough
 from deadreckon.policies.deployed import first_actions
 from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.portable import load as load_portable
+from deadreckon.randomness import key_for
 from deadreckon.training.fit import Fit, fit
 from tests.agents.test_bear import lane
 from tests.agents.worlds import corridor
@@ -109,12 +111,19 @@ def test_cql_rho_weighs_the_policys_choices_by_their_worth(batch):
     np.testing.assert_allclose(metrics["gap"], gap.mean(), atol=1e-5)
 
 
-def test_rem_has_a_target_of_every_critic(batch):
-    agent, state = started("rem", discount=0.9, temperature=0.3, critics=3)
-    log_prob = log_softmax(numpy_mlp(state.actor.net, np.asarray(batch.next_observation)), -1)
-    q = values(state.target_critics, batch.next_observation)
-    expected = np.stack([future(batch, (np.exp(log_prob) * (one - 0.3 * log_prob)).sum(-1)) for one in q])
-    np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
+def test_rem_is_q_learning_on_mixtures_of_heads(batch):
+    agent, state = started("rem", discount=0.9, heads=4)
+    weight = np.asarray(simplex(key_for(KEY, "weights"), 4))
+    heads = lambda critic, seen: numpy_mlp(critic, np.asarray(seen)).reshape(6, 4, 3)  # noqa: E731
+    mixed = np.einsum("k,bkn->bn", weight, heads(state.target_critics, batch.next_observation))
+    weights, target = agent.target(state, batch, KEY)
+    np.testing.assert_allclose(target, future(batch, mixed.max(-1)), atol=1e-5)
+    now = heads(state.critics, batch.observation)[np.arange(6), :, np.asarray(batch.action)]
+    loss, _ = agent.critic_loss(state.critics, state, batch, (weights, target), KEY)
+    np.testing.assert_allclose(loss, np.square(now @ weight - target).mean(), rtol=1e-4)
+    np.testing.assert_allclose(agent.q_value(state, batch.observation, batch.action), now.mean(1), atol=1e-5)
+    policy, best = agent.policy(state), heads(state.critics, batch.observation).mean(1).argmax(-1)
+    np.testing.assert_array_equal(policy.probs(batch.observation), np.eye(3)[best])
 
 
 def test_bcq_takes_the_best_of_what_is_likely_enough(batch):
@@ -141,8 +150,7 @@ def test_what_is_not_for_choices_says_so():
 
 
 def test_entropy_of_choices_is_a_tenth_of_the_most():
-    for kind in (CQL, REM):
-        np.testing.assert_allclose(kind().resolve(LOG.spec, 10).target_entropy, 0.1 * np.log(3))
+    np.testing.assert_allclose(CQL().resolve(LOG.spec, 10).target_entropy, 0.1 * np.log(3))
     assert BCQ.supports_discrete
     assert IQL.supports_discrete
 

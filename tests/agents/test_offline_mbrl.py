@@ -168,7 +168,7 @@ def test_targets_without_the_entropy_bonus():
 
 
 def test_morel_ends_rollouts_that_the_model_does_not_know():
-    agent, rows, state = prepared(MOReL, trusted_quantile=0.9, penalty=4.0)
+    agent, rows, state = prepared(MOReL, threshold=1.0, penalty=4.0)
     usual = rows.take(np.arange(rows.count))
     far = usual["observation"][:16] + 50.0 * (np.arange(16) % 2)[:, None].astype(np.float32)
     make = lambda seen: Branch(jnp.asarray(seen), jnp.asarray(usual["action"][:16]), jnp.ones(16), jnp.asarray(seen),  # noqa: E731
@@ -176,11 +176,20 @@ def test_morel_ends_rollouts_that_the_model_does_not_know():
     first, second = agent.penalised(state.model.ensemble, [make(far), make(usual["observation"][:16])], rows)
     lost = np.asarray(first.terminal)
     assert lost[1::2].all()
-    assert lost[::2].sum() <= 4
+    assert not lost[::2].any()  # rows of the log
+    wide = agent.replace(threshold=1e6).penalised(state.model.ensemble, [make(far)], rows)[0]
+    assert not wide.terminal.any()
     np.testing.assert_allclose(np.asarray(first.reward)[lost], LOG.rewards.min() - 4.0, rtol=1e-5)
     np.testing.assert_allclose(np.asarray(first.reward)[~lost], 1.0)
     assert first.running.all()
     np.testing.assert_array_equal(second.running, ~lost)
+
+
+@pytest.mark.parametrize("log_prob", [-20.0, 20.0])
+def test_mobiles_temperature_is_one_at_most(log_prob):
+    agent, _, state = prepared(MOBILE, temperature_lr=0.1)
+    after = agent.update_temperature(state, jnp.asarray(log_prob)).log_temperature
+    np.testing.assert_allclose(after, 0.0 if log_prob > 0 else -0.1, atol=1e-5)
 
 
 @pytest.mark.parametrize(("fields", "words"), [

@@ -204,19 +204,24 @@ def test_dqfd_asks_for_nothing_where_the_margin_is_kept(batch):
 
 
 def test_rem_asks_one_random_mixture_to_agree_with_its_own_target(batch):
-    agent, state = made(REM(critics=3, discount=0.9, temperature=0.2, **SMALL))
-    noise = np.asarray(jax.random.normal(KEY, (6, 1)))
-    mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
-    pre = mean + np.exp(log_std) * noise
-    after = [q(state.target_critics, j, batch.next_observation, np.tanh(pre)) for j in range(3)]
-    targets = np.stack([future(batch, each - 0.2 * log_prob(mean, log_std, pre)) for each in after])
-    np.testing.assert_allclose(agent.target(state, batch, KEY), targets, atol=1e-4)
-    weight = np.asarray(jax.random.uniform(KEY, (3,)))
-    weight = weight / weight.sum()
-    now = np.stack([q(state.critics, j, batch.observation, batch.action) for j in range(3)])
-    loss, _ = agent.critic_loss(state.critics, state, batch, jnp.asarray(targets), KEY)
-    np.testing.assert_allclose(loss, np.square(weight @ now - weight @ targets).mean(), rtol=1e-3)
-    np.testing.assert_allclose(agent.q_value(state, batch.observation, batch.action), now.mean(0), atol=1e-5)
+    agent, state = made(REM(heads=3, discount=0.9, policy_noise=0.0, **SMALL))
+    weight = np.asarray(simplex(key_for(KEY, "weights"), 3))
+
+    def heads(critic, observation, action):
+        return numpy_mlp(critic, np.concatenate([observation, action], -1))
+
+    action = np.tanh(numpy_mlp(state.target_actor, batch.next_observation))
+    expected = future(batch, heads(state.target_critics, batch.next_observation, action) @ weight)
+    weights, target = agent.target(state, batch, KEY)
+    np.testing.assert_allclose(weights, weight)
+    np.testing.assert_allclose(target, expected, atol=1e-5)
+    now = heads(state.critics, batch.observation, batch.action)
+    loss, _ = agent.critic_loss(state.critics, state, batch, (weights, target), KEY)
+    np.testing.assert_allclose(loss, np.square(now @ weight - expected).mean(), rtol=1e-3)
+    np.testing.assert_allclose(agent.q_value(state, batch.observation, batch.action), now.mean(1), atol=1e-5)
+    own = np.tanh(numpy_mlp(state.actor, batch.observation))
+    loss = agent.actor_loss(state.actor, state, batch)
+    np.testing.assert_allclose(loss, -heads(state.critics, batch.observation, own).mean(), atol=1e-5)
 
 
 def test_rem_mixes_on_the_simplex():

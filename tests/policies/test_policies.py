@@ -128,7 +128,7 @@ def with_old_names(node):
 def test_files_with_old_names_are_read(kind, tmp_path):
     net = MLP.create(3, (8,), 2, KEY)
     inner = {
-        "thresholded": ThresholdedPolicy(Categorical(net), net, jnp.asarray(0.3)),
+        "thresholded": ThresholdedPolicy(net, Categorical(net), jnp.asarray(0.3)),
         "planner": Planner(net, jnp.zeros((2, 2)), jnp.zeros(3), jnp.ones(3), 1, "learned", 3, 4, 2, 1, 2, 0.1),
             }.get(kind)
     policy = Mixture.of([make("perturbed"), make("gaussian")]) if kind == "mixture" else (

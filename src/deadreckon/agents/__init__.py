@@ -80,7 +80,7 @@ AGENTS = {
     "brac": ("brac", "BRAC", "an actor-critic that pays for being away from the log's policy (Wu et al. 2019; thesis 7.4)"),
     "awr": ("awr", "AWR", "imitation weighted by recorded returns beyond the value (Peng et al. 2019; thesis 7.4)"),
     "algae_dice": ("algae_dice", "AlgaeDICE", "policy gradients by the dual of the value (Nachum et al. 2019; thesis 7.4)"),
-    "rem": ("rem", "REM", "SAC on random mixtures of critics (Agarwal et al. 2020; thesis 7.4)"),
+    "rem": ("rem", "REM", "TD3 on random mixtures of many heads (Agarwal et al. 2020; thesis 7.4)"),
     "kl_control": ("kl_control", "KLControl", "SAC that pays for its divergence from the log (Jaques et al. 2019; thesis 4.4)"),
     "dqfd": ("dqfd", "DQfD", "TD3 with logged actions above all others by a margin (Hester et al. 2018; thesis 4.4)"),
     "fql": ("fql", "FQL", "a one-step actor held to a flow model of the log (Park et al. 2025)"),

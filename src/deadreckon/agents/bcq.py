@@ -126,7 +126,7 @@ class BCQ(Agent):
         """The best by the first critic of perturbed actions of the VAE, or of discrete ones that are probable enough."""
         first = jax.tree.map(lambda w: w[0], state.critics)
         if isinstance(state.behavior, Categorical):
-            return ThresholdedPolicy(state.behavior, first, jnp.asarray(self.threshold))
+            return ThresholdedPolicy(first, state.behavior, jnp.asarray(self.threshold))
         actor = PerturbedPolicy(state.behavior, state.mover, jnp.asarray(self.max_perturbation))
         return GreedyQ.of(actor, first, self.test_samples)
 

@@ -4,7 +4,7 @@
     u(s, a) = std over networks i of  mean over s'_i ~ p_i(s, a) of  min_j Q'_j(s'_i, a'_i),   a'_i ~ pi(s'_i)
 
 which is the inconsistency of the Bellman backup under the model. Logged rows are not penalised. As in the public code the
-targets hold no entropy bonus and are cut below, at `min_target`.
+targets hold no entropy bonus and are cut below, at `min_target`, and the temperature never exceeds 1.
 """
 
 from typing import ClassVar
@@ -27,7 +27,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Number, stat
 class MOBILE(OfflineMBRL):
     """SAC on rollouts whose values are penalised by the model's Bellman inconsistency."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"floor": "min_target", "penalty_coef": "penalty", "draws": "samples"}
 
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
@@ -62,6 +62,11 @@ class MOBILE(OfflineMBRL):
         action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(following)), k_policy))
         value = minimum(q_values(state.target_critics, following, action))
         return value.reshape(self.samples, self.elites, -1).mean(0).std(0, ddof=1)
+
+    def update_temperature(self, state, log_prob):
+        """SAC's, with a temperature of 1 at most."""
+        state = super().update_temperature(state, log_prob)
+        return state._replace(log_temperature=jnp.minimum(state.log_temperature, 0.0))
 
     def target(self, state, batch, key):
         """SAC's, cut at the floor."""

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.dynamics import Ensemble, Gaussian
-from deadreckon.training.hyperparameters import NonNegative, UnitInterval
+from deadreckon.training.hyperparameters import NonNegative, Positive
 
 _ROWS = 10_000  # of the log, from which the threshold is taken
 
@@ -24,10 +24,9 @@ _ROWS = 10_000  # of the log, from which the threshold is taken
 class MOReL(OfflineMBRL):
     """SAC in a world that ends where the model does not know it."""
 
-    revision: ClassVar[int] = 1
-    other_names: ClassVar[dict[str, str]] = {"familiar": "trusted_quantile"}
+    revision: ClassVar[int] = 2
 
-    trusted_quantile: UnitInterval = 0.99  # quantile of the disagreement on logged transitions that is the threshold
+    threshold: Positive = 3.0  # disagreement beyond which rollouts end, in multiples of the largest on logged transitions
     penalty: NonNegative = 30.0  # distance of the reward of unknown states below the smallest logged reward
 
     def penalised(self, ensemble, found, rows):
@@ -36,7 +35,7 @@ class MOReL(OfflineMBRL):
         change = known["next_observation"] - known["observation"]
         scale = jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)
         usual = disagreement(self.model, ensemble, scale, *(jnp.asarray(known[name]) for name in ("observation", "action")))
-        limit = jnp.quantile(usual, self.trusted_quantile)
+        limit = self.threshold * usual.max()
         least = float(rows.log.spec.reward.min) - self.penalty
         trusted, kept = jnp.ones(len(found[0].reward), bool), []
         for branch in found:

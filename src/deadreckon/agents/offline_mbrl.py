@@ -47,8 +47,8 @@ class OfflineMBRL(ModelBasedAgent, SAC):
     rollout_length: Count = static(5)  # steps of a model rollout
     rollout_batch_size: Count = static(50_000)  # rollouts per round
     retain_rounds: Count = static(5)  # rounds whose rollouts are kept
-    real_batch_size: CountOrZero = static(13)
-    """logged transitions in a batch (13 of 256 are 5 %); the others come from the model"""
+    real_batch_size: CountOrZero = static(12)
+    """logged transitions in a batch (12 of 256 are 5 %, as in OfflineRL-Kit); the others come from the model"""
     model_rows: Count | None = static(None)  # transitions drawn from the log to fit the model; None: all
 
     def resolve(self, spec, steps):

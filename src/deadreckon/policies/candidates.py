@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from deadreckon.data.normalizer import EDGE
-from deadreckon.data.step import Step
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.vae import VAE
 from deadreckon.policies.kinds import Categorical, Sampler
@@ -86,30 +85,43 @@ class OneStep(Sampler):
         return jnp.arctanh(jnp.clip(self.decode(observation, noise), -EDGE, EDGE))
 
 
-class ThresholdedPolicy(NormalizedPolicy):
+class GreedyActions(NormalizedPolicy):
+    """The best of all discrete actions by a critic (Q-learning).
+
+    Attributes:
+        critic: to a value per action.
+    """
+
+    critic: MLP
+
+    def values(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """What every action is compared by."""
+        return self.critic(observation)
+
+    def act(self, step, carry, key, *, greedy):
+        """See `NormalizedPolicy`; nothing is drawn."""
+        return self.values(step.observation).argmax(-1).astype(jnp.int32), carry
+
+    def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
+        """The probability of every action: all of it on one."""
+        values = self.values(observation)
+        return jax.nn.one_hot(values.argmax(-1), values.shape[-1])
+
+
+class ThresholdedPolicy(GreedyActions):
     """Of the discrete actions that a model of the log finds likely enough, the best by a critic (discrete BCQ).
 
     Attributes:
         behavior: the model.
-        critic: to a value per action.
         threshold: smallest probability of an action, relative to the most probable one's.
     """
 
     behavior: Categorical
-    critic: MLP
     threshold: Array
 
-    def act(self, step, carry, key, *, greedy):
-        """See `NormalizedPolicy`; nothing is drawn."""
-        allowed = probable_enough(self.behavior, self.threshold, step.observation)
-        values = jnp.where(allowed, self.critic(step.observation), -jnp.inf)
-        return values.argmax(-1).astype(jnp.int32), carry
-
-    def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
-        """The probability of every action: all of it on one."""
-        step = Step(observation, None, None)
-        chosen, _ = self.act(step, (), jax.random.key(0), greedy=True)
-        return jax.nn.one_hot(chosen, self.critic.biases[-1].shape[-1])
+    def values(self, observation):
+        """See `GreedyActions`; minus infinity for those that are not likely enough."""
+        return jnp.where(probable_enough(self.behavior, self.threshold, observation), self.critic(observation), -jnp.inf)
 
 
 def probable_enough(behavior: Categorical, threshold: Any, observation: Float[Array, "n o"]) -> Bool[Array, "n c"]:

@@ -12,7 +12,7 @@ from jaxtyping import Array, PRNGKeyArray
 from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.candidates import ThresholdedPolicy
+from deadreckon.policies.candidates import GreedyActions
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.randomness import keys
@@ -85,7 +85,7 @@ class EnvPolicy(eqx.Module):
             if len(told) < len(found):
                 return None
             return lambda observations: np.mean([tells(observations) for tells in told], 0)
-        if not isinstance(self.inner, Categorical | ThresholdedPolicy):
+        if not isinstance(self.inner, Categorical | GreedyActions):
             return None
         return lambda observations: np.asarray(_probs(self, jnp.asarray(observations)))
 
@@ -140,5 +140,5 @@ def first_actions(policy: EnvPolicy, observations: Array, key: PRNGKeyArray, gre
 
 @eqx.filter_jit
 def _probs(policy: EnvPolicy, observations: Array) -> Array:
-    assert isinstance(policy.inner, Categorical | ThresholdedPolicy)
+    assert isinstance(policy.inner, Categorical | GreedyActions)
     return policy.inner.probs(policy.view.observe(observations))

@@ -123,7 +123,7 @@ class NumpyPolicy:
         get = self._array
         if self.tree["mean"] is not None:
             batch = (batch - get(self.tree["mean"])) / get(self.tree["std"])
-        if self.tree["inner"]["kind"] in ("Categorical", "ThresholdedPolicy"):
+        if self.tree["inner"]["kind"] in ("Categorical", "GreedyActions", "ThresholdedPolicy"):
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy)
@@ -170,6 +170,8 @@ class NumpyPolicy:
             likely = self._net(node["behavior"]["net"], x)
             enough = likely >= likely.max(-1, keepdims=True) + np.log(self._array(node["threshold"]))
             scores = np.where(enough, self._net(node["critic"], x), -np.inf)
+        elif node["kind"] == "GreedyActions":
+            scores = self._net(node["critic"], x)
         else:
             scores = self._net(node["net"], x)
             scores = scores if greedy else scores + rng.gumbel(size=scores.shape)
