@@ -15,13 +15,20 @@ from tests.ope.test_case import lqr
 SMALL = ["--steps", "200", "--members", "2", "--hidden", "8"]
 
 
-@pytest.fixture
-def made(tmp_path):
+@pytest.fixture(scope="module")
+def once(tmp_path_factory):
     """A log and a run of two policies."""
+    folder = tmp_path_factory.mktemp("made")
     log = lqr(-0.5, 0.5, 40, 20)
-    write_hdf5(log, tmp_path / "log.hdf5")
-    train(BC(hidden=(8,)), log, steps=50, seeds=2, out=tmp_path / "bc")
-    return tmp_path
+    write_hdf5(log, folder / "log.hdf5")
+    train(BC(hidden=(8,)), log, steps=50, seeds=2, out=folder / "bc")
+    return folder
+
+
+@pytest.fixture
+def made(once, tmp_path):
+    """The same in a folder of the test's own."""
+    return shutil.copytree(once, tmp_path, dirs_exist_ok=True)
 
 
 def test_from_files_to_a_decision(made, capsys):
