@@ -1,6 +1,6 @@
 """TD3 on a fixed log: the naive baseline of chapter 4 (Fujimoto et al. 2018)."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, UNIFORM, Init, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Deterministic
+from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
 
@@ -62,7 +63,7 @@ class TD3(Agent):
         noise = jnp.clip(self.policy_noise * jax.random.normal(key, batch.action.shape), -self.noise_clip, self.noise_clip)
         return jnp.clip(jnp.tanh(state.target_actor(batch.next_observation)) + noise, -1.0, 1.0)
 
-    def target(self, state, batch, key):
+    def target(self, state, batch, key) -> Any:
         """r + discount min_j Q'_j(s', a') (TD3 eq. 15)."""
         action = self.next_action(state, batch, key)
         return backup(batch, self.discount, minimum(q_values(state.target_critics, batch.next_observation, action)))
@@ -96,7 +97,7 @@ class TD3(Agent):
         state, loss = jax.lax.cond(step % self.policy_freq == 0, improve, lambda s: (s, jnp.zeros(())), state)
         return state, metrics | {"actor_loss": loss}
 
-    def policy(self, state):
+    def policy(self, state) -> NormalizedPolicy:
         """The actor."""
         return Deterministic(state.actor)
 
