@@ -103,21 +103,25 @@ def browse(tmp_path_factory):
 
 
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
-EMITTERS_KNOWN_BY = "0.10."  # versions of jaxlib: one that does not know a flag of XLA ends the process
+FLAGS_KNOWN_BY = "0.10."  # versions of jaxlib: one that does not know a flag of XLA ends the process
+# What compiles faster: no emitters of fused kernels, half of its time; no schedule for many cores; one module of code.
+FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_enable_concurrency_optimized_scheduler=false"
+    " --xla_cpu_copy_insertion_use_region_analysis=false --xla_cpu_parallel_codegen_split_count=1"
+)
 LONGEST = ("tests/test_golden.py", "tests/agents/", "tests/ope/", "tests/mbo/", "tests/runs/", "tests/training/")
 
 
 def pytest_configure(config):
     """Programs of fast tests run for moments: to compile them fully costs more than it saves. Slow ones run as a user's do.
 
-    XLA's emitters of fused kernels alone are half of the time that compiling takes. Garbage is collected after each file:
-    to look through all traced programs again and again takes a tenth.
+    Garbage is collected after each file: to look through all traced programs again and again takes a tenth of the time.
     """
     gc.disable()
     if config.option.markexpr == "not slow":
         os.environ.setdefault(QUICK, "1")  # commands that tests start inherit both
-        if metadata.version("jaxlib").startswith(EMITTERS_KNOWN_BY):
-            os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+        if metadata.version("jaxlib").startswith(FLAGS_KNOWN_BY):
+            os.environ.setdefault("XLA_FLAGS", FLAGS)
 
 
 def pytest_collection_modifyitems(items):
