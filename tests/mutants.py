@@ -549,6 +549,22 @@ MUTANTS = (
         ("runs/test_recommend.py::test_policies_learn_from_one_part_and_are_judged_by_the_other",),
     ),
     Mutant(
+        "resamples-in-one-heap", "stats/bootstrap.py", "units * np.arange(len(part))", "0 * np.arange(len(part))",
+        "all resamples are counted as one", ("stats/test_bootstrap.py",),
+    ),
+    Mutant(
+        "brac-warm-start", "agents/brac.py", "jnp.where(step < self.warm_start, 0.0, q)", "q",
+        "the actor follows critics that know nothing yet", ("agents/test_offline.py",),
+    ),
+    Mutant(
+        "rem-two-mixtures", "agents/rem.py", "weights, value = target\n", "weights, value = target[0] ** 2, target[1]\n",
+        "the mixture is not that of its target", ("agents/test_rivals.py",),
+    ),
+    Mutant(
+        "mobile-temperature", "agents/mobile.py", "jnp.minimum(state.log_temperature, 0.0)", "state.log_temperature",
+        "the temperature has no bound", ("agents/test_offline_mbrl.py",),
+    ),
+    Mutant(
         "jackknife-share", "stats/bootstrap.py", "* (1.0 - left_out) / np.sqrt(left_out", "/ np.sqrt(left_out",
         "the jackknife forgets how little each part leaves out", ("stats/test_means.py",),
     ),
