@@ -59,11 +59,11 @@ class BEAR(Agent):
     min_weight: UnitInterval = 0.75  # weight of the smallest critic in the targets (lambda); the rest is of the largest
     target_samples: Count = static(10)  # actions sampled from the target actor (p), of which the best value is the target
     actor_value: Literal["min", "mean"] = static("min")  # minimum or mean over the critics; mean suits Walker2d (A.4)
-    actor_samples: Count = static(1)  # actions per state that estimate the value in the actor loss (official code: 1)
+    actor_samples: Count = static(1)  # actions per state that estimate the value in the actor loss (D4RL version: 1)
     behavior: models.Kind = static("gaussian")  # model of the log: "gaussian" (tanh-Gaussian, A.4) or "vae" (official code)
     behavior_hidden: Sizes | None = static(None)  # width of its hidden layers; None: hidden, for a VAE 750,750
     constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # distance to the log; KL forms need the gaussian model
-    threshold: float | None = None  # threshold epsilon; None: 0.05 (thesis), for cross_entropy -2 (official code)
+    threshold: float | None = None  # threshold epsilon; None: 0.05 (thesis), for cross_entropy -2
     mmd_actions: Literal["before_tanh", "after_tanh"] = static("before_tanh")  # actions compared; before works better (A.4)
     mmd_reference: Literal["model", "logged"] = static("model")  # reference actions; those of the model work better (A.4)
     kernel: Kernel = static("laplacian")  # kernel of the MMD: "laplacian" works in all cases, "gaussian" on expert data (A.4)
