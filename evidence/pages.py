@@ -8,10 +8,13 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     table SUITE          the suite's tables, as `deadreckon bench show evidence/SUITE --format markdown` prints them
     curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
+    constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier, with a picture
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
 """
 
+import json
+import math
 import re
 import sys
 import tempfile
@@ -38,7 +41,7 @@ from deadreckon.stats.scores import interval, iqm, performance_profile, probabil
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-BLOCK = re.compile(r"(<!-- (table|curves|ranking|claims|pending)(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
+BLOCK = re.compile(r"(<!-- (table|curves|ranking|constraint|claims|pending)(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
 
 
 @cache
@@ -110,6 +113,42 @@ def ranking(name: str, files: dict[str, bytes]) -> str:
     return "\n".join([*rows, "", text, "", f"![Share of runs that score above a threshold]({picture})", ""])
 
 
+def constraint(name: str, files: dict[str, bytes]) -> str:
+    """Whether BEAR's constraint is met at the end of runs, and what they score."""
+    suite, store = _suite(name)
+    results = {row["cell"]: row for row in store.results().to_pylist()}
+    names = [method.name for method in suite.methods]
+    rows = [f"| variant on {', '.join(suite.on)} | seeds | score | MMD | multiplier |", "|---|---:|---:|---:|---:|"]
+    by_mmd, by_multiplier = [], []
+    for slot, method in enumerate(names):
+        cells = [cell for job in plan(suite) if job.method == method for cell in job.cells]
+        found = [(results[cell]["score"], json.loads(results[cell]["more"])) for cell in cells if cell in results]
+        if not found:
+            continue
+        columns = [score for score, _ in found], *([more[key] for _, more in found] for key in ("mmd", "multiplier"))
+        shown = (
+            f"{np.mean(x):,.{digits}f} ({min(x):,.{digits}f} to {max(x):,.{digits}f})" for x, digits in zip(columns, (1, 3, 0))
+        )
+        rows.append(f"| {method} | {len(found)} | {' | '.join(shown)} |")
+        for value, more in found:
+            rest = 0.0, value, math.nan, math.nan
+            by_mmd.append((method, slot, more["mmd"], *rest))
+            by_multiplier.append((method, slot, math.log10(more["multiplier"]), *rest))
+    if not by_mmd:
+        return "No result yet.\n"
+    charted = {
+        "Score against the MMD at the end": charts.scatter(by_mmd, "MMD", "normalised score", diagonal=False),
+        "Score against the multiplier at the end": charts.scatter(
+            by_multiplier, "logarithm to base 10 of the multiplier", "normalised score", diagonal=False
+        ),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        files[picture := f"{suite.name}.svg"] = sheet(Path(folder) / "constraint.svg", charted, names).read_bytes()
+    text = "Mean (lowest to highest) over seeds, at the last update."
+    image = f"![Score of each run against its MMD and against its multiplier]({picture})"
+    return "\n".join([*rows, "", text, "", image, ""])
+
+
 def _reads(verdict: Verdict) -> str:
     if not verdict.comparisons:
         return "open: its cells are not declared yet"
@@ -169,7 +208,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
-    "table": table, "curves": curves, "ranking": ranking, "claims": claimed, "pending": pending,
+    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed, "pending": pending,
 }  # fmt: skip
 
 

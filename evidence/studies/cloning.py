@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import deadreckon as dr
-from deadreckon.agents import AWAC, BC, CRR, IQL, XQL
+from deadreckon.agents import AWAC, AWR, BC, CRR, IQL, XQL, KLControl
 from deadreckon.collect.recipes import collect
 from deadreckon.data.batch import TransitionSource
 from deadreckon.policies import EnvPolicy
@@ -20,15 +20,17 @@ from deadreckon.training.fit import fit
 ROWS, UPDATES = 200_000, 5_000
 ALIKE: dict[str, Any] = {
     "IQL": IQL(beta=0.0, actor_decay_steps=0.0), "XQL": XQL(beta=0.0, actor_decay_steps=0.0), "AWAC": AWAC(temperature=1e9),
-    "CRR": CRR(filter="exp", temperature=1e9),
+    "CRR": CRR(filter="exp", temperature=1e9), "AWR": AWR(temperature=1e9),
+    "KL-control": KLControl(behavior_steps=UPDATES),  # whose actor begins as its model of the log
 }  # fmt: skip
 
 
 def error(agent: Any, train: Any, test: Any, seed: int = 0) -> float:
     """Of the greedy action on held-out rows."""
+    updates = 1 if isinstance(agent, KLControl) else UPDATES
     agent = agent.resolve(train.spec, UPDATES)
     rows = TransitionSource(train, agent.needs(train.spec))
-    result = fit([agent], rows, [seed], UPDATES)
+    result = fit([agent], rows, [seed], updates)
     policy = EnvPolicy.of(agent.policy(result.lane(0)), rows.view)
     return float(np.sqrt(np.square(policy(np.asarray(test.observations)) - np.asarray(test.actions)).mean()))
 
