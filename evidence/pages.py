@@ -133,7 +133,7 @@ def constraint(name: str, files: dict[str, bytes]) -> str:
         for value, more in found:
             rest = 0.0, value, math.nan, math.nan
             by_mmd.append((method, slot, more["mmd"], *rest))
-            by_multiplier.append((method, slot, math.log10(more["multiplier"]), *rest))
+            by_multiplier.append((method, slot, math.log10(max(more["multiplier"], 1e-30)), *rest))
     if not by_mmd:
         return "No result yet.\n"
     charted = {

@@ -104,7 +104,8 @@ def browse(tmp_path_factory):
 
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
 FLAGS_KNOWN_BY = "0.10."  # versions of jaxlib: one that does not know a flag of XLA ends the process
-# What compiles faster: no emitters of fused kernels, half of its time; no schedule for many cores; one module of code.
+# What compiles faster: no emitters of fused kernels, half of its time; no schedule for many cores; copies inserted without a
+# search for those that could be spared; one module of code.
 FLAGS = (
     "--xla_cpu_use_fusion_emitters=false --xla_cpu_enable_concurrency_optimized_scheduler=false"
     " --xla_cpu_copy_insertion_use_region_analysis=false --xla_cpu_parallel_codegen_split_count=1"

@@ -124,6 +124,11 @@ def test_brac_pays_in_the_actor_and_where_it_is_asked_in_targets(batch, value_pe
     np.testing.assert_allclose(loss, 0.6 * mean, rtol=1e-6)
 
 
+def test_bracs_warm_start_is_a_part_of_the_run():
+    assert [BRAC().resolve(SPEC, steps).warm_start for steps in (1_000, 1_000_000)] == [200, 20_000]
+    assert BRAC(warm_start=7).resolve(SPEC, 1_000).warm_start == 7
+
+
 def test_brac_with_the_mmd_sees_how_far_two_policies_are_apart(batch):
     agent, state = made(BRAC(divergence="mmd", samples=200, bandwidth=1.0, **SMALL))
     d = dist.gaussian_head(state.behavior(batch.observation))

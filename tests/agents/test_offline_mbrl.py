@@ -168,7 +168,7 @@ def test_targets_without_the_entropy_bonus():
 
 
 def test_morel_ends_rollouts_that_the_model_does_not_know():
-    agent, rows, state = prepared(MOReL, threshold=1.0, penalty=4.0)
+    agent, rows, state = prepared(MOReL, threshold=1.01, penalty=4.0)
     usual = rows.take(np.arange(rows.count))
     far = usual["observation"][:16] + 50.0 * (np.arange(16) % 2)[:, None].astype(np.float32)
     make = lambda seen: Branch(jnp.asarray(seen), jnp.asarray(usual["action"][:16]), jnp.ones(16), jnp.asarray(seen),  # noqa: E731

@@ -46,20 +46,21 @@ def logs():
 
 
 FAST = "wpdis, bootstrap", "dr, t"  # one of each method and of each kind of interval
-LOGS = 200
+LOGS, FEWER = 400, 200
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in COVERED])
 def test_coverage(logs, name):
     makers, exact = logs
+    makers, least, most = (makers[:FEWER], 0.91, 0.985) if name in FAST else (makers, 0.92, 0.98)
     inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]
-    assert 0.91 <= np.mean(inside) <= 0.985, np.mean(inside)  # 2.5 deviations of so many logs
+    assert least <= np.mean(inside) <= most, np.mean(inside)
 
 
 @pytest.mark.parametrize("normalised", [True, False])
 def test_coverage_of_whole_episodes(logs, normalised):
     """Their weights spread further: intervals are a little short, as the documentation says."""
-    makers, exact = logs
+    makers, exact = logs[0][:FEWER], logs[1]
     estimator = ImportanceSampling(kind="trajectory", normalised=normalised)
     inside = [found.low[0] <= exact <= found.high[0] for found in (estimator.on(make()) for make in makers)]
     assert 0.89 <= np.mean(inside) <= 0.96, np.mean(inside)

@@ -26,7 +26,8 @@ class MOReL(OfflineMBRL):
 
     revision: ClassVar[int] = 2
 
-    threshold: Positive = 3.0  # disagreement beyond which rollouts end, in multiples of the largest on logged transitions
+    threshold: Positive = 1.0 / 3.0
+    """disagreement beyond which rollouts end, in multiples of the largest on 10,000 logged transitions"""
     penalty: NonNegative = 30.0  # distance of the reward of unknown states below the smallest logged reward
 
     def penalised(self, ensemble, found, rows):
@@ -39,7 +40,7 @@ class MOReL(OfflineMBRL):
         least = float(rows.log.spec.reward.min) - self.penalty
         trusted, kept = jnp.ones(len(found[0].reward), bool), []
         for branch in found:
-            lost = disagreement(self.model, ensemble, scale, branch.observation, branch.action) > limit
+            lost = ~(disagreement(self.model, ensemble, scale, branch.observation, branch.action) <= limit)  # NaN is lost, too
             reward = jnp.where(lost, least, branch.reward)
             kept.append(branch._replace(reward=reward, terminal=branch.terminal | lost, running=branch.running & trusted))
             trusted = trusted & ~lost

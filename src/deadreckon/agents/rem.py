@@ -1,6 +1,6 @@
 """REM (Agarwal et al. 2020; thesis 7.4): critics with many heads, of which every update fits one random mixture.
 
-With weights w uniform on the simplex, drawn anew for every batch,
+With weights w, uniform numbers divided by their sum, drawn anew for every batch,
 
     L = E[ ( sum_k w_k Q_k(s, a) - r - discount sum_k w_k Q'_k(s', a') )^2 ].
 
@@ -28,7 +28,7 @@ class REM(TD3):
 
     revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = True
-    other_names: ClassVar[dict[str, str]] = {**TD3.other_names, "critics": "heads", "num_heads": "heads"}
+    other_names: ClassVar[dict[str, str]] = {"num_heads": "heads"}
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor
     critic_lr: NonNegative = 1e-3  # learning rate of the critics

@@ -19,9 +19,9 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitI
 class State(NamedTuple):
     """Networks, their targets and optimisers."""
 
-    actor: MLP
-    critics: MLP  # stacked: leading axis 2
-    target_actor: MLP
+    actor: MLP | tuple[()]  # empty where REM has discrete actions
+    critics: MLP  # stacked: leading axis 2; REM's is one network
+    target_actor: MLP | tuple[()]
     target_critics: MLP
     actor_opt: optax.OptState
     critics_opt: optax.OptState
