@@ -13,7 +13,8 @@ _AT_ONCE = 2**16  # draws, which stay in the processor's cache
 def resample_counts(rng: np.random.Generator, units: int, resamples: int) -> np.ndarray:
     """(resamples, units) how often each unit is in a sample of as many, drawn with replacement.
 
-    The multinomial of equal chances, from the units drawn rather than one binomial for each, which is several times as fast for hundreds of units.
+    The multinomial of equal chances, from the units drawn rather than one binomial for each: several times as fast for hundreds
+    of units.
     """
     counts = np.empty((resamples, units))
     rows = max(1, _AT_ONCE // units)
