@@ -21,7 +21,7 @@ ROWS, UPDATES = 200_000, 5_000
 ALIKE: dict[str, Any] = {
     "IQL": IQL(beta=0.0, actor_decay_steps=0.0), "XQL": XQL(beta=0.0, actor_decay_steps=0.0), "AWAC": AWAC(temperature=1e9),
     "CRR": CRR(filter="exp", temperature=1e9), "AWR": AWR(temperature=1e9),
-    "KL-control": KLControl(behavior_steps=UPDATES),  # whose actor begins as its model of the log
+    "KL-control": KLControl(behavior_steps=UPDATES, actor_lr=0.0),  # whose actor begins as its model of the log
 }  # fmt: skip
 
 
