@@ -1,5 +1,7 @@
 """Agents that choose among discrete actions: their losses against numpy, and that they learn, act and are saved."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -124,6 +126,23 @@ def test_rem_is_q_learning_on_mixtures_of_heads(batch):
     np.testing.assert_allclose(agent.q_value(state, batch.observation, batch.action), now.mean(1), atol=1e-5)
     policy, best = agent.policy(state), heads(state.critics, batch.observation).mean(1).argmax(-1)
     np.testing.assert_array_equal(policy.probs(batch.observation), np.eye(3)[best])
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_rems_policy_survives_its_file(batch, layer_norm, tmp_path):
+    """The mean of the heads is one network, which the file and the NumPy player have too."""
+    agent, state = started("rem", heads=4, layer_norm=layer_norm)
+    seen = np.linspace(-2, 2, 101, dtype=np.float32)[:, None]
+    mean = lambda critic: agent.head_values(critic, jnp.asarray(seen), None).mean(1)  # noqa: E731
+    # No action is the best everywhere.
+    level = [*state.critics.biases[:-1], state.critics.biases[-1] - jnp.tile(mean(state.critics).mean(0), 4)]
+    state = state._replace(critics=replace(state.critics, biases=tuple(level)))
+    np.testing.assert_allclose(agent.policy(state).values(jnp.asarray(seen)), mean(state.critics), atol=1e-5)
+    policy = EnvPolicy.of(agent.policy(state), TransitionSource(LOG, agent.needs(LOG.spec)).view)
+    assert len(set(policy(seen))) > 1
+    store.save(tmp_path / "p.npz", policy)
+    np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(seen), policy(seen))
+    np.testing.assert_array_equal(load_portable(tmp_path / "p.npz")(seen), policy(seen))
 
 
 def test_bcq_takes_the_best_of_what_is_likely_enough(batch):

@@ -66,11 +66,11 @@ def test_the_truth_lies_within_as_often_as_promised(name):
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     rng, truth = np.random.default_rng(1), true.value(target, 0.9)
     inside = []
-    for _ in range(40):
+    for _ in range(60):
         case = OPEInput(true.log(behavior, 200, 60, rng), [as_policy(target)], discount=0.9)
         found = with_fields(estimator(name), {"ridge": 1.0}).on(case)
         inside.append(found.low[0] <= truth <= found.high[0])
-    assert np.mean(inside) >= 0.87, np.mean(inside)
+    assert np.mean(inside) >= 0.88, np.mean(inside)
 
 
 def test_critics_of_least_variance_have_less_of_it():

@@ -446,13 +446,13 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
 
 
 def test_pure_noise_is_never_praised():
-    """Policies that memorised the learning part, on 8 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
+    """Policies that memorised the learning part, on 12 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
     deployed = 0
-    for seed in range(8):
+    for seed in range(12):
         log = bandit(np.random.default_rng(seed), rows=500)
         part, _ = log.split(0.8, seed=seed)
         held = np.flatnonzero(~np.isin(log.episode_ids, part.episode_ids))
         case = OPEInput(log, [memory(part), memory(part, 0.6)], discount=0.0, logged=True, held=held, seed=seed, noise=None)
         assert LOGGED in case.names
         deployed += decide(case, [DR], alpha=0.025, model=BehaviorModel(hidden=(4,), steps=50, lr=1e-2)).choice.deploy
-    assert deployed <= 1
+    assert deployed <= 2
