@@ -135,13 +135,13 @@ def test_missing_values_become_the_mean_and_are_marked_and_counted():
              "a": [0, 1, 0, 1], "r": [0] * 4}  # fmt: skip
     log = Dataset.from_frame(table, action="a", reward="r")
     names = log.provenance.extra["observation_names"]
-    assert names == ["x", "x_missing", "k=u", "k=v", "k_missing", "b=false", "b=true", "b_missing"]
+    assert names == ["x", "x_missing", "k=u", "k=v", "k_missing", "b", "b_missing"]
     columns = dict(zip(names, log.observations.T.tolist()))
     assert columns["x"] == [1, 2, 3, 2]
     assert columns["x_missing"] == [0, 1, 0, 1]
     assert columns["k=u"] == [1, 0, 0, 1]
     assert columns["k_missing"] == [0, 1, 0, 0]
-    assert columns["b=true"] == [1, 0, 0, 1]
+    np.testing.assert_allclose(columns["b"], [1, 0, 2 / 3, 1], rtol=1e-6)
     assert "x 2, k 1, b 1" in log.warnings[0]
 
 
@@ -199,7 +199,7 @@ def test_what_is_noticed():
         ({"when": list("abcde")}, {}, "column when holds string, numbers are needed"),
         ({"action_1": [0, None, 0, 0, 0]}, {}, "column action_1 is empty in row 1"),
         ({"x": [1, 2, float("inf"), 4, 5]}, {}, "column x has inf in row 2"),
-        ({"x": [None] * 5}, {}, "column x is empty; leave it out"),
+        ({"x": [None] * 5}, {"observations": "x"}, "column x is empty; leave it out"),
         (
             {"x": [dt.datetime(2026, 1, 1)] * 5},
             {"observations": "x"},
@@ -226,8 +226,10 @@ def test_what_is_no_table(frame):
 
 def test_identifiers_are_not_encoded():
     table = {"id": [f"user {i}" for i in range(2000)], "a": [0] * 2000, "r": [0] * 2000}
-    with pytest.raises(UserError, match="column id has 2000 distinct values, at most 1000 are encoded; leave it out"):
+    with pytest.raises(UserError, match="no column is left .*column id has 2,000 different texts in 2,000 rows"):
         Dataset.from_frame(table, action="a", reward="r")
+    with pytest.raises(UserError, match="column id has 2000 distinct values, at most 1000 are encoded; leave it out"):
+        Dataset.from_frame(table, action="a", reward="r", observations="id")
 
 
 def test_real_bandit_feedback(real_data):
@@ -240,7 +242,7 @@ def test_real_bandit_feedback(real_data):
     assert log.action_space == Discrete(34)
     assert log.dropped == 0
     assert (log.extras["behavior_log_probs"] <= 0).all()
-    with pytest.raises(UserError, match="no column observation or observation_0"):
+    with pytest.raises(UserError, match="no column is the action or the reward by its name"):
         read(real_data / "open_bandit" / "bts_men.csv.gz")
 
 
@@ -268,8 +270,11 @@ def test_real_bandit_feedback_needs_two_names_only(real_data):
     log = read(
         real_data / "open_bandit" / "random_men.csv.gz", action="item_id", reward="click", ignore=("user-item_affinity",)
     )
-    assert {"position", "propensity_score"} < set(log.provenance.extra["observation_names"])
-    assert len(log.warnings) == 2
+    assert "position" in log.provenance.extra["observation_names"]
+    assert "propensity_score" not in log.provenance.extra["observation_names"]
+    told = "column propensity_score looks like a probability of the logged action and is left out: --propensity"
+    assert any(line.startswith(told) for line in log.warnings)
+    assert any("timestamps are left out" in line for line in log.warnings)
     assert not any("split by episodes" in line for line in warnings_for(log))
 
 

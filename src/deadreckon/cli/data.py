@@ -1,4 +1,4 @@
-"""`deadreckon data list|collect|get|info|convert`."""
+"""`deadreckon data list|collect|get|info|describe|convert`."""
 
 import sys
 from collections.abc import Sequence
@@ -50,13 +50,17 @@ class Get:
 
 @dataclass
 class Mapping:
-    """Which columns of a table (CSV, Parquet) are what."""
+    """Which columns of a table (CSV, Parquet) are what; names decide about those that are not given."""
 
+    schema: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """schema of the table (TOML), drafted by `deadreckon data describe`; it replaces all other options of columns"""
     action: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """action columns, or their prefix: `a` stands for a_0, a_1 and so on"""
     reward: Annotated[str | None, _COLUMN] = None  # column of the reward
     observations: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """columns or prefixes of the observations; None: all others"""
+    next_observations: Annotated[tuple[str, ...] | None, _COLUMNS] = None
+    """columns or prefixes of the next observations, one per observation; None: by names such as next_x"""
     ignore: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes that are not observations
     episode: Annotated[str | None, _COLUMN] = None  # column that identifies episodes
     time: Annotated[str | None, _COLUMN] = None  # column that orders the steps of an episode
@@ -65,6 +69,11 @@ class Mapping:
     propensity: Annotated[str | None, _COLUMN] = None  # column of the probability of the logged action
     keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """columns to keep that are not observations, such as a user to hold out by"""
+    group: Annotated[str | None, _COLUMN] = None  # column, such as a user, whose episodes are held out together
+    cost: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns of costs, which are neither observation nor reward
+    weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are kept beside the log
+    kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
+    """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""
 
 
 @dataclass
@@ -74,6 +83,17 @@ class Info:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
     horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
+
+
+@dataclass
+class Describe:
+    """Draft a schema for a table: role, kind, levels and range of each column, with reasons and doubts."""
+
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]  # table to describe (CSV, Parquet)
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of which something is known already
+    save: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """file to write the schema to (.toml); None: print it"""
+    force: bool = False  # whether to overwrite an existing file
 
 
 @dataclass
@@ -87,7 +107,7 @@ class Convert:
     force: bool = False  # whether to overwrite an existing target
 
 
-KINDS = {"list": List, "collect": Collect, "get": Get, "info": Info, "convert": Convert}
+KINDS = {"list": List, "collect": Collect, "get": Get, "info": Info, "describe": Describe, "convert": Convert}
 
 
 def mapping_options(given: Mapping) -> dict[str, Any]:
@@ -105,7 +125,8 @@ def data(args: Sequence[str]) -> None:
     if args[0] not in KINDS:
         raise unknown("data command", args[0], KINDS)
     options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
-    {"list": _list, "collect": _collect, "get": _get, "info": _info, "convert": _convert}[args[0]](options)
+    run = {"list": _list, "collect": _collect, "get": _get, "info": _info, "describe": _describe, "convert": _convert}
+    run[args[0]](options)
 
 
 def _list(options: List) -> None:
@@ -164,6 +185,25 @@ def _info(options: Info) -> None:
     log = load(options.file, horizon=options.horizon, **mapping_options(options.map))
     info = describe(log)
     print(render(info, warnings_for(log, info)))
+
+
+def _describe(options: Describe) -> None:
+    from deadreckon.data.describe import describe_table
+
+    given = mapping_options(options.map)
+    if "schema" in given:
+        raise UserError("`data describe` drafts a schema; `data info --schema FILE` shows what a schema makes of a table")
+    if options.save is not None and Path(options.save).exists() and not options.force:
+        raise UserError(f"{options.save} exists already; --force replaces it")
+    schema, told = describe_table(options.file, **given)
+    text = schema.to_toml(f"Schema of {Path(options.file).name}, drafted by `deadreckon data describe`.")
+    if options.save is None:
+        print(text)
+    else:
+        schema.save(options.save, f"Schema of {Path(options.file).name}, drafted by `deadreckon data describe`.")
+        print(options.save)
+    for line in told:
+        print(f"! {line}", file=sys.stderr)
 
 
 def _convert(options: Convert) -> None:

@@ -90,6 +90,7 @@ class Ope:
     estimators: Annotated[str, NAMES] = "auto"
     """names of estimators with commas (see --list), of which the first one decides; auto: by properties of the log"""
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
+    map: Annotated[Mapping, tyro.conf.arg(name="")] = field(default_factory=Mapping)  # columns of a table
     log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
     episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
     task: str | None = None  # simulator in which to check the decision, if there is one

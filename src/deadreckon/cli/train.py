@@ -91,8 +91,7 @@ def _train(name, parsed, preset):
         from deadreckon.runs.crossfit import cross_fit
 
         del asked["holdout"]  # every fold is held out in turn
-        by = options.holdout_by or "random"
-        return cross_fit(parsed.agent, log, folds=options.cross_fit, by=by, deliver=options.deliver, **asked)
+        return cross_fit(parsed.agent, log, folds=options.cross_fit, by=options.holdout_by, deliver=options.deliver, **asked)
 
 
 def columns_of(given: Mapping, by: str | None) -> dict[str, Any]:

@@ -68,7 +68,10 @@ def _finals(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(episodes, *shape) what was seen after each episode's last row, and (episodes,) bool whether that is known."""
     if following is not None:
-        return np.ascontiguousarray(following[last]), np.ones(len(last), bool)
+        known = _flag(log, "final_known", columns["final_known"]) if "final_known" in columns else np.ones(len(last), bool)
+        if len(known) != len(last):
+            raise UserError(f"{log}: final_known has {len(known)} values, {len(last)} episodes need one each")
+        return np.ascontiguousarray(following[last]), known
     if "final_observations" not in columns:
         return np.ascontiguousarray(observations[last]), np.zeros(len(last), bool)
     final, known = _observation_column(log, "final_observations", columns["final_observations"]), np.ones(len(last), bool)

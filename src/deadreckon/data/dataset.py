@@ -118,15 +118,16 @@ class Dataset:
             name: of the log, used in errors.
             strict: refuse actions out of bounds instead of warning.
             source: kind of table, for the provenance.
-            **mapping: which column is what (`action`, `reward`, `episode`, ...); see `data.frame.frame_columns`.
+            **mapping: a `schema`, or which column is what (`action`, `reward`, `episode`, ...); see `data.frame.frame_columns`.
 
         Raises:
             UserError: one line with the column and the row (counted from 0, as in the table given).
         """
         from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
 
-        columns, extra, warnings = frame_columns(frame, name=name, **mapping)
-        log = cls.from_arrays(**columns, name=name, provenance=Provenance(source=source, extra=extra), strict=strict)
+        columns, extra, warnings, space = frame_columns(frame, name=name, **mapping)
+        provenance = Provenance(source=source, extra=extra)
+        log = cls.from_arrays(**columns, action_space=space, name=name, provenance=provenance, strict=strict)
         return replace(log, warnings=(*warnings, *log.warnings))
 
     def __len__(self) -> int:

@@ -1,18 +1,22 @@
 """Tables of one's own: columns are named, encoded and sorted into episodes, as `Dataset.from_arrays` takes them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.data.asked import Asked
+from deadreckon.data.cells import log_probabilities, numbers
 from deadreckon.data.columns import LOG_PROBS, RESERVED
-from deadreckon.data.encode import Encoder, flags, log_probabilities, numbers
-from deadreckon.errors import UserError, unknown
-
-PROPENSITY = re.compile(r"propensit(y|ies)|p_?scores?|(action_|behaviou?r_|logging_)?prob(s|ability)?|action_probability")
-IDENTITY = re.compile(r"(^|_)(u?u?id|user|customer|patient|session|site)(_?id)?$")
+from deadreckon.data.draft import draft
+from deadreckon.data.encode import Encoder
+from deadreckon.data.kinds import check_column
+from deadreckon.data.schema import Column, Schema, given
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
 
 
 class FrameColumns(NamedTuple):
@@ -20,57 +24,55 @@ class FrameColumns(NamedTuple):
 
     Attributes:
         columns: by `Dataset.from_arrays` names, (rows, ...) each, in the order of episodes and time.
-        extra: for the provenance: names of the observation's dimensions, levels of categories.
+        extra: for the provenance: the schema, names of the observation's dimensions, levels of categories.
         warnings: what was noticed, one line each.
+        action_space: that the schema gives, or None.
     """
 
     columns: dict[str, Any]
     extra: dict[str, Any]
     warnings: list[str]
+    action_space: Box | Discrete | None = None
 
 
 def frame_columns(
-    frame: Any,
-    *,
-    action: str | Sequence[str],
-    reward: str,
-    episode: str | None = None,
-    time: str | None = None,
-    observations: str | Sequence[str] | None = None,
-    ignore: str | Sequence[str] = (),
-    terminal: str | None = None,
-    timeout: str | None = None,
-    propensity: str | None = None,
-    keep: str | Sequence[str] = (),
-    name: str = "frame",
+    frame: Any, *, schema: Schema | Mapping[str, Any] | Path | str | None = None, name: str = "frame", **asked: Any
 ) -> FrameColumns:
     """The columns of a log that a table holds; `Dataset.from_frame` makes the log of them.
 
-    Texts, categories and truth values among the observations become one 0/1 column per level (levels in
+    Texts and categories among the observations become one 0/1 column per level (levels in
     `provenance.extra`); missing numbers become the column's mean, and a 0/1 column `<name>_missing` tells where.
 
     Args:
         frame: a pandas, polars or pyarrow table, or a mapping of column names to sequences of `rows` values.
-        action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
-            `action` that stands for action_0, action_1, ..., also among several.
-        reward: column of numbers.
-        episode: column that is equal within an episode. Absent: see `time`.
-        time: column of numbers or timestamps that orders the rows of an episode, and the episodes by their first; rows
-            are taken to be in order if absent. With neither `episode`, `time`, `terminal` nor `timeout`, each row is
-            an episode of one terminal step (a bandit); otherwise, without `episode`, all rows are one stream that
-            `terminal` and `timeout` cut.
-        observations: columns, or prefixes; if absent, all that have no other part to play, are not row numbers without
-            a name and hold no timestamps.
-        ignore: columns, or prefixes, that are no observations.
-        terminal: column of truth values: the task ended here.
-        timeout: column of truth values: only the recording ended here. The last row of an episode that is not a
-            terminal is always one.
-        propensity: column of the logging policy's probability of the logged action (of its density, for floats), in
-            (0, 1]; its logarithm is kept as the extra `behavior_log_probs`.
-        keep: columns, or prefixes, that are no observations unless `observations` names them, but stay beside the log as
-            extras, such as the user or the site by which episodes are held out. Texts and times become integer codes, up to
-            1,000 levels of each in `provenance.extra`.
+        schema: what each column is, as a `Schema`, its JSON values or the path of its TOML file. It says all, so that the
+            other options are refused beside it; columns that it does not have are left out.
         name: of the log, used in errors.
+        **asked: without a schema, which column is what:
+
+            - action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
+              `action` that stands for action_0, action_1, ..., also among several. By its name if absent.
+            - reward: column of numbers. By its name if absent.
+            - episode: column that is equal within an episode. Absent: see `time`.
+            - time: column of numbers or timestamps that orders the rows of an episode, and the episodes by their first; rows
+              are taken to be in order if absent. With neither `episode`, `time`, `terminal`, `timeout` nor next
+              observations, each row is an episode of one terminal step (a bandit); otherwise, without `episode`, all rows are
+              one stream that `terminal` and `timeout` cut, or the next observations where `timeout` is absent.
+            - observations: columns, or prefixes; if absent, all that have no other part to play.
+            - next_observations: columns, or prefixes, of the observation after the action, one for each observation and in
+              their order, unless their names (`next_x`, `x_next`, ...) say of which. By their names if absent.
+            - ignore: columns, or prefixes, that are no observations.
+            - terminal: column of truth values: the task ended here.
+            - timeout: column of truth values: only the recording ended here. The last row of an episode that is not a
+              terminal is always one.
+            - propensity: column of the logging policy's probability of the logged action (of its density, for floats), in
+              (0, 1]; its logarithm is kept as the extra `behavior_log_probs`.
+            - keep: columns, or prefixes, that are no observations unless `observations` names them, but stay beside the log
+              as extras. Texts and times become integer codes, up to 1,000 levels of each in `provenance.extra`.
+            - group: column, such as a user or a site, that is kept and by whose values episodes are held out together.
+            - cost: columns of numbers that are neither observation nor reward, kept as extras.
+            - weight: column of numbers that is kept as an extra.
+            - kinds: {column: "number", "integer", "category" or "flag"} where the kind by the values is wrong.
 
     Raises:
         UserError: one line with the column and the row (counted from 0, as in the table given).
@@ -78,60 +80,118 @@ def frame_columns(
     table = to_arrow(frame, name)
     if table.num_rows == 0:
         raise UserError(f"{name}: the table has no rows")
-    actions = _columns_like(table, action, name)
-    ignored = _columns_like(table, ignore, name)
-    kept = _columns_like(table, keep, name)
-    single = [reward, episode, time, terminal, timeout, propensity]
-    for column in (*actions, *single):
-        if column is not None:
-            check_column(table, column, name)
-    if observations is None:
-        taken = {*actions, *single, *kept, *ignored}
-        seen, warnings = _plausible(table, [column for column in table.column_names if column not in taken], propensity)
+    asked = {key: value for key, value in asked.items() if value is not None and value != ()}
+    if schema is None:
+        found, warnings = draft(table, Asked(**asked), name)
+    elif asked:
+        given_too = ", ".join(sorted(asked))
+        raise UserError(f"{name}: the schema says what each column is; leave {given_too} out, or change the schema")
     else:
-        seen, warnings = [column for column in _columns_like(table, observations, name) if column not in ignored], []
-        parts = {reward: "the reward", terminal: "terminal", timeout: "timeout", propensity: "the propensity"}
-        for column in seen:
-            if part := "an action" if column in actions else parts.get(column):
-                raise UserError(f"{name}: column {column} is {part} and an observation; ignore it, or name other observations")
-    if not seen:
-        raise UserError(f"{name}: no column is left to be an observation; name them with observations")
+        found, warnings = given(schema), []
+        warnings += _checked(table, found, name)
+    return _log_columns(table, found, warnings, name)
 
+
+def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
+    """Refuses a schema that does not fit the table; tells which columns it does not have."""
+    for column in schema.columns:
+        if column.role != "ignore":
+            check_column(table, column.name, name)
+    for role in ("action", "reward", "observation"):
+        if not schema.having(role):
+            raise UserError(f"{name}: the schema gives no column the role {role}, and a log needs one")
+    known = {column.name for column in schema.columns}
+    other = [column for column in table.column_names if column not in known]
+    return [f"the schema does not have these columns, which are left out: {', '.join(other)}"] if other else []
+
+
+def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str) -> FrameColumns:
+    """The columns of a log that a table holds by its schema."""
     encoder = Encoder(name, table)
+    observed, actions, following = (schema.having(role) for role in ("observation", "action", "next_observation"))
+    reward, episode, time = (schema.one(role) for role in ("reward", "episode", "time"))
+    terminal, timeout, propensity = (schema.one(role) for role in ("terminal", "timeout", "propensity"))
+    assert reward is not None  # a schema without one is refused before
     columns: dict[str, Any] = {
-        "observations": encoder.observations(seen),
-        "rewards": numbers(name, table, reward),
-        "actions": encoder.actions(actions),
-    }
-    for key, column in (("terminals", terminal), ("timeouts", timeout)):
-        columns[key] = np.zeros(table.num_rows, bool) if column is None else flags(name, table, column)
+        "observations": encoder.observations(observed), "rewards": numbers(name, table, reward.name),
+        "actions": encoder.actions(actions), "terminals": encoder.flags(terminal), "timeouts": encoder.flags(timeout),
+    }  # fmt: skip
+    unknown = np.zeros(table.num_rows, bool)  # rows without a next observation
+    if following:
+        columns["next_observations"], unknown = encoder.next_observations(following, observed)
+        columns["next_observations"] = np.where(unknown[:, None], columns["observations"], columns["next_observations"])
     if propensity is not None:
-        columns[LOG_PROBS] = log_probabilities(name, table, propensity)
-    for column in kept:
-        if column in RESERVED | columns.keys():
-            raise UserError(f"{name}: a column that is kept cannot be called {column}, which means something else; rename it")
-        columns[column] = encoder.kept(column)
-    moments = None if time is None else encoder.moments(time)
-    codes = None if episode is None else encoder.episodes(episode, ordered=time is not None)
+        columns[LOG_PROBS] = log_probabilities(name, table, propensity.name)
+    for column in schema.columns:
+        if not column.keep and column.role not in ("keep", "group", "cost", "weight"):
+            continue
+        if column.name in RESERVED | columns.keys():
+            text = f"a column that is kept cannot be called {column.name}, which means something else"
+            raise UserError(f"{name}: {text}; rename it")
+        plain = column.role in ("cost", "weight")
+        columns[column.name] = numbers(name, table, column.name) if plain else encoder.kept(column.name)
+    moments = None if time is None else encoder.moments(time.name)
+    codes = None if episode is None else encoder.episodes(episode.name, ordered=time is not None)
 
-    if episode is None and time is None and terminal is None and timeout is None:
+    ordered = episode is not None or time is not None
+    if not (ordered or terminal or timeout or following):
         columns["terminals"][:] = True
     order, ends = _order(table.num_rows, codes, moments)
-    warnings += encoder.warnings
+    warnings = [*warnings, *encoder.warnings]
     if order is not None:
-        columns = {key: column[order] for key, column in columns.items()}
+        columns, unknown = {key: column[order] for key, column in columns.items()}, unknown[order]
     if order is not None and time is not None and moments is not None:
         moments = moments[order]
         if ties := int((~ends[:-1] & (moments[1:] == moments[:-1])).sum()):
-            warnings.append(f"{ties} rows have the {time} of the row before them; they stay in the table's order")
-        if not pa.types.is_temporal(table.column(time).type):
+            warnings.append(f"{ties} rows have the {time.name} of the row before them; they stay in the table's order")
+        if time.kind != "date" and not pa.types.is_temporal(table.column(time.name).type):
             stops = ends | columns["terminals"] | columns["timeouts"]
-            warnings += _missing_steps(time, moments, stops, ends if episode is not None else None)
+            warnings += _missing_steps(time.name, moments, stops, ends if episode is not None else None)
     early = int((columns["terminals"] & ~ends).sum()) if episode is not None else 0
     if early:
         warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
-    columns["timeouts"] |= ends & ~columns["terminals"]
-    return FrameColumns(columns, encoder.extra, warnings)
+    if following:
+        _ends_known(name, columns, unknown, ends, cut=timeout is not None or ordered)
+    else:
+        columns["timeouts"] |= ends & ~columns["terminals"]
+    resolved = schema.resolved(encoder.resolved.values())
+    extra = {**encoder.extra, "schema": resolved.to_json()}
+    if group := schema.one("group"):
+        extra["group"] = group.name
+    return FrameColumns(columns, extra, warnings, _space(actions, encoder.resolved))
+
+
+def _ends_known(name: str, columns: dict[str, Any], unknown: np.ndarray, ends: np.ndarray, cut: bool) -> None:
+    """Where episodes end and which of their last rows have a next observation, of a table that has next observations.
+
+    Args:
+        name: of the log.
+        columns: (rows, ...) each, in order; gets `timeouts` and `final_known`.
+        unknown: (rows,) bool, where the next observation is missing.
+        ends: (rows,) bool, the last rows of episodes that a column tells apart.
+        cut: whether a column says where recordings end; otherwise they end where the next row does not continue.
+    """
+    terminals, timeouts = columns["terminals"], columns["timeouts"]
+    timeouts |= ends & ~terminals
+    if not cut:
+        breaks = (columns["observations"][1:] != columns["next_observations"][:-1]).any(1)
+        timeouts[:-1] |= breaks & ~terminals[:-1]
+    timeouts |= unknown & ~terminals & ~timeouts if not cut else False
+    stops = terminals | timeouts
+    if (inside := unknown & ~stops).any():
+        row = int(np.argmax(inside))
+        raise UserError(f"{name}: the next observation is missing in step {row}, which is not the last of its episode")
+    columns["final_known"] = ~unknown[stops]
+
+
+def _space(actions: tuple[Column, ...], resolved: Mapping[str, Column]) -> Box | Discrete | None:
+    """The action space that a schema gives: the bounds of all continuous actions, or the levels of a discrete one."""
+    columns = [resolved[column.name] for column in actions]
+    if len(columns) == 1 and columns[0].levels is not None:
+        return Discrete(max(len(columns[0].levels), 2))
+    if any(column.low is None or column.high is None or column.kind != "number" for column in columns):
+        return None
+    return Box(tuple(float(c.low or 0.0) for c in columns), tuple(float(c.high or 0.0) for c in columns))
 
 
 def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
@@ -163,67 +223,6 @@ def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
         raise UserError(f"{name}: column {twice[0]} occurs more than once")
     # pandas' own index, unless it has a name, is no column of the user's.
     return table.drop_columns([column for column in names if re.fullmatch(r"__index_level_\d+__", column)])
-
-
-def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:
-    """The column `prefix`, or those called prefix_0, prefix_1, ... in the order of their numbers.
-
-    Raises:
-        UserError: neither exists, with the nearest names.
-    """
-    if prefix in table.column_names:
-        return [prefix]
-    found = numbered(table.column_names, prefix)
-    if not found:
-        check_column(table, prefix, name)
-    return found
-
-
-def _columns_like(table: pa.Table, given: str | Sequence[str], name: str) -> list[str]:
-    """The columns of one name or prefix, or of several, each once."""
-    several = [given] if isinstance(given, str) else given
-    return list(dict.fromkeys(column for prefix in several for column in columns_like(table, prefix, name)))
-
-
-def numbered(names: Sequence[str], prefix: str) -> list[str]:
-    """Those of `names` called prefix_0, prefix_1, ... in the order of their numbers."""
-    found = [column for column in names if re.fullmatch(re.escape(prefix) + r"_\d+", column)]
-    return sorted(found, key=lambda column: int(column.rpartition("_")[2]))
-
-
-def check_column(table: pa.Table, column: str, name: str) -> None:
-    """Refuses a column that is not there, with the nearest names."""
-    if column not in table.column_names:
-        raise UserError(f"{name}: {unknown('column', column, table.column_names)}")
-
-
-def row_numbers(names: Sequence[str]) -> list[str]:
-    """Those of `names` that a table library gives to the row numbers that it writes."""
-    return [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
-
-
-def _plausible(table: pa.Table, names: list[str], propensity: str | None) -> tuple[list[str], list[str]]:
-    """Those of `names` that may be observations, which row numbers and timestamps are not, and what to say of them."""
-    index = row_numbers(names)
-    moments = [column for column in names if pa.types.is_temporal(table.column(column).type)]
-    found = [column for column in names if column not in index and column not in moments]
-    warnings = []
-    if index:
-        warnings.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
-    if moments:
-        warnings.append(f"timestamps are left out of the observations: {', '.join(moments)}")
-    for column in found:
-        if propensity is None and PROPENSITY.fullmatch(column.lower()):
-            warnings.append(
-                f"column {column} looks like a probability of the logged action, and is read as an observation: "
-                f"--propensity {column}, or --ignore {column}"
-            )
-        elif IDENTITY.search(column.lower()):
-            warnings.append(
-                f"column {column} looks like a name of someone or something, and is read as an observation: --keep {column} "
-                f"keeps it beside the log, --ignore {column} leaves it out"
-            )
-    return found, warnings
 
 
 def _sequence(value: Any) -> Any:

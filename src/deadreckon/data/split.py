@@ -101,6 +101,12 @@ class Fold:
         return {"share": 1 / self.folds, "by": self.by, "seed": self.seed, "fold": self.fold, "folds": self.folds}
 
 
+def group_of(log: "Dataset") -> str | None:
+    """The extra column, such as a user, whose values tell which episodes belong together; None where there is none."""
+    found = log.provenance.extra.get("group")
+    return found if found in log.extras else None
+
+
 def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
     """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: its own for "random" and "time", else one for
     each value of the column `by`.

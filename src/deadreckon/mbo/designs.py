@@ -12,7 +12,9 @@ import pyarrow as pa
 from pyarrow import csv
 
 from deadreckon.data.encode import numbers
-from deadreckon.data.frame import check_column, row_numbers, to_arrow
+from deadreckon.data.frame import to_arrow
+from deadreckon.data.kinds import check_column
+from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 from deadreckon.mbo.coordinates import Coordinates

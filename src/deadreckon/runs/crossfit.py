@@ -17,7 +17,7 @@ from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.split import RANDOM, Fold
+from deadreckon.data.split import RANDOM, Fold, group_of
 from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import file_part, read_json, write_json
@@ -93,7 +93,7 @@ def cross_fit(
     data: Dataset | str | Path,
     *,
     folds: int = 5,
-    by: str = RANDOM,
+    by: str | None = None,
     seed: int = 0,
     out: Path | str | None = None,
     deliver: Deliver = "mixture",
@@ -108,7 +108,8 @@ def cross_fit(
         agent: as for `runs.train.train`.
         data: a log, the name of a known one, or a file.
         folds: how many.
-        by: "random", "time" or a column whose values stay together; see `data.split.Holdout`.
+        by: "random", "time" or a column whose values stay together; see `data.split.Holdout`. None: the log's group, or
+            "random".
         seed: of the folds, and the first of each run's.
         out: folder of the run folders `fold0`, `fold1`, ...; None is `runs/AGENT-LOG-crossfit`.
         deliver: "mixture" makes a policy of those of all folds, `mixture.npz`; "refit" a run on all episodes, `refit`.
@@ -128,6 +129,7 @@ def cross_fit(
     if deliver not in get_args(Deliver):
         raise unknown("delivery", deliver, get_args(Deliver))
     log = data if isinstance(data, Dataset) else catalogue.load(data, strict=asked.strict)
+    by = by or group_of(log) or RANDOM
     fold = dealt(log, folds, by, seed)
     first = lanes_of(agent, seeds)[0]
     name = agent_name(first)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters
+from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters, group_of
 from deadreckon.tasks.task import Task
 
 FEWEST = 10  # episodes or clusters: of fewer, neither part says much
@@ -47,7 +47,7 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
     elif isinstance(given, Holdout | Fold):
         asked = given
     else:
-        asked = Holdout(given) if given else None
+        asked = Holdout(given, by=group_of(log) or RANDOM) if given else None
     if isinstance(asked, Holdout) and (few := too_few(log, asked)):
         warnings.warn(f"{few}: all are learned from, and none is left to judge by", stacklevel=4)
         asked = None
@@ -73,7 +73,7 @@ def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
     the chosen settings is judged on it. The rest is divided again. Very few episodes are in both, with a warning.
     """
     rest = divided(log, None, None, None).learning
-    tried = divided(rest, Holdout(seed=1), None, None)
+    tried = divided(rest, Holdout(seed=1, by=group_of(log) or RANDOM), None, None)
     if tried.told is None:
         return rest, rest
     return tried.learning, rest.select(np.flatnonzero(np.isin(rest.episode_ids, tried.held)))
@@ -82,8 +82,11 @@ def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
 def usual(log: Dataset) -> Holdout:
     """What is held out where nobody says otherwise.
 
-    A fifth; of a memory-mapped log the latest, because a random part would be copied into memory.
+    A fifth: whole groups, where the log says by which column; of a memory-mapped log the latest, because a random part would be
+    copied into memory.
     """
+    if (group := group_of(log)) is not None:
+        return Holdout(by=group)
     return Holdout(by=TIME) if isinstance(log.observations, np.memmap) else Holdout()
 
 

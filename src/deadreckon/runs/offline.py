@@ -10,7 +10,7 @@ import numpy as np
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
-from deadreckon.data.split import RANDOM, TIME
+from deadreckon.data.split import RANDOM, TIME, group_of
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, read_json, write_json
@@ -95,7 +95,8 @@ def judge_alone(
     if task is not None:
         _check_spaces(task, data)
     episodes = fresh(candidates, data, settings.unseen)
-    cluster = settings.cluster or next((each.by for each in candidates if each.by not in (None, RANDOM, TIME)), None)
+    held_by = (each.by for each in candidates if each.by not in (None, RANDOM, TIME))
+    cluster = settings.cluster or next(held_by, None) or group_of(data)
     case = OPEInput(
         data, [for_case(each, data) for each in candidates], names=_names(candidates), logged=True, held=episodes.held,
         clusters=None if cluster is None else clusters_of(data, cluster), noise=None,

@@ -44,8 +44,10 @@ class Read(NamedTuple):
 
 
 def noted(provenance: Provenance) -> dict[str, Any]:
-    """What a policy file notes of the log: no path, since such files are passed on."""
+    """What a policy file notes of the log: its schema, and no path, since such files are passed on."""
     extra = {key: value for key, value in provenance.extra.items() if key in (*ENCODED, HORIZON)}
+    if (schema := provenance.extra.get("schema")) is not None:
+        extra["schema"] = {"columns": schema["columns"]}
     return json.loads(json.dumps({"extra": extra}, default=str))
 
 

@@ -118,13 +118,13 @@ def test_gzipped_csv_and_episodes_without_flags(tmp_path):
     [
         (
             "a,b\n1,2\n",
-            "no column observation or observation_0; name the columns: --action COLUMN --reward COLUMN .*columns: a, b.",
+            "no column is the reward by its name; name the columns: --reward COLUMN .*columns: a, b.",
         ),
         (
-            "observation_0,act,reward\n1,2,3\n",
-            "no column action or action_0; name the columns: --action COLUMN --reward COLUMN ",
+            "x,y,z\n1,2,3\n",
+            "no column is the action or the reward by its name; name the columns: --action COLUMN --reward COLUMN ",
         ),
-        ("observation_0,action\n1,2\n", "no column reward or reward_0; name the columns: --action COLUMN --reward COLUMN "),
+        ("observation_0,action\n1,2\n", "no column is the reward by its name; name the columns: --reward COLUMN "),
         ("observation_0,action,reward\n1,0,1\nx,0,1\n", "column observation_0 holds string, numbers are needed; name"),
         ("observation_0,action,reward\n1,0,1\n2,0,\n", "column reward is empty in row 1"),
         ("observation_0,action,reward\n1,0,1\n2,0,nan\n", "column reward is empty in row 1"),
@@ -153,7 +153,7 @@ def test_mapped_columns(tmp_path):
     assert log.terminals.all()
     with pytest.raises(UserError, match=f"^{path}: unknown column 'clic': did you mean click?"):
         read(path, action="arm", reward="clic")
-    with pytest.raises(UserError, match=f"^{path}: say which column is the reward: --reward COLUMN"):
+    with pytest.raises(UserError, match=f"^{path}: no column is the reward by its name"):
         read(path, action="arm")
     with pytest.raises(UserError, match="unknown option 'rewards': did you mean reward"):
         read(path, action="arm", rewards="click")

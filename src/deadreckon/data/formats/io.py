@@ -12,6 +12,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
 FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of deadreckon's"
@@ -34,7 +35,7 @@ def read(
 
     Args:
         path: a file (D4RL hdf5, Parquet, CSV, npz, pickled demonstrations; CSV and pickles may be gzipped), a folder
-            (Minari's or ours), or `minari:` and an id.
+            (Minari's or ours), or `minari:` and an id; or the TOML file of a schema that names a table beside it.
         mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
@@ -44,9 +45,19 @@ def read(
     Raises:
         UserError: one line with the file, and column and row where they apply.
     """
+    if _is_schema(path):
+        if mapping.get("schema") is not None:
+            raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
+        schema = Schema.load(path)
+        path, mapping = schema.file_beside(path), mapping | {"schema": schema}
     kind = sniff(path)
     options = _options(path, kind, mmap, horizon, mapping)
     return _reader(kind)(path, strict=strict, name=name, **options)
+
+
+def _is_schema(path: Path | str) -> bool:
+    """Whether a file is a schema, which stands for the table beside it that it names."""
+    return str(path).endswith(".toml") and Path(path).is_file()
 
 
 def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mapping: dict[str, Any]) -> dict[str, Any]:
@@ -79,6 +90,20 @@ def _reader(kind: str) -> Callable[..., Dataset]:
     else:
         from deadreckon.data.formats.tables import read_csv as reader
     return reader
+
+
+def read_table(path: Path | str) -> Any:
+    """(rows,) of each column of a CSV or Parquet file, as a pyarrow table.
+
+    Raises:
+        UserError: it is neither, or damaged.
+    """
+    kind = sniff(path)
+    if kind not in _TABLES:
+        raise UserError(f"{path}: this is {kind}, whose columns have names of its own; a table (CSV, Parquet) is needed")
+    from deadreckon.data.formats import tables
+
+    return tables.csv_table(path) if kind == "csv" else tables.parquet_table(path)
 
 
 def sniff(path: Path | str) -> str:
@@ -159,8 +184,9 @@ def convert(
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
-    kind = sniff(source)
-    _no_mapping(source, kind, mapping)
+    kind = "schema" if _is_schema(source) else sniff(source)
+    if kind != "schema":
+        _no_mapping(source, kind, mapping)
     if kind != "hdf5":
         log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)
         write(log, target, force)

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.data.asked import Asked
+from deadreckon.data.cells import log_probabilities, numbers
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.encode import log_probabilities, numbers
 from deadreckon.data.formats.build import columns_of
 from deadreckon.data.formats.header import Header, damaged
-from deadreckon.data.frame import FrameColumns, frame_columns, numbered
+from deadreckon.data.frame import FrameColumns, frame_columns
+from deadreckon.data.roles import numbered
 from deadreckon.errors import UserError, unknown
 
 # Our name in a table for each column of a log.
@@ -21,9 +23,10 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
              "timeouts": "timeout", "next_observations": "next_observation",
              "final_observations": "final_observation"}  # fmt: skip
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
+_OURS = ("observation", "action", "reward")  # a table with all of these names is read as one that `to_table` made
 # Any of these tells that rows follow each other, or that somebody meant to say so.
 _ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", "dones", "done", "terminations", "time"}
-_MAPPING = ("episode", "time", "action", "reward", "observations", "ignore", "terminal", "timeout", "propensity", "keep")
+_MAPPING = ("schema", *Asked._fields)
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype]]  # {column: (shape of a row, dtype)}
 
 
@@ -80,21 +83,19 @@ def from_anybody(path: Path | str, table: pa.Table, mapping: dict[str, Any], hor
     Args:
         path: named in errors.
         table: (rows,) of each column.
-        mapping: which column is what, as for `frame_columns`, or None; where nothing is given, columns have our names.
+        mapping: a schema, or which column is what, as for `frame_columns`, or None; where nothing is given, columns have our
+            names or others that tell.
         horizon: steps after which episodes of columns with our names are cut off, or None.
 
     Raises:
         UserError: one line with file, column and row.
     """
     given = {key: value for key, value in mapping.items() if value is not None}
-    if not given:
-        return FrameColumns(_named_ours(path, table, horizon), {}, [])
     for key in given:
         if key not in _MAPPING:
             raise unknown("option", key, _MAPPING)
-    for key in ("action", "reward"):
-        if key not in given:
-            raise UserError(f"{path}: say which column is the {key}: --{key} COLUMN ({_listed(table.column_names)})")
+    if not given and all(key in table.column_names or numbered(table.column_names, key) for key in _OURS):
+        return FrameColumns(_named_ours(path, table, horizon), {}, [])
     if horizon is not None:
         raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
     return frame_columns(table, name=str(path), **given)
@@ -102,14 +103,6 @@ def from_anybody(path: Path | str, table: pa.Table, mapping: dict[str, Any], hor
 
 def _named_ours(path: Path | str, table: pa.Table, horizon: int | None) -> dict[str, np.ndarray]:
     """The columns of a table that somebody gave our names, by `from_arrays` names."""
-    for key in ("observation", "action", "reward"):
-        if key not in table.column_names and not numbered(table.column_names, key):
-            raise UserError(
-                f"{path}: no column {key} or {key}_0; name the columns: --action COLUMN --reward COLUMN "
-                "[--observations COLUMN ...] [--episode, --time, --propensity ...]; all others become observations; "
-                "`deadreckon data convert` does that once, for commands that do not take these options "
-                f"({_listed(table.column_names)})"
-            )
     columns = from_table(path, table)
     if horizon is None and not ("episode" in table.column_names or _ORDERED & columns.keys()):
         columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
@@ -221,12 +214,3 @@ def _returns(episode: np.ndarray, change: np.ndarray) -> int:
     _, first = np.unique(episode[starts], return_index=True)
     again = np.setdiff1d(np.arange(len(starts)), first)
     return int(starts[again[0]])
-
-
-def _listed(names: list[str], width: int = 200) -> str:
-    """The names, as many as fit."""
-    names = [name for name in names if name]
-    shown = [*names]
-    while len(shown) > 1 and len(", ".join(shown)) > width:
-        shown.pop()
-    return f"columns: {', '.join(shown)}{', ...' if len(shown) < len(names) else ''}"

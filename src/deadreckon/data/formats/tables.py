@@ -35,32 +35,46 @@ def read_parquet(
     Raises:
         UserError: one line with file, column and row.
     """
-    with reading(path, "Parquet", pa.ArrowException):
-        table = parquet.read_table(path)
+    table = parquet_table(path)
     text = (table.schema.metadata or {}).get(_HEADER)
     if text is None or any(value is not None for value in mapping.values()):
-        columns, extra, warnings = from_anybody(path, table, mapping, horizon)
+        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
         header = None
     else:
         header = Header.parse(path, text)
-        columns, extra, warnings = from_table(path, table, told_shapes(path, header)), {}, []
+        columns, extra, warnings, space = from_table(path, table, told_shapes(path, header)), {}, [], None
     return build(
-        path, columns, header, source="parquet", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon
-    )
+        path, columns, header, source="parquet", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
+        action_space=space,
+    )  # fmt: skip
 
 
 def read_csv(
     path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
 ) -> Dataset:
     """Reads a CSV file with a line of names, plain or gzipped; see `read_parquet`."""
+    table = csv_table(path)
+    columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
+    return build(
+        path, columns, source="csv", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
+        action_space=space,
+    )  # fmt: skip
+
+
+def parquet_table(path: Path | str) -> pa.Table:
+    """(rows,) of each column of a Parquet file."""
+    with reading(path, "Parquet", pa.ArrowException):
+        return parquet.read_table(path)
+
+
+def csv_table(path: Path | str) -> pa.Table:
+    """(rows,) of each column of a CSV file."""
     with reading(path, "CSV", pa.ArrowException, EOFError), open(path, "rb") as file:
         packed = file.read(2) == b"\x1f\x8b"
         file.seek(0)
         # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
         source = gzip.GzipFile(fileobj=file) if packed else file
-        table = _without_empty_texts(csv.read_csv(source))
-    columns, extra, warnings = from_anybody(path, table, mapping, horizon)
-    return build(path, columns, source="csv", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon)
+        return _without_empty_texts(csv.read_csv(source))
 
 
 def _without_empty_texts(table: pa.Table) -> pa.Table:

@@ -1,0 +1,33 @@
+"""What is asked of a table: which column is what, as options of commands and functions say it."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+
+class Asked(NamedTuple):
+    """What is asked for: columns, or prefixes that stand for prefix_0, prefix_1, ...; None or nothing where names decide."""
+
+    action: str | Sequence[str] | None = None
+    reward: str | None = None
+    episode: str | None = None
+    time: str | None = None
+    observations: str | Sequence[str] | None = None
+    next_observations: str | Sequence[str] | None = None
+    ignore: str | Sequence[str] = ()
+    terminal: str | None = None
+    timeout: str | None = None
+    propensity: str | None = None
+    keep: str | Sequence[str] = ()
+    group: str | None = None
+    cost: str | Sequence[str] = ()
+    weight: str | None = None
+    kinds: Mapping[str, str] | Sequence[str] = ()
+
+
+def listed(names: Sequence[str], width: int = 200) -> str:
+    """The names, as many as fit."""
+    shown = [name for name in names if name]
+    all_of_them = len(shown)
+    while len(shown) > 1 and len(", ".join(shown)) > width:
+        shown.pop()
+    return f"columns: {', '.join(shown)}{', ...' if len(shown) < all_of_them else ''}"

@@ -1,0 +1,178 @@
+"""The values of a table's columns: what they hold, and as numbers, flags and levels."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+
+from deadreckon.errors import UserError
+
+compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
+MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
+
+
+def flat(table: pa.Table, column: str) -> Any:
+    """(rows,) the column as one pyarrow array."""
+    values = table.column(column)
+    if pa.types.is_dictionary(values.type):
+        values = values.unify_dictionaries()
+    elif pa.types.is_string_view(values.type):  # polars'; pyarrow cannot sort them yet
+        values = values.cast(pa.large_string())
+    return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
+
+
+def is_text(kind: pa.DataType) -> bool:
+    """Whether a column holds texts, also as a dictionary of them."""
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return any(test(kind) for test in (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view))
+
+
+def is_category(kind: pa.DataType) -> bool:
+    """Whether a column's values are levels: texts, categories, truth values."""
+    return pa.types.is_dictionary(kind) or pa.types.is_boolean(kind) or is_text(kind)
+
+
+def distinct(values: Any) -> int:
+    """How many different values there are, missing ones aside."""
+    return len(values.drop_null().unique())
+
+
+def decoded(values: Any) -> Any:
+    """The values of a dictionary array, or the array itself."""
+    return values.dictionary_decode() if isinstance(values, pa.DictionaryArray) else values
+
+
+def says_numbers(values: Any) -> bool:
+    """Whether all texts of a column say numbers."""
+    found = decoded(values)
+    return is_text(found.type) and all(is_number(text) for text in found.drop_null().unique().to_pylist())
+
+
+def as_dates(values: Any) -> Any | None:
+    """The dates that a column holds, also as texts of ISO 8601; None where it holds something else."""
+    values = decoded(values)
+    if pa.types.is_temporal(values.type):
+        return values
+    if not is_text(values.type) or says_numbers(values):
+        return None
+    for kind in (pa.timestamp("us"), pa.timestamp("us", "UTC")):
+        try:
+            return compute.cast(values, kind)
+        except pa.ArrowInvalid:
+            continue
+    return None
+
+
+def levels_of_whole_numbers(values: Any) -> list[int] | None:
+    """The different values of a column of whole numbers, ascending; None where it has others, or some are missing."""
+    kind = values.type
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)) or values.null_count:
+        return None
+    found = np.asarray(values.unique().to_numpy(zero_copy_only=False), np.float64 if pa.types.is_floating(kind) else None)
+    if found.dtype.kind == "f" and not (np.isfinite(found).all() and (found == np.floor(found)).all()):
+        return None
+    return [int(level) for level in np.sort(found)]
+
+
+def is_number(text: str) -> bool:
+    """Whether a text says a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) float64 of a column that must be complete, finite numbers or truth values.
+
+    Raises:
+        UserError: it is not, with the row.
+    """
+    values, absent = some_numbers(name, column, flat(table, column))
+    wrong = absent | ~np.isfinite(values)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} {'is empty' if absent[row] else f'has {values[row]}'} in row {row}")
+    return values
+
+
+def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(rows,) float64 and (rows,) bool where a value is missing."""
+    kind = values.type
+    if pa.types.is_boolean(kind):
+        values = values.cast(pa.int8())
+    elif pa.types.is_decimal(kind) or (is_text(kind) and says_numbers(values)):
+        values = decoded(values).cast(pa.float64())
+    elif pa.types.is_null(kind):
+        return np.full(len(values), np.nan), np.ones(len(values), bool)
+    elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else _first_text(values)
+        raise UserError(f"{name}: column {column} holds {kind}, numbers are needed{hint}")
+    out = values.to_numpy(zero_copy_only=False).astype(np.float64)
+    return out, np.isnan(out)
+
+
+def flags(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) bool of a column of truth values, or of 0 and 1."""
+    values = numbers(name, table, column)
+    _refuse(name, column, values, (values != 0) & (values != 1), "0 or 1")
+    return values != 0
+
+
+def log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
+    """(rows,) logarithms of a column of probabilities in (0, 1]."""
+    values = numbers(name, table, column)
+    _refuse(name, column, values, (values <= 0) | (values > 1), "a probability in (0, 1]")
+    return np.log(values).astype(np.float32)
+
+
+def _refuse(name: str, column: str, values: np.ndarray, wrong: np.ndarray, needed: str) -> None:
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, {needed} is needed")
+
+
+def category_codes(name: str, column: str, values: Any, most: int | None = MOST_LEVELS) -> tuple[np.ndarray, list[Any]]:
+    """(rows,) int64 index of each value's level, -1 where it is missing, and the levels that occur, sorted; `most` of them."""
+    values = decoded(values)
+    if pa.types.is_boolean(values.type):
+        values = values.cast(pa.string())
+    encoded = values.dictionary_encode()
+    if most is not None and len(encoded.dictionary) > most:
+        text = f"column {column} has {len(encoded.dictionary)} distinct values, at most {most} are encoded"
+        raise UserError(f"{name}: {text}; leave it out")
+    codes = encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64)
+    order = sorted_indices(encoded.dictionary)
+    ranks = np.append(np.empty(len(order), np.int64), -1)
+    ranks[order] = np.arange(len(order))
+    return ranks[codes], [encoded.dictionary[int(index)].as_py() for index in order]
+
+
+def codes_of(name: str, column: str, values: Any, levels: Sequence[Any]) -> tuple[np.ndarray, list[Any]]:
+    """(rows,) int64 index among given levels of each value, -1 where it is none of them, and the values that are none."""
+    found, here = category_codes(name, column, values, most=None)
+    known = {_plain(level): index for index, level in enumerate(levels)}
+    ranks = np.append([known.get(_plain(level), -1) for level in here], -1).astype(np.int64)
+    return ranks[found], [level for level in here if _plain(level) not in known]
+
+
+def _plain(level: Any) -> Any:
+    """A level as it is compared: true and false as the texts that flags become, 1.0 as 1."""
+    return ("false", "true")[level] if isinstance(level, bool) else level
+
+
+def sorted_indices(values: Any) -> np.ndarray:
+    """The positions of a pyarrow array's values in ascending order."""
+    return compute.sort_indices(values).to_numpy()
+
+
+def _first_text(values: Any) -> str:
+    """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
+    for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
+        if isinstance(value, str) and not is_number(value):
+            return f"; row {row} has {value!r}"
+    return ""

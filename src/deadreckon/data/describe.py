@@ -1,0 +1,76 @@
+"""A table as it would be read, described column by column: the schema that a user checks, changes and gives back."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.asked import Asked
+from deadreckon.data.cells import as_dates, compute, distinct, flat
+from deadreckon.data.draft import Drafted, draft
+from deadreckon.data.frame import frame_columns, to_arrow
+from deadreckon.data.schema import Column, Schema
+from deadreckon.errors import UserError
+
+
+def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafted:
+    """Drafts the schema of a table, with levels, ranges and what stands for missing values.
+
+    Args:
+        source: the path of a file that holds a table, or a table as `frame_columns` takes it.
+        name: of the table, for errors; the path, or "frame".
+        **asked: which column is what, as far as it is known; see `data.frame.frame_columns`.
+
+    Returns:
+        The schema, and what should be checked.
+
+    Raises:
+        UserError: no such file or table, or a column that was asked for does not exist.
+    """
+    file = Path(source) if isinstance(source, str | Path) else None
+    if file is None:
+        table = to_arrow(source, name or "frame")
+    else:
+        from deadreckon.data.formats.io import read_table
+
+        table = read_table(file)
+    name = name or (str(file) if file else "frame")
+    schema, told = draft(table, Asked(**asked), name, needed=False)
+    for role in ("action", "reward"):
+        if not schema.having(role):
+            told.insert(0, f'no column is the {role} by its name: give one the role "{role}"')
+    found = [replace(column, reason=_about(column, table)) for column in schema.columns]
+    if all(schema.having(role) for role in ("action", "reward", "observation")):
+        try:
+            read = frame_columns(table, schema=schema, name=name)
+        except UserError as error:  # what must be mended in the table, or in the schema
+            told.insert(0, str(error).removeprefix(f"{name}: "))
+        else:
+            told += [line for line in read.warnings if line not in told]
+            resolved = {column.name: column for column in Schema.from_json(read.extra["schema"]).columns}
+            found = [replace(resolved[column.name], reason=column.reason, doubt=column.doubt) for column in found]
+    where: Mapping[str, Any] = {"path": file.name} if file else {}
+    return Drafted(Schema(tuple(found), where), told)
+
+
+def _about(column: Column, table: pa.Table) -> str:
+    """Why a column has its role and kind, and what it holds."""
+    values = flat(table, column.name)
+    absent = int(values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False).sum())
+    holds = []
+    dates = as_dates(values) if column.kind == "date" else None
+    if dates is not None:
+        ends = compute.min_max(dates).as_py()
+        holds.append(f"{ends['min']} .. {ends['max']}")
+    elif column.kind in ("number", "integer") and (pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
+        known = values.filter(compute.is_valid(values)).to_numpy(zero_copy_only=False)
+        known = known[np.isfinite(known)]
+        holds += [f"{known.min():g} .. {known.max():g}"] if len(known) else []
+    if column.kind in ("integer", "category"):
+        holds.append(f"{distinct(values):,} different values")
+    if absent:
+        holds.append(f"{absent:,} missing")
+    return "; ".join(filter(None, (column.reason, ", ".join(holds))))

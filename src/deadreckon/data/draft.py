@@ -1,0 +1,300 @@
+"""A schema for a table of which little or nothing is said: roles by what was asked for and by names.
+
+Each choice that may be wrong is told in a line, and can be overruled.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import pyarrow as pa
+
+from deadreckon.data import roles
+from deadreckon.data.asked import Asked, listed
+from deadreckon.data.cells import as_dates, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
+from deadreckon.data.kinds import FEW, asked_kinds, check_column, columns_like, kind_of
+from deadreckon.data.schema import ONE, Column, Role, Schema
+from deadreckon.errors import UserError
+
+FREE_TEXT = 50  # different texts beyond which a column may be comments or identifiers: if there are fewer than ten rows of each
+_CODED = re.compile(r"(code|type|class|kind|category|cat|group|region|zone|zip|postcode|status)$", re.IGNORECASE)
+
+
+class Drafted(NamedTuple):
+    """A schema, and what should be known of it.
+
+    Attributes:
+        schema: of the table.
+        told: one line for each choice that may be wrong.
+    """
+
+    schema: Schema
+    told: list[str]
+
+
+def draft(table: pa.Table, asked: Asked, name: str = "frame", needed: bool = True) -> Drafted:
+    """A schema for a table.
+
+    Args:
+        table: (rows,) of each column.
+        asked: which column is what, as far as it is known.
+        name: of the table, for errors.
+        needed: whether a table without an action or a reward is refused.
+
+    Raises:
+        UserError: a column that was asked for does not exist or cannot be what it should.
+    """
+    maker = _Maker(table, asked, name)
+    maker.asked_for()
+    maker.by_name()
+    if needed:
+        maker.complete()
+    return maker.drafted()
+
+
+class _Maker:
+    """Gives roles to columns, first those asked for, then by names; what is left is observed."""
+
+    def __init__(self, table: pa.Table, asked: Asked, name: str):
+        self.table, self.asked, self.name = table, asked, name
+        self.names = table.column_names
+        self.roles: dict[str, tuple[Role, str]] = {}  # and why
+        self.of: dict[str, str] = {}  # next observations
+        self.kept: set[str] = set()  # beside the log, whatever their role
+        self.doubts: dict[str, str] = {}
+        self.told: list[str] = []
+        self.kinds = asked_kinds(asked.kinds, table, name)
+
+    def several(self, given: str | Sequence[str] | None) -> list[str]:
+        """The columns of one name or prefix, or of several, each once."""
+        prefixes = [given] if isinstance(given, str) else given or ()
+        return list(dict.fromkeys(column for prefix in prefixes for column in columns_like(self.table, prefix, self.name)))
+
+    def give(self, columns: Sequence[str], role: Role, why: str = "asked for") -> None:
+        """A role for columns; one that is asked for in two is refused."""
+        for column in columns:
+            before = self.roles.setdefault(column, (role, why))[0]
+            if before != role:
+                how = "ignore it, or name other observations" if role == "observation" else "one column has one role"
+                raise UserError(f"{self.name}: column {column} is {_a(before)} and {_a(role)}; {how}")
+
+    def doubt(self, column: str, text: str) -> None:
+        """What should be checked; told, and noted at the column."""
+        self.doubts[column] = text
+        self.told.append(f"column {column} {text}")
+
+    def asked_for(self) -> None:
+        """Roles that are asked for."""
+        asked = self.asked
+        ignored = self.several(asked.ignore)
+        for role in ONE:
+            column = getattr(asked, role)
+            if column is not None:
+                check_column(self.table, column, self.name)
+                self.give([column], role)
+        self.give(self.several(asked.action), "action")
+        if asked.action is not None and not self.having("action"):
+            raise UserError(f"{self.name}: no action column is named")
+        self.give(self.several(asked.cost), "cost")
+        if asked.observations is not None:
+            self.give([column for column in self.several(asked.observations) if column not in ignored], "observation")
+        self.kept = set(self.several(asked.keep))
+        self.give([column for column in self.several(asked.keep) if column not in self.roles], "keep")
+        self.give([column for column in ignored if column not in self.roles], "ignore")
+
+    def following_asked_for(self) -> None:
+        """Next observations that are asked for: by their names, or by their places."""
+        following = self.several(self.asked.next_observations)
+        named = self.asked.observations is not None
+        rest = [column for column in self.rest_but(following) if not self.left(column)]
+        observed = self.having("observation") if named else rest
+        pairs = {c: o for c, o in roles.next_of(self.names).items() if c in following and o in observed}
+        if len(pairs) < len(following):
+            if len(following) != len(observed):
+                text = f"{len(following)} next observations, but {len(observed)} observations ({', '.join(observed[:8])})"
+                raise UserError(f"{self.name}: {text}; each observation needs its own")
+            pairs = dict(zip(following, observed))
+        self.give(following, "next_observation")
+        self.of |= pairs
+
+    def rest_but(self, columns: Sequence[str]) -> list[str]:
+        """What no role was given to, but for these columns, row numbers and times."""
+        index = roles.row_numbers(self.names)
+        out = (*columns, *index)
+        return [c for c in self.names if c not in self.roles and c not in out and not pa.types.is_temporal(self.table[c].type)]
+
+    def having(self, role: Role) -> list[str]:
+        """The columns that have the role, in the order of the table."""
+        return [column for column in self.names if self.roles.get(column, ("",))[0] == role]
+
+    def by_name(self) -> None:
+        """Roles for what was not asked for."""
+        self.needed_by_name()
+        if index := [column for column in roles.row_numbers(self.names) if column not in self.roles]:
+            self.give(index, "ignore", "looks like a row number")
+            self.told.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
+        self.following_asked_for()
+        self.following_by_name()
+        if self.asked.observations is not None:
+            self.give([c for c in self.names if c not in self.roles], "ignore", "not named among the observations")
+            return
+        self.ends_by_name()
+        for column in [column for column in self.names if column not in self.roles]:
+            if roles.DONE.fullmatch(column.lower()):
+                self.give([column], "ignore", "says that an episode ended, not why")
+                self.doubt(column, f"marks ends of episodes and is left out: --terminal {column} where the task itself ended, "
+                           f"--timeout {column} where only the recording did")  # fmt: skip
+            elif roles.like("propensity", column) and "propensity" not in {role for role, _ in self.roles.values()}:
+                self.give([column], "ignore", "looks like the probability of the logged action")
+                self.doubt(column, f"looks like a probability of the logged action and is left out: --propensity {column}, or "
+                           f"--observations to observe it")  # fmt: skip
+            elif roles.like("cost", column):
+                self.give([column], "cost", "named like a cost")
+                self.doubt(column, "looks like a cost, is kept and not observed (--observations to observe it)")
+        moments = [c for c in self.names if c not in self.roles and pa.types.is_temporal(self.table[c].type)]
+        if moments:
+            self.give(moments, "ignore", "a date")
+            self.told.append(f"timestamps are left out of the observations: {', '.join(moments)}")
+        for column in [column for column in self.names if column not in self.roles]:
+            self.observe(column)
+
+    def needed_by_name(self) -> None:
+        """Action and reward, where their names leave no doubt."""
+        if self.asked.reward is None and len(found := self.free("reward")) == 1:
+            self.give(found, "reward", "by its name")
+            self.told.append(f"column {found[0]} is read as the reward (--reward)")
+        if self.asked.action is None:
+            prefixes = {re.sub(r"_\d+$", "", column) for column in self.names if column not in self.roles}
+            if len(found := sorted(prefix for prefix in prefixes if roles.like("action", prefix))) == 1:
+                columns = columns_like(self.table, found[0], self.name)
+                self.give(columns, "action", "by its name")
+                text = f"column {columns[0]} is" if len(columns) == 1 else f"columns {', '.join(columns)} are"
+                self.told.append(f"{text} read as the action (--action)")
+
+    def free(self, role: str) -> list[str]:
+        """Columns whose names suggest the role and that have none."""
+        return [column for column in self.names if column not in self.roles and roles.like(role, column)]
+
+    def following_by_name(self) -> None:
+        """Next observations whose names say whose."""
+        if self.of:
+            return
+        named = self.asked.observations is not None
+        observed = self.having("observation") if named else self.rest_but(())
+        pairs = {c: o for c, o in roles.next_of(self.names).items() if c not in self.roles and o in observed and o != c}
+        pairs = {c: o for c, o in pairs.items() if o not in pairs}
+        if not pairs:
+            return
+        found = ", ".join(list(pairs)[:4]) + (", ..." if len(pairs) > 4 else "")
+        paired = {*pairs, *pairs.values()}
+        lacking = [column for column in observed if column not in paired and not self.left(column)]
+        if lacking:
+            self.give(list(pairs), "ignore", "looks like a next observation")
+            shown = ", ".join(lacking[:4])
+            self.told.append(f"columns {found} look like next observations and are left out, because {shown} have none")
+        else:
+            self.give(list(pairs), "next_observation", "by its name")
+            self.of |= pairs
+            self.told.append(f"columns {found} are read as next observations (--next-observations)")
+
+    def left(self, column: str) -> bool:
+        """Whether a column will have another role by its name, so that it needs no next observation."""
+        others = (r for r in ("terminal", "timeout", "propensity", "cost", "episode", "time") if roles.like(r, column))
+        return next(others, None) is not None or roles.DONE.fullmatch(column.lower()) is not None
+
+    def ends_by_name(self) -> None:
+        """Flags of ends, episodes and times, where names and values agree."""
+        ends: tuple[tuple[Role, str], ...] = (("terminal", "true ends of episodes"), ("timeout", "ends of recordings"))
+        for role, what in ends:
+            if getattr(self.asked, role) is None and len(found := self.free(role)) == 1 and self.is_flag(found[0]):
+                self.give(found, role, "by its name")
+                self.told.append(f"column {found[0]} is read as the flag of {what} (--{role})")
+        if self.asked.episode is None and len(found := self.free("episode")) == 1:
+            column = found[0]
+            if distinct(flat(self.table, column)) < self.table.num_rows:
+                self.give(found, "episode", "by its name")
+                self.told.append(f"column {column} is read as the name of the episode (--episode)")
+            else:
+                self.give(found, "ignore", "differs in every row")
+                self.doubt(column, "differs in every row and is left out (--episode if each row is an episode)")
+        found = self.free("time") if self.asked.time is None and self.having("episode") else []
+        if len(found) == 1 and not is_text(self.table[found[0]].type):
+            self.give(found, "time", "by its name")
+            self.told.append(f"column {found[0]} is read as the time within an episode (--time)")
+
+    def is_flag(self, column: str) -> bool:
+        """Whether all values are truth values, or 0 and 1."""
+        values = flat(self.table, column)
+        if pa.types.is_boolean(values.type):
+            return not values.null_count
+        return levels_of_whole_numbers(values) in ([0], [1], [0, 1])
+
+    def observe(self, column: str) -> None:
+        """The role of a column that is left, and what to say of it."""
+        values = flat(self.table, column)
+        rows, kind = len(values), self.kinds.get(column)
+        if values.null_count == rows:
+            self.give([column], "ignore", "empty")
+            self.doubt(column, "is empty and is left out of the observations")
+            return
+        if kind is None and is_text(values.type) and as_dates(values) is not None:
+            self.give([column], "ignore", "a date")
+            self.doubt(column, f"holds dates and is left out of the observations (--time {column} orders rows by it)")
+            return
+        if kind is None and is_text(values.type) and not says_numbers(values):
+            many = distinct(values)
+            if many > FREE_TEXT and many > rows / 10:
+                self.give([column], "ignore", "free text or an identifier")
+                self.doubt(column, f"has {many:,} different texts in {rows:,} rows and is left out as free text or identifier "
+                           f"(--keep {column}, or --kinds {column}=category)")  # fmt: skip
+                return
+        self.give([column], "observation", "no other role")
+        if roles.like("time", column):
+            self.doubt(column, f"looks like a time and is read as an observation: --time {column} orders rows by it, "
+                       f"--ignore {column} leaves it out")  # fmt: skip
+        elif roles.IDENTITY.search(column.lower()):
+            self.doubt(column, f"looks like a name of someone or something, and is read as an observation: --keep {column} "
+                       f"keeps it beside the log, --ignore {column} leaves it out")  # fmt: skip
+        elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values) or ()) <= FEW:
+            self.doubt(column, f"holds whole numbers that may be codes, and is read as a number (--kinds {column}=category)")
+
+    def complete(self) -> None:
+        """Refuses a table without action, reward or observation."""
+        if lacking := [role for role in ("action", "reward") if not self.having(role)]:
+            how = " ".join(f"--{role} COLUMN" for role in lacking)
+            raise UserError(
+                f"{self.name}: no column is the {' or the '.join(lacking)} by its name; name the columns: {how} "
+                "[--observations COLUMN ...] [--episode, --time, --propensity ...], or let `deadreckon data describe` draft a "
+                f"schema ({listed(self.names)})"
+            )
+        if not self.having("observation"):
+            why = "".join(f" (column {column} {text})" for column, text in list(self.doubts.items())[:1])
+            raise UserError(f"{self.name}: no column is left to be an observation; name them with observations{why}")
+
+    def drafted(self) -> Drafted:
+        """The schema, and what to tell of it."""
+        columns = []
+        # Dimensions are in the order in which they were asked for.
+        asked = [*self.several(self.asked.observations), *self.several(self.asked.action)]
+        for name in dict.fromkeys([*(name for name in asked if name in self.roles), *self.names]):
+            role, why = self.roles[name]
+            kind, reason, doubt = kind_of(
+                name, flat(self.table, name), role, alone=len(self.having("action")) == 1, asked=self.kinds.get(name)
+            )
+            if doubt:
+                self.doubt(name, doubt)
+            why, keep = ", ".join(filter(None, (why, reason))), name in self.kept and role != "keep"
+            column = Column(name, role, kind, keep=keep, of=self.of.get(name), reason=why, doubt=self.doubts.get(name, ""))
+            columns.append(column)
+        kinds = {column.name: column.kind for column in columns}
+        columns = [column if column.of is None else replace(column, kind=kinds[column.of]) for column in columns]
+        return Drafted(Schema(tuple(columns)), self.told)
+
+
+def _a(role: str) -> str:
+    """A role with its article."""
+    words = role.replace("_", " ")
+    one = f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
+    special = {"reward": "the reward", "propensity": "the propensity", "ignore": "left out", "keep": "a column to keep"}
+    return special.get(role, role if role in ("terminal", "timeout") else one)

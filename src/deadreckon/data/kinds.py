@@ -1,0 +1,111 @@
+"""Of which kind the values of a column are: numbers, whole numbers, levels, flags or dates."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from deadreckon.data import roles
+from deadreckon.data.cells import as_dates, distinct, is_category, levels_of_whole_numbers, says_numbers
+from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
+from deadreckon.errors import UserError, unknown
+
+MOST_ACTIONS = 100  # different whole numbers in a column of actions beyond which it is read as continuous
+FEW = 20  # up to which whole numbers are discrete actions without a word
+
+
+def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:
+    """The column `prefix`, or those called prefix_0, prefix_1, ... in the order of their numbers.
+
+    Raises:
+        UserError: neither exists, with the nearest names.
+    """
+    if prefix in table.column_names:
+        return [prefix]
+    found = roles.numbered(table.column_names, prefix)
+    if not found:
+        check_column(table, prefix, name)
+    return found
+
+
+def check_column(table: pa.Table, column: str, name: str) -> None:
+    """Refuses a column that is not there, with the nearest names."""
+    if column not in table.column_names:
+        raise UserError(f"{name}: {unknown('column', column, table.column_names)}")
+
+
+def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | None) -> tuple[Kind, str, str]:
+    """The kind of a column, why, and what should be checked (empty where nothing).
+
+    Args:
+        column: its name.
+        values: (rows,) of it.
+        role: of the column.
+        alone: whether there is one action.
+        asked: the kind that is asked for, or None.
+    """
+    if asked is not None:
+        return asked, "asked for", ""
+    kind, reason = _stored(values)
+    if kind == "category" and role not in ("action", "observation", "next_observation") and as_dates(values) is not None:
+        kind, reason = "date", "texts that are dates"
+    if role == "action":
+        return _action(column, values, kind, alone)
+    if role in ("observation", "next_observation") and kind == "category" and says_numbers(values):
+        doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
+        return "number", "texts that are numbers", doubt
+    # What does not go with the role is refused when it is encoded, with the value that is wrong.
+    return (kind, reason, "") if kind in ALLOWED.get(role, KINDS) else ("number", reason, "")
+
+
+def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, str, str]:
+    """Whether an action is discrete or continuous."""
+    if kind == "category":
+        return kind, "texts", ""
+    levels = levels_of_whole_numbers(values)
+    few = levels is not None and len(levels) <= FEW
+    if not alone:
+        doubt = "holds whole numbers and is one of several actions: it is read as continuous" if few else ""
+        return "number", "one of several actions", doubt
+    constant = "is an action that never changes: nothing can be learned of other actions" if distinct(values) == 1 else ""
+    if kind == "flag":
+        return kind, "truth values", constant
+    if levels is None:
+        return "number", "numbers", constant
+    count, as_number = len(levels), f"(--kinds {column}=number makes it continuous)"
+    if kind != "integer":
+        if levels[0] not in (0, 1) or count != levels[-1] - levels[0] + 1 or not few or constant:
+            return "number", "numbers", constant
+        doubt = f"holds the whole numbers {levels[0]} to {levels[-1]} with a decimal point"
+        return "integer", "whole numbers with a decimal point", f"{doubt} and is read as {count} discrete actions {as_number}"
+    if count > MOST_ACTIONS:
+        doubt = f"has {count:,} different whole numbers and is read as a continuous action"
+        doubt += f" (--kinds {column}=integer makes each a discrete one)"
+        return "number", f"more than {MOST_ACTIONS} whole numbers", doubt
+    doubt = constant if few else f"has {count} different whole numbers and is read as {count} discrete actions {as_number}"
+    return kind, f"{count} whole numbers", doubt
+
+
+def asked_kinds(given: Mapping[str, str] | Sequence[str], table: pa.Table, name: str) -> dict[str, Kind]:
+    """Kinds that are asked for, as a mapping or as texts such as dose=number; a prefix stands for its numbered columns."""
+    pairs = given.items() if isinstance(given, Mapping) else [tuple(each.rpartition("=")[::2]) for each in given]
+    kinds: dict[str, Any] = {}
+    for column, kind in pairs:
+        if not column:
+            raise UserError(f"--kinds takes COLUMN=KIND, such as dose=number, got {kind!r}")
+        if kind not in KINDS:
+            raise UserError(f"{name}: {unknown('kind', kind, KINDS)}")
+        kinds |= dict.fromkeys(columns_like(table, column, name), kind)
+    return kinds
+
+
+def _stored(values: Any) -> tuple[Kind, str]:
+    """The kind that the stored type of a column suggests, and why."""
+    kind = values.type
+    if pa.types.is_boolean(kind):
+        return "flag", "truth values"
+    if is_category(kind):
+        return "category", "texts"
+    if pa.types.is_temporal(kind):
+        return "date", "dates"
+    return ("integer", "whole numbers") if pa.types.is_integer(kind) else ("number", "numbers")

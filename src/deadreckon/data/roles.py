@@ -1,0 +1,56 @@
+"""Which columns of a table the names suggest for which role."""
+
+import re
+from collections.abc import Sequence
+
+# By role, the names that libraries and people give to such a column, in lower case.
+NAMES = {
+    "reward": re.compile(r"rewards?|rew|r"),
+    "action": re.compile(r"actions?|act|a"),
+    "episode": re.compile(r"episodes?(_?(id|index|no|number))?|eps?_?id|traj(ectory|ectories)?(_?(id|index))?|ep"),
+    "time": re.compile(r"time|timestamps?|ts|t|(time_?)?steps?(_?(id|index))?"),
+    "terminal": re.compile(r"terminals?|is_terminal|terminate(d|ds)|terminations?"),
+    "timeout": re.compile(r"time_?outs?|truncate(d|ds)|truncations?"),
+    "propensity": re.compile(
+        r"propensit(y|ies)(_scores?)?|p_?scores?|(action_|behaviou?r_|logging_)?prob(s|ability|abilities)?|action_prob"
+    ),
+    "cost": re.compile(r"costs?"),
+}
+DONE = re.compile(r"dones?|is_done|ended|end_of_episode|is_last|is_first|last_step")  # says that, and not why, an episode ended
+IDENTITY = re.compile(r"(^|_)(u?u?id|user|customer|patient|session|site)(_?id)?$")
+# How the name of a next observation is made of that of the observation.
+_NEXT = (
+    (r"^next_(.+)$", r"\1"), (r"^(.+)_next$", r"\1"), (r"^new_(.+)$", r"\1"), (r"^(.+)_prime$", r"\1"), (r"^(.+)'$", r"\1"),
+    (r"^obs2_(.+)$", r"obs_\1"), (r"^obs2_(.+)$", r"obs1_\1"), (r"^(obs|observation|state|s)_next_(.+)$", r"\1_\2"),
+    (r"^sp_(.+)$", r"s_\1"), (r"^(.+)_(?:t1|t\+1|tp1)$", r"\1_t"), (r"^(.+)_(?:t1|t\+1|tp1)$", r"\1"),
+)  # fmt: skip
+
+
+def like(role: str, name: str) -> bool:
+    """Whether a column of that name may have the role."""
+    return NAMES[role].fullmatch(name.lower()) is not None
+
+
+def row_numbers(names: Sequence[str]) -> list[str]:
+    """Those of `names` that a table library gives to the row numbers that it writes."""
+    return [column for column in names if column == "" or re.fullmatch(r"Unnamed: \d+", column)]
+
+
+def numbered(names: Sequence[str], prefix: str) -> list[str]:
+    """Those of `names` called prefix_0, prefix_1, ... in the order of their numbers."""
+    found = [column for column in names if re.fullmatch(re.escape(prefix) + r"_\d+", column)]
+    return sorted(found, key=lambda column: int(column.rpartition("_")[2]))
+
+
+def next_of(names: Sequence[str]) -> dict[str, str]:
+    """{next observation: observation} for those of `names` whose name says that they are another's next value."""
+    by_lower = {name.lower(): name for name in names}
+    pairs: dict[str, str] = {}
+    for name in names:
+        for pattern, made in _NEXT:
+            if re.search(pattern, name, re.IGNORECASE):
+                found = by_lower.get(re.sub(pattern, made, name, flags=re.IGNORECASE).lower())
+                if found is not None and found != name:
+                    pairs[name] = found
+                    break
+    return pairs

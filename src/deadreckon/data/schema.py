@@ -1,0 +1,242 @@
+"""What each column of a table is: its role, kind, levels, unit, range, and how missing values are filled; also as TOML."""
+
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import replacing
+
+Role = Literal[
+    "observation", "action", "reward", "next_observation", "episode", "time", "group", "terminal", "timeout", "propensity",
+    "cost", "weight", "keep", "ignore",
+]  # fmt: skip
+Kind = Literal["number", "integer", "category", "flag", "date"]
+ROLES, KINDS = get_args(Role), get_args(Kind)
+ONE = ("reward", "episode", "time", "group", "terminal", "timeout", "propensity", "weight")  # roles of one column at most
+# The kinds that a column may have in a role; any kind in the others.
+ALLOWED: dict[str, tuple[str, ...]] = {
+    "observation": ("number", "integer", "category", "flag"), "next_observation": ("number", "integer", "category", "flag"),
+    "action": ("number", "integer", "category", "flag"), "reward": ("number", "integer", "flag"),
+    "time": ("number", "integer", "date"), "terminal": ("flag", "integer", "number"),
+    "timeout": ("flag", "integer", "number"), "propensity": ("number", "integer"),
+    "cost": ("number", "integer", "flag"), "weight": ("number", "integer"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Column:
+    """What one column of a table is.
+
+    Attributes:
+        name: of the column in the table.
+        role: what it is for; `ignore` leaves it out, `keep` stores it beside the log.
+        kind: how its values are read. An observation of kind category becomes one 0/1 number per level, of kind flag one;
+            an action of kind integer, category or flag is discrete, of kind number continuous.
+        levels: of a category, or of a discrete action's integers, in the order of their codes; None: those that the table has.
+        unit: of its numbers, such as "kW"; shown, and never converted.
+        low: smallest value possible; of a continuous action the lower bound. None: not known.
+        high: largest value possible; see `low`.
+        fill: number that stands for missing values; None: the mean of the table.
+        marked: whether a further 0/1 number says where the value was missing; None: where the table misses some.
+        keep: whether it is kept beside the log as an extra, too; columns of the role keep, group, cost and weight always are.
+        of: of a next observation, the name of the observation that it is the next value of.
+        reason: why the column was given this role and kind.
+        doubt: what should be checked by somebody who knows the table; empty where nothing.
+    """
+
+    name: str
+    role: Role
+    kind: Kind = "number"
+    levels: tuple[Any, ...] | None = None
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    fill: float | None = None
+    marked: bool | None = None
+    keep: bool = False
+    of: str | None = None
+    reason: str = field(default="", compare=False)
+    doubt: str = field(default="", compare=False)
+
+    def __post_init__(self):
+        where = f"schema, column {self.name}"
+        if self.role not in ROLES:
+            raise UserError(f"{where}: {unknown('role', str(self.role), ROLES)}")
+        if self.kind not in KINDS:
+            raise UserError(f"{where}: {unknown('kind', str(self.kind), KINDS)}")
+        if (allowed := ALLOWED.get(self.role)) and self.kind not in allowed:
+            raise UserError(f"{where}: kind {self.kind} does not go with the role {self.role}; possible: {', '.join(allowed)}")
+        for key in ("low", "high", "fill"):
+            value = getattr(self, key)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or value - value != 0):
+                raise UserError(f"{where}: {key} must be a finite number, got {value!r}")
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise UserError(f"{where}: low must be smaller than high, got {self.low:g} and {self.high:g}")
+        if self.levels is not None:
+            if not isinstance(self.levels, list | tuple) or not self.levels:
+                raise UserError(f"{where}: levels must be a list of the values that the column may have, got {self.levels!r}")
+            if len(set(map(repr, self.levels))) < len(self.levels):
+                raise UserError(f"{where}: a level is listed twice: {', '.join(map(str, self.levels))}")
+            object.__setattr__(self, "levels", tuple(self.levels))
+        for key in ("marked", "keep"):
+            if not isinstance(getattr(self, key), bool | None):
+                raise UserError(f"{where}: {key} must be true or false, got {getattr(self, key)!r}")
+        for key in ("unit", "of", "reason", "doubt"):
+            if not isinstance(getattr(self, key), str | None):
+                raise UserError(f"{where}: {key} must be a text, got {getattr(self, key)!r}")
+
+    def told(self) -> dict[str, Any]:
+        """What is said of the column, as JSON values, without its name, reason and doubt and what has its default."""
+        silent = ("name", "reason", "doubt")
+        given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in silent}
+        given = {key: value for key, value in given.items() if key in ("role", "kind") or value not in (None, False, "")}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
+
+
+@dataclass(frozen=True)
+class Schema:
+    """The columns of a table, and how its file is written.
+
+    Attributes:
+        columns: what each is. Observations, and actions, are dimensions in this order.
+        table: the `path` of the table's file, relative to the schema's, and options of its reader.
+    """
+
+    columns: tuple[Column, ...]
+    table: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        names = [column.name for column in self.columns]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise UserError(f"schema: column {twice[0]} is described twice")
+        for role in ONE:
+            if len(found := self.named(role)) > 1:
+                raise UserError(f"schema: columns {found[0]} and {found[1]} both have the role {role}; only one column can")
+        observed = self.named("observation")
+        for column in self.having("next_observation"):
+            if column.of is None or column.of not in observed:
+                told = f"the name of an observation ({', '.join(observed) or 'there is none'})"
+                raise UserError(f"schema, column {column.name}: a next observation needs of = {told}")
+
+    def having(self, *roles: Role) -> tuple[Column, ...]:
+        """The columns in one of these roles."""
+        return tuple(column for column in self.columns if column.role in roles)
+
+    def named(self, *roles: Role) -> list[str]:
+        """The names of the columns in one of these roles."""
+        return [column.name for column in self.having(*roles)]
+
+    def one(self, role: Role) -> Column | None:
+        """The column in a role that one column can have, or None."""
+        return next(iter(self.having(role)), None)
+
+    def file_beside(self, path: Path | str) -> Path:
+        """The table that the schema in the file `path` names, which lies in the same folder or below it.
+
+        Raises:
+            UserError: it names none, or one elsewhere.
+        """
+        name = self.table.get("path")
+        if not isinstance(name, str) or not name:
+            text = f'{path}: the schema names no table; add path = "FILE" to its [table]'
+            raise UserError(f"{text}, or give the table and --schema {path}")
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise UserError(f"{path}: its table {name} must lie beside the schema; give the table itself and --schema {path}")
+        return Path(path).parent / name
+
+    def resolved(self, columns: Iterable[Column]) -> "Schema":
+        """The same schema in which these columns replace those of their names."""
+        new = {column.name: column for column in columns}
+        return replace(self, columns=tuple(new.get(column.name, column) for column in self.columns))
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values; `from_json` reads them back."""
+        columns = {column.name: column.told() for column in self.columns}
+        return {"columns": columns} | ({"table": dict(self.table)} if self.table else {})
+
+    @classmethod
+    def from_json(cls, value: Any, where: str = "schema") -> "Schema":
+        """The inverse of `to_json`.
+
+        Raises:
+            UserError: one line that names the column and what is wrong with it.
+        """
+        if not isinstance(value, Mapping) or not isinstance(value.get("columns"), Mapping):
+            raise UserError(f"{where}: a schema needs a table [columns.NAME] for each column")
+        if more := sorted(set(value) - {"columns", "table"}):
+            raise UserError(f"{where}: {unknown('entry', more[0], ('columns', 'table'))}")
+        table = value.get("table", {})
+        if not isinstance(table, Mapping):
+            raise UserError(f"{where}: [table] holds options of the file such as separator, got {table!r}")
+        known = [f.name for f in fields(Column) if f.name not in ("name", "reason", "doubt")]
+        columns = []
+        for name, given in value["columns"].items():
+            if not isinstance(given, Mapping) or "role" not in given:
+                raise UserError(f"{where}: column {name} needs a role ({', '.join(ROLES)})")
+            for key in given:
+                if key not in known:
+                    raise UserError(f"{where}, column {name}: {unknown('entry', key, known)}")
+            columns.append(Column(str(name), **given))
+        return cls(tuple(columns), dict(table))
+
+    def to_toml(self, about: str = "") -> str:
+        """As TOML, with each column's reason and doubts as comments.
+
+        Args:
+            about: first comment, such as the name of the table.
+        """
+        lines = [f"# {about}"] if about else []
+        if any(column.doubt for column in self.columns):
+            lines.append("# Lines that begin with `# ?` are doubts: check them against what you know of the table.")
+        lines.append("")
+        if self.table:
+            lines += ["[table]", *(f"{key} = {_value(value)}" for key, value in self.table.items()), ""]
+        for column in self.columns:
+            lines.append(f"[columns.{json.dumps(column.name, ensure_ascii=False)}]")
+            lines += [f"# ? {column.doubt}"] if column.doubt else []
+            lines += [f"# {column.reason}"] if column.reason else []
+            lines += [*(f"{key} = {_value(value)}" for key, value in column.told().items()), ""]
+        return "\n".join(lines)
+
+    def save(self, path: Path | str, about: str = "") -> None:
+        """Writes the schema as TOML; see `to_toml`. Atomic."""
+        with replacing(path) as temporary:
+            temporary.write_text(self.to_toml(about), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Schema":
+        """Reads a schema that `save` or somebody else wrote.
+
+        Raises:
+            UserError: one line with the file and what is wrong in it.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except FileNotFoundError as error:
+            raise UserError(f"no file {path}; `deadreckon data describe TABLE --save {path}` drafts a schema") from error
+        except (OSError, UnicodeDecodeError) as error:
+            raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+        try:
+            value = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise UserError(f"{path}: not TOML ({error})") from error
+        return cls.from_json(value, str(path))
+
+
+def given(schema: "Schema | Mapping[str, Any] | Path | str") -> Schema:
+    """A schema as users may give it: the object, its JSON values, or the path of its TOML file."""
+    if isinstance(schema, Schema):
+        return schema
+    return Schema.from_json(schema) if isinstance(schema, Mapping) else Schema.load(schema)
+
+
+def _value(value: Any) -> str:
+    """A value as TOML writes it; JSON's texts, numbers and lists are TOML's too."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    # TOML has no escape \/ and takes all other characters but control ones, which JSON escapes alike; DEL it wants escaped.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,223 @@
+"""Tables that try to be misread: each is read right, or what is doubtful is told by the name of the column."""
+
+import datetime as dt
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
+
+N = 120
+RNG = np.random.default_rng(0)
+X, R = RNG.normal(size=N), RNG.normal(size=N)
+STEP = np.tile(np.arange(12), 10)
+EPISODE = np.repeat(np.arange(10), 12)
+WALK = np.stack([np.arange(N), np.arange(N) * 0.5], 1) + RNG.normal(size=(N, 2))
+
+
+def named(log):
+    return log.provenance.extra["observation_names"]
+
+
+def told(log, words):
+    return any(re.search(words, line) for line in log.warnings)
+
+
+def base(**more):
+    return {"x": X, "action": np.arange(N) % 3, "reward": R, **more}
+
+
+def following(values, fill=np.nan):
+    return np.where(STEP[:, None] == 11, fill, np.roll(values, -1, 0))
+
+
+def walk(names, nexts, fill=0.25):
+    after = following(WALK, fill)
+    return {"ep": EPISODE, **dict(zip(names, WALK.T)), "action": np.arange(N) % 3, "reward": R, **dict(zip(nexts, after.T))}
+
+
+@pytest.mark.parametrize(
+    ("names", "nexts"),
+    [
+        (("s0", "s1"), ("next_s0", "next_s1")),
+        (("s0", "s1"), ("s0_next", "s1_next")),
+        (("obs_0", "obs_1"), ("obs2_0", "obs2_1")),
+        (("obs1_0", "obs1_1"), ("obs2_0", "obs2_1")),
+        (("obs_0", "obs_1"), ("next_obs_0", "next_obs_1")),
+        (("obs_0", "obs_1"), ("new_obs_0", "new_obs_1")),
+        (("obs_0", "obs_1"), ("obs_next_0", "obs_next_1")),
+        (("s_0", "s_1"), ("sp_0", "sp_1")),
+        (("Temp", "Load"), ("NEXT_TEMP", "NEXT_LOAD")),
+        (("temp", "load"), ("temp_prime", "load_prime")),
+        (("temp_t", "load_t"), ("temp_t1", "load_t1")),
+    ],
+)
+def test_next_observations_are_known_by_their_names(names, nexts):
+    log = Dataset.from_frame(walk(names, nexts), episode="ep")
+    assert named(log) == list(names)
+    assert log.episodes == 10
+    np.testing.assert_allclose(log.next_observations, following(WALK, 0.25).astype(np.float32), rtol=1e-6)
+    assert log.dropped == 0
+    assert told(log, f"columns {nexts[0]}, {nexts[1]} are read as next observations")
+
+
+def test_next_observations_may_have_any_name_and_are_matched_by_place():
+    table = walk(("s0", "s1"), ("u", "v"))
+    log = Dataset.from_frame(table, episode="ep", next_observations=["u", "v"])
+    assert named(log) == ["s0", "s1"]
+    np.testing.assert_allclose(log.next_observations, following(WALK, 0.25).astype(np.float32), rtol=1e-6)
+    with pytest.raises(UserError, match="1 next observations, but 3 observations"):
+        Dataset.from_frame(table, episode="ep", next_observations=["u"])
+
+
+def test_next_observations_that_are_missing_are_unknown_at_ends_and_refused_inside():
+    log = Dataset.from_frame(walk(("s0", "s1"), ("next_s0", "next_s1"), np.nan), episode="ep")
+    assert log.dropped == 10
+    table = walk(("s0", "s1"), ("next_s0", "next_s1"))
+    table["next_s0"][3] = table["next_s1"][3] = np.nan
+    with pytest.raises(UserError, match="next observation is missing in step 3, which is not the last of its episode"):
+        Dataset.from_frame(table, episode="ep")
+    table["next_s1"][3] = 0.0
+    with pytest.raises(UserError, match="column next_s0 is empty in row 3, whose other next observations are known"):
+        Dataset.from_frame(table, episode="ep")
+
+
+def test_without_a_column_of_episodes_they_end_where_the_next_row_does_not_continue():
+    table = walk(("s0", "s1"), ("next_s0", "next_s1"))
+    del table["ep"]
+    log = Dataset.from_frame(table)
+    assert log.lengths.tolist() == [12] * 10
+    assert log.dropped == 0
+
+
+def test_next_observations_are_encoded_as_the_observations_are():
+    kind = np.array(["red", "blue"])[EPISODE % 2]
+    table = {"ep": EPISODE, "kind": kind, "next_kind": np.array(["blue", "blue"])[EPISODE % 2], "a": STEP % 2, "r": R}
+    log = Dataset.from_frame(table, episode="ep", action="a", reward="r")
+    assert named(log) == ["kind=blue", "kind=red"]
+    assert (log.next_observations == [1, 0]).all()
+
+
+def test_some_next_observations_without_the_others_are_left_out():
+    table = walk(("s0", "s1"), ("next_s0", "next_s1"))
+    del table["next_s1"]
+    log = Dataset.from_frame(table, episode="ep")
+    assert named(log) == ["s0", "s1"]
+    assert told(log, "columns next_s0 look like next observations and are left out, because s1 have none")
+
+
+CASES = {
+    # name: (further columns, options, names of observations or None, action space or None, words that are told or None)
+    "whole floats are codes": (
+        {"action": np.arange(N) % 3 * 1.0}, {}, ["x"], Discrete(3), "column action holds the whole numbers 0 to 2",
+    ),
+    "whole floats that are doses": (
+        {"action": np.arange(N) % 3 * 1.0}, {"kinds": {"action": "number"}}, ["x"], Box((0.0,), (2.0,)), None,
+    ),
+    "controls that are -1, 0 and 1": ({"action": np.arange(N) % 3 - 1.0}, {}, ["x"], Box((-1.0,), (1.0,)), None),
+    "a dose of many integers": (
+        {"action": np.arange(N) * 4}, {}, ["x"], Box((0.0,), (476.0,)), "column action has 120 different .* continuous action",
+    ),
+    "many items": (
+        {"action": np.arange(N) % 40}, {}, ["x"], Discrete(40), "column action has 40 different .* read as 40 discrete actions",
+    ),
+    "many items by kind": ({"action": np.arange(N)}, {"kinds": ["action=integer"]}, ["x"], Discrete(N), None),
+    "an action that never changes": (
+        {"action": np.full(N, 0.5)}, {}, ["x"], None, "column action is an action that never changes",
+    ),
+    "comments": (
+        {"comment": [f"note {i}" for i in range(N)]}, {}, ["x"], None, "column comment has 120 different texts .* left out",
+    ),
+    "comments that are wanted": (
+        {"note": [f"{i % 60}!" for i in range(N)]}, {"kinds": {"note": "category"}}, None, None, None,
+    ),
+    "flags": ({"on": np.arange(N) % 2 == 0}, {}, ["x", "on"], None, None),
+    "numbers as texts": (
+        {"y": [str(i / 2) for i in range(N)]}, {}, ["x", "y"], None, "column y holds numbers as texts, and is read as numbers",
+    ),
+    "codes": ({"zone": np.arange(N) % 4}, {}, ["x", "zone"], None, "column zone holds whole numbers that may be codes"),
+    "codes as levels": (
+        {"zone": np.arange(N) % 3}, {"kinds": {"zone": "category"}}, ["x", "zone=0", "zone=1", "zone=2"], None, None,
+    ),
+    "done": ({"done": np.arange(N) % 12 == 11}, {}, ["x"], None, "column done marks ends of episodes and is left out"),
+    "terminated": (
+        {"terminated": np.arange(N) % 12 == 11}, {}, ["x"], None, "column terminated is read as the flag of true ends",
+    ),
+    "truncated": (
+        {"Truncated": (np.arange(N) % 12 == 11) * 1}, {}, ["x"], None, "column Truncated is read as the flag of ends of rec",
+    ),
+    "episode": ({"episode_id": EPISODE}, {}, ["x"], None, "column episode_id is read as the name of the episode"),
+    "episode in every row": ({"traj_id": np.arange(N)}, {}, ["x"], None, "column traj_id differs in every row and is left out"),
+    "time within episodes": ({"ep": EPISODE, "t": STEP}, {}, ["x"], None, "column t is read as the time within an episode"),
+    "time alone": ({"t": np.arange(N)}, {}, ["x", "t"], None, "column t looks like a time and is read as an observation"),
+    "dates": ({"day": [dt.date(2026, 1, 1)] * N}, {}, ["x"], None, "timestamps are left out of the observations: day"),
+    "dates as texts": (
+        {"day": ["2026-01-02T03:04:05Z"] * N}, {}, ["x"], None, "column day holds dates and is left out",
+    ),
+    "propensity": ({"pscore": np.full(N, 0.5)}, {}, ["x"], None, "column pscore looks like a probability of the logged action"),
+    "cost": ({"cost": np.abs(X)}, {}, ["x"], None, "column cost looks like a cost"),
+    "empty": ({"y": [None] * N}, {}, ["x"], None, "column y is empty and is left out"),
+    "identity": ({"user_id": EPISODE}, {}, ["x", "user_id"], None, "column user_id looks like a name of someone"),
+    "row numbers": ({"Unnamed: 0": np.arange(N)}, {}, ["x"], None, "column 'Unnamed: 0' looks like a row number"),
+    "several actions of whole numbers": (
+        {"b": np.arange(N) % 2}, {"action": ["action", "b"]}, ["x"], Box((0.0, 0.0), (2.0, 1.0)),
+        "column b holds whole numbers and is one of several actions",
+    ),
+    "missing cells": (
+        {"y": [None, None, *range(N - 2)], "z": [None, *range(N - 1)]}, {}, ["x", "y", "y_missing", "z", "z_missing"], None,
+        "3 missing values in 2 of 120 rows .* y 2, z 1",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_read_right_or_told(name):
+    more, options, names, space, words = CASES[name]
+    log = Dataset.from_frame(base(**more), **options)
+    assert names is None or named(log) == names
+    assert space is None or log.action_space == space
+    if words is None:
+        assert log.warnings in ((), tuple(line for line in log.warnings if "is read as the" in line))
+    else:
+        assert told(log, words), log.warnings
+    # What was decided is in the schema, by which the same table is read alike, with nothing more to decide.
+    again = Dataset.from_frame(base(**more), schema=log.provenance.extra["schema"])
+    assert again.fingerprint == log.fingerprint
+    assert again.provenance.extra == log.provenance.extra
+
+
+def test_a_renamed_level_of_the_action_is_refused_and_one_of_an_observation_is_told():
+    table = {"kind": ["a", "b"] * 3, "x": range(6), "arm": ["go", "stop"] * 3, "r": range(6)}
+    schema = Dataset.from_frame(table, action="arm", reward="r").provenance.extra["schema"]
+    renamed = Dataset.from_frame(table | {"kind": ["a", "c"] * 3}, schema=schema)
+    assert told(renamed, "column kind has levels that the schema does not list: 'c'; they become no level")
+    assert renamed.observations[1].tolist() == [0, 0, 1]
+    with pytest.raises(UserError, match="column arm has levels that the schema does not list: 'Go'; rename them"):
+        Dataset.from_frame(table | {"arm": ["Go", "stop"] * 3}, schema=schema)
+    fewer = Dataset.from_frame({key: list(value)[:1] for key, value in table.items()}, schema=schema)
+    assert fewer.observations.shape == (1, 3)
+    assert fewer.action_space == Discrete(2)
+
+
+def test_dates_as_texts_order_rows_from_pandas_too():
+    table = pd.DataFrame({"when": ["2026-01-03", "2026-01-01", "2026-01-02"], "x": [3, 1, 2], "a": [0, 1, 0], "r": [0, 0, 1]})
+    log = Dataset.from_frame(table, time="when", action="a", reward="r")
+    assert log.observations[:, 0].tolist() == [1, 2, 3]
+
+
+def test_groups_are_kept_and_held_out_together():
+    from deadreckon.runs.holdout import divided
+
+    users = np.repeat(np.arange(20), 6)
+    log = Dataset.from_frame(base(user=users), group="user")
+    assert named(log) == ["x"]
+    parts = divided(log, None, None, None)
+    assert parts.told["by"] == "user"
+    assert not set(parts.learning.extras["user"]) & (set(users) - set(parts.learning.extras["user"]))
+    held = np.isin(log.episode_ids, parts.held)
+    assert not set(log.extras["user"][held]) & set(parts.learning.extras["user"])
+    assert divided(log, 0.5, None, None).told["by"] == "user"

@@ -1,0 +1,128 @@
+import pytest
+
+from deadreckon.cli.main import main
+from deadreckon.data.describe import describe_table
+from deadreckon.data.formats.io import read
+from deadreckon.data.schema import Column, Schema
+from deadreckon.errors import UserError
+
+TABLE = """day,minute,temp,mode,note,valve,saved,done
+1,0,20.1,auto,a,0.1,3.2,0
+1,1,,auto,b,0.3,1.1,0
+2,0,19.8,"man ""u"" al",c,0.2,1.0,0
+2,1,19.5,auto,d,0.4,1.5,1
+"""
+NAMED = {"episode": "day", "time": "minute", "action": "valve", "reward": "saved", "terminal": "done", "ignore": "note"}
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "chiller.csv"
+    path.write_text(TABLE)
+    return path
+
+
+def test_what_is_drafted_is_read_alike(table, tmp_path):
+    schema, told = describe_table(table, **NAMED)
+    schema.save(tmp_path / "chiller.toml")
+    assert Schema.load(tmp_path / "chiller.toml") == schema
+    assert any("temp 1" in line for line in told)
+    asked, by_schema = read(table, **NAMED), read(table, schema=tmp_path / "chiller.toml")
+    beside = read(tmp_path / "chiller.toml")
+    assert asked.fingerprint == by_schema.fingerprint == beside.fingerprint
+    assert by_schema.warnings == asked.warnings
+    assert schema.one("time").name == "minute"
+    assert {c.name: c.levels for c in schema.columns if c.levels} == {"mode": ("auto", 'man "u" al')}
+
+
+def test_reasons_and_doubts_stand_in_the_file(table):
+    schema, told = describe_table(table, reward="saved", action="valve")
+    text = schema.to_toml("Schema of a chiller.")
+    assert text.startswith("# Schema of a chiller.\n# Lines that begin with `# ?` are doubts")
+    assert "# ? marks ends of episodes and is left out: --terminal done" in text
+    assert "19.5 .. 20.1, 1 missing" in text
+    assert any(line.startswith("column done marks ends of episodes") for line in told)
+
+
+def test_a_table_of_which_nothing_is_known_is_described_too(table):
+    schema, told = describe_table(table)
+    assert sum(line.startswith("no column is the reward by its name") for line in told) == 1
+    assert schema.one("reward") is None
+    assert schema.named("ignore") == ["done"]
+
+
+def test_changed_by_hand(table, tmp_path):
+    schema, _ = describe_table(table, **NAMED)
+    text = schema.to_toml()
+    at = text.index('[columns."valve"]')
+    changed = text[:at] + text[at:].replace('kind = "number"', 'kind = "number"\nlow = 0.0\nhigh = 2.0\nunit = "share"', 1)
+    (tmp_path / "changed.toml").write_text(changed)
+    log = read(table, schema=tmp_path / "changed.toml")
+    assert (log.action_space.low, log.action_space.high) == ((0.0,), (2.0,))
+    assert log.provenance.extra["schema"]["columns"]["valve"]["unit"] == "share"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[columns.x]\nrole = 'obs'", "x.toml, column x: unknown role 'obs'|schema, column x: unknown role 'obs'"),
+        ("[columns.x]\nkind = 'number'", "column x needs a role"),
+        ("[columns.x]\nrole = 'observation'\nkind = 'date'", "column x: kind date does not go with the role observation"),
+        ("[columns.x]\nrole = 'observation'\nlows = 1", "column x: unknown entry 'lows': did you mean low"),
+        ("[columns.x]\nrole = 'action'\nlow = 2\nhigh = 1", "low must be smaller than high, got 2 and 1"),
+        ("[columns.x]\nrole = 'action'\nlow = 'a'", "low must be a finite number, got 'a'"),
+        ("[columns.x]\nrole = 'action'\nlevels = ['a', 'a']", "a level is listed twice"),
+        ("[columns.x]\nrole = 'action'\nlevels = 3", "levels must be a list"),
+        ("[columns.x]\nrole = 'reward'\n[columns.y]\nrole = 'reward'", "columns x and y both have the role reward"),
+        ("[columns.x]\nrole = 'next_observation'", "a next observation needs of = the name of an observation"),
+        ("[columns.x]\nrole = 'observation'\nmarked = 1", "marked must be true or false"),
+        ("[columns.x]\nrole = 'observation'\nunit = 1", "unit must be a text"),
+        ("[tables]\na = 1\n[columns.x]\nrole = 'observation'", "unknown entry 'tables'"),
+        ("table = 1\n[columns.x]\nrole = 'observation'", r"\[table\] holds options of the file"),
+        ("columns = 3", "a schema needs a table"),
+        ("[columns.x", "not TOML"),
+    ],
+)
+def test_bad_schemas_are_told_in_one_line(tmp_path, text, words):
+    path = tmp_path / "x.toml"
+    path.write_text(text)
+    with pytest.raises(UserError, match=words) as caught:
+        Schema.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_schema_that_does_not_fit_is_told(table, tmp_path):
+    schema, _ = describe_table(table, **NAMED)
+    with pytest.raises(UserError, match="leave reward out, or change the schema"):
+        read(table, schema=schema, reward="saved")
+    more = Schema((*schema.columns, Column("tmp", "observation")))
+    with pytest.raises(UserError, match="unknown column 'tmp': did you mean temp"):
+        read(table, schema=more)
+    fewer = Schema(tuple(column for column in schema.columns if column.name != "note"))
+    assert any("does not have these columns, which are left out: note" in line for line in read(table, schema=fewer).warnings)
+    without = Schema(tuple(column for column in schema.columns if column.role != "reward"))
+    with pytest.raises(UserError, match="the schema gives no column the role reward"):
+        read(table, schema=without)
+    with pytest.raises(UserError, match="no file .*nowhere.toml; `deadreckon data describe TABLE"):
+        read(table, schema=tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize("path", ["/etc/passwd", "../secrets.csv"])
+def test_a_schema_names_no_table_elsewhere(tmp_path, path):
+    (tmp_path / "x.toml").write_text(f'[table]\npath = "{path}"\n[columns.x]\nrole = "observation"\n')
+    with pytest.raises(UserError, match="must lie beside the schema"):
+        read(tmp_path / "x.toml")
+
+
+def test_the_command_drafts_and_others_read(table, tmp_path, capsys):
+    out = tmp_path / "chiller.toml"
+    options = ["--episode", "day", "--time", "minute", "--action", "valve", "--reward", "saved", "--terminal", "done"]
+    main(["data", "describe", str(table), *options, "--ignore", "note", "--save", str(out)])
+    assert "! " in capsys.readouterr().err
+    main(["data", "info", str(table), "--schema", str(out)])
+    first = capsys.readouterr().out
+    main(["data", "info", str(out)])
+    assert capsys.readouterr().out == first
+    assert "4 in 2 episodes" in first
+    assert main(["data", "describe", str(table), "--save", str(out)]) == 2
+    assert "exists already; --force replaces it" in capsys.readouterr().err
