@@ -50,7 +50,7 @@ class Get:
 
 @dataclass
 class Mapping:
-    """Which columns of a table (CSV, Parquet) are what."""
+    """Which columns of a table (CSV, Parquet, a spreadsheet, a database) are what, and how its file is read."""
 
     action: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """action columns, or their prefix: `a` stands for a_0, a_1 and so on"""
@@ -65,6 +65,19 @@ class Mapping:
     propensity: Annotated[str | None, _COLUMN] = None  # column of the probability of the logged action
     keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """columns to keep that are not observations, such as a user to hold out by"""
+    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
+    """what separates the columns of a text file: a character, comma, semicolon, tab, pipe or space; None: it is found"""
+    decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
+    """mark of decimals in a text file; None: it is found"""
+    thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
+    """mark of thousands in a text file; None: it is found"""
+    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: it is found"""
+    dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
+    """order of dates such as 03/04/2024; None: it is found"""
+    sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
+    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # SELECT that gives the rows of a database
+    table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
 
 
 @dataclass
@@ -72,7 +85,7 @@ class Info:
     """Describe a log, and warn of possible problems."""
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
 
 
@@ -82,7 +95,7 @@ class Convert:
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder to read
     target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID to write
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
     force: bool = False  # whether to overwrite an existing target
 

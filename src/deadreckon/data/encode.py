@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 
+from deadreckon.data.likeness import refuse_mistaken
 from deadreckon.errors import UserError
 
 _compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
@@ -48,6 +49,7 @@ class Encoder:
         for column in names:
             values = _flat(self.table, column)
             if is_category(values.type):
+                refuse_mistaken(self.name, column, values)
                 codes, found = category_codes(self.name, column, values)
                 levels[column] = found
                 for code, level in enumerate(found):
@@ -92,6 +94,7 @@ class Encoder:
         (column,) = names
         values = self.complete(column)
         if is_category(values.type):
+            refuse_mistaken(self.name, column, values)
             codes, levels = category_codes(self.name, column, values)
             self.extra["action_levels"] = levels
             return codes
