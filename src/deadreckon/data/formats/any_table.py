@@ -46,7 +46,7 @@ def read_table(
         "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
         "sheet": sheet, "query": query, "table": table,
     }  # fmt: skip
-    kind = sniff(path)
+    kind = sniff(path, separator)
     no_options(path, kind, given)
     asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
     if kind == "csv":

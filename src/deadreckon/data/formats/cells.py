@@ -47,8 +47,7 @@ def converted(
     flags: list[str] = []
     grouped: list[str] = []
     called = {name: (wheres or {}).get(name, f"column {name}") for name in table.column_names}
-    for name in table.column_names:
-        values = table.column(name)
+    for name, values in zip(table.column_names, table.columns, strict=True):
         if not (pa.types.is_string(values.type) or pa.types.is_large_string(values.type)):
             continue
         trimmed = _compute.utf8_trim_whitespace(values)
@@ -63,7 +62,7 @@ def converted(
             told += [f"{called[name]}: {line}" for line in lines]
             grouped += [name] if marked else []
             dashes = done[name].null_count - present.null_count
-            told += [f"{called[name]}: '{DASH}' is a missing number in {dashes} rows"] if dashes else []
+            told += [f"{called[name]}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
         else:
             texts[name] = present
     if flags:
@@ -74,14 +73,15 @@ def converted(
     moments, order, lines = dates_of(texts, dialect.dates, european)
     done |= moments
     told += lines
-    for index, name in enumerate(table.column_names):
+    columns = []
+    for name, values in zip(table.column_names, table.columns, strict=True):
         if name in done:
-            table = table.set_column(index, name, done[name])
-        elif pa.types.is_string(table.column(name).type) or pa.types.is_large_string(table.column(name).type):
-            filled = _without(table.column(name), ("",))
-            table = table.set_column(index, name, filled)
-            told += _of_texts(called[name], filled)
-    return table, order, told
+            values = done[name]
+        elif pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
+            values = _without(values, ("",))
+            told += _of_texts(called[name], values)
+        columns.append(values)
+    return pa.table(columns, names=table.column_names), order, told
 
 
 def with_dates(dialect: Dialect, order: str | None) -> Dialect:
@@ -148,13 +148,17 @@ def _any(texts: Any, pattern: str) -> bool:
     return bool(_compute.any(_compute.match_substring_regex(texts, pattern)).as_py())
 
 
+def _rows(count: int) -> str:
+    return f"{count} row{'s' * (count != 1)}"
+
+
 def _of_texts(called: str, values: Any) -> list[str]:
     """What to tell of a column that stays text."""
     gone = _compute.is_in(values, value_set=pa.array((*MISSING[1:], DASH), values.type))
     told = []
     if count := _compute.sum(gone).as_py():
         word = values.filter(gone)[0].as_py()
-        told.append(f"{called}: {word!r} is a text like others in {count} rows; empty those cells if it means missing")
+        told.append(f"{called}: {word!r} is a text like others in {_rows(count)}; empty such cells if they are missing")
     found = likeness(_without(values, (*MISSING, DASH)))
     if found.alike and found.row < 0:
         told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date")

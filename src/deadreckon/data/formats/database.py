@@ -36,12 +36,13 @@ def read_database(
     with reading(path, "a database"), open(path, "rb"):  # SQLite's own error does not say why
         pass
     found, told = _sqlite(path, query, table) if kind == "sqlite" else _duckdb(path, query, table)
-    names = found.column_names
-    for index, name in enumerate(names):
-        if names.index(name) != index:
-            raise UserError(f"{path}: the query gives two columns called {name!r}; rename one with AS")
+    seen: set[str] = set()
+    for index, name in enumerate(found.column_names):
         if not name.strip():
             raise UserError(f"{path}: column {index + 1} of the query has no name; give it one with AS")
+        if name in seen:
+            raise UserError(f"{path}: the query gives two columns called {name!r}; rename one with AS")
+        seen.add(name)
     return found, told
 
 

@@ -66,12 +66,14 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
     taken: dict[tuple[str, str, bool], list[str]] = {}
     for name, each in found.items():
         order = asked or each.order or common or ("day-first" if each.mark == "." or european else "month-first")
-        if each.broken:
-            continue
+        if each.broken and asked is None:
+            order = "day-first" if european or each.mark == "." else "month-first"
         day, month = ("first", "second_") if order == "day-first" else ("second_", "first")
         moments = _moments(each.parts, month, day)
         if moments is None:
-            told.append(f"column {name} has a cell that is no date in the order {_words(order, each.mark)} (--dates)")
+            row = _first_wrong(each.parts, month, day)
+            text = f"{columns[name][row].as_py()!r} in row {row}, which is no date read as {_words(order, each.mark)} (--dates)"
+            told.append(f"column {name} has {text}")
             continue
         done[name] = moments
         unsure = asked is None and each.order is None and common is None and each.mark != "."
@@ -133,6 +135,16 @@ def _moments(parts: dict[str, Any], month: str, day: str) -> Any:
     exact = _compute.any(_compute.not_equal(fraction, "000000")).as_py()
     clock = _compute.binary_join_element_wise(clock, fraction, ".") if exact else clock
     return _cast(_compute.binary_join_element_wise(date, clock, " "), pa.timestamp("us" if exact else "s"))
+
+
+def _first_wrong(parts: dict[str, Any], month: str, day: str) -> int:
+    """The first row for which there is no moment."""
+    low, high = 0, len(parts["year"])
+    while high - low > 1:  # the first half in which one is missing, again and again
+        middle = (low + high) // 2
+        some = {key: values[low:middle] for key, values in parts.items()}
+        low, high = (low, middle) if _moments(some, month, day) is None else (middle, high)
+    return low
 
 
 def _or(values: Any, text: str) -> Any:

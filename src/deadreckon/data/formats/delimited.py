@@ -143,12 +143,12 @@ def _named(path: Path | str, table: pa.Table) -> pa.Table:
     names = [_clean(name) for name in table.column_names]
     kept = [index for index, name in enumerate(names) if name or table.column(index).null_count < table.num_rows]
     table = table.select(kept).rename_columns([names[index] for index in kept])
+    first: dict[str, int] = {}
     for column, index in enumerate(kept):
         name = names[index]
-        if name and names.index(name) != index:
-            raise UserError(
-                f"{path}: the name {name!r} is given to columns {names.index(name) + 1} and {index + 1}; rename one of them"
-            )
+        if name and first.setdefault(name, index) != index:
+            text = f"the name {name!r} is given to columns {first[name] + 1} and {index + 1}"
+            raise UserError(f"{path}: {text}; rename one of them")
         if not name and (column or not _counts(table.column(column))):
             raise UserError(f"{path}: column {index + 1} has no name; give it one in the line of names")
     return table
@@ -163,7 +163,7 @@ def _decoded(path: Path | str, table: pa.Table, dialect: Dialect, known: bool) -
     """The table with columns that turned out not to be UTF-8 behind the head: Windows-1252 if nothing spoke for UTF-8."""
     told = []
     for index, name in enumerate(table.column_names):
-        if not pa.types.is_binary(table.column(index).type):
+        if not pa.types.is_binary(table.schema.field(index).type):
             continue
         values: list[Any] = table.column(index).to_pylist()
         for row, value in enumerate(values):

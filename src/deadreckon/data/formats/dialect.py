@@ -189,18 +189,18 @@ def encoding_of(head: bytes, whole: bool = False) -> str:
     return ""
 
 
-def is_table(head: bytes) -> bool:
-    """Whether the first bytes are those of a text whose lines are split into columns."""
+def is_table(head: bytes, separator: str | None = None) -> bool:
+    """Whether the first bytes are those of a text whose lines are split into columns, by `separator` if that is known."""
     encoding = encoding_of(head)
     if not encoding:
         return False
     text = codecs.getincrementaldecoder(encoding)("replace").decode(head).removeprefix("\ufeff")
     if re.search(r"[\x00-\x08\x0e-\x1f]", text):
         return False
-    if _SEP_LINE.match(text):
+    if separator is not None or _SEP_LINE.match(text):
         return True
     lines = [line.strip(" ") for line in text.splitlines() if line.strip()][: _PREAMBLE + 2]
-    return any(separator in line.strip()[:-1] for line in lines for separator in SEPARATORS)
+    return any(each in line.strip()[:-1] for line in lines for each in SEPARATORS)
 
 
 def _decoded(path: Path | str, head: bytes, whole: bool, encoding: str) -> str:
@@ -210,7 +210,7 @@ def _decoded(path: Path | str, head: bytes, whole: bool, encoding: str) -> str:
         return codecs.getincrementaldecoder(encoding)().decode(head, final=whole)
     except UnicodeError as error:
         line = head[: getattr(error, "start", 0)].count(b"\n") + 1
-        raise UserError(f"{path}: line {line} is not {encoding}, which --encoding says; left out, it is found") from error
+        raise UserError(f"{path}: line {line} is not {encoding}; leave --encoding out to have it found") from error
 
 
 def _single_quotes(text: str) -> bool:

@@ -39,11 +39,11 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
                 if each.typ == calamine.SheetTypeEnum.WorkSheet and each.visible == calamine.SheetVisibleEnum.Visible
             ]
             found = book.get_sheet_by_name(_chosen(path, sheet, book.sheet_names, shown))
-            top, left = found.start or (0, 0)
-            rows = [(top + index + 1, row) for index, row in enumerate(found.iter_rows()) if any(cell != "" for cell in row)]
+            cells = found.to_python(skip_empty_area=False)  # from A1 on, so that cells can be named
+            rows = [(line, row) for line, row in enumerate(cells, 1) if any(cell != "" for cell in row)]
     if len(rows) < 2:
         raise UserError(f"{path}: sheet {found.name!r} has no rows below a row of names")
-    table, told = _table(path, rows, left)
+    table, told = _table(path, rows)
     gaps = rows[-1][0] - rows[0][0] + 1 - len(rows)
     return table, [*([f"empty rows are left out: {gaps}"] if gaps else []), *told]
 
@@ -63,13 +63,13 @@ def _chosen(path: Path | str, sheet: str | int | None, names: list[str], shown: 
     raise UserError(f"{path}: {unknown('sheet', str(sheet), names)}")
 
 
-def _table(path: Path | str, rows: list[tuple[int, list[Any]]], left: int) -> tuple[pa.Table, list[str]]:
+def _table(path: Path | str, rows: list[tuple[int, list[Any]]]) -> tuple[pa.Table, list[str]]:
     (header, names), *body = rows
     lines_of = [line for line, _ in body]
     columns: dict[str, Any] = {}
     told: list[str] = []
     for index, raw in enumerate(names):
-        letters = letters_of(left + index)
+        letters = letters_of(index)
         name = " ".join(_name(raw).split())
         values = [row[index] for _, row in body]
         if not name:

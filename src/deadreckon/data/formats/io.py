@@ -42,7 +42,7 @@ def read(
     Raises:
         UserError: one line with the file, and column and row where they apply.
     """
-    kind = sniff(path)
+    kind = sniff(path, mapping.get("separator"))
     options = _options(path, kind, mmap, horizon, mapping)
     return _reader(kind)(path, strict=strict, name=name, **options)
 
@@ -111,7 +111,7 @@ def convert(
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
-    kind = sniff(source)
+    kind = sniff(source, mapping.get("separator"))
     no_options(source, kind, mapping)
     if kind != "hdf5":
         log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)

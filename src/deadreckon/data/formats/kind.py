@@ -29,8 +29,12 @@ _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", 
 _CONTENTS = "[Content_Types].xml"
 
 
-def sniff(path: Path | str) -> str:
+def sniff(path: Path | str, separator: str | None = None) -> str:
     """The format of a log: hdf5, parquet, npz, pickle, csv, excel, sqlite, duckdb, minari or folder.
+
+    Args:
+        path: of the file or folder.
+        separator: of the columns of a text file, where it is known; else a usual one must occur.
 
     Raises:
         UserError: there is nothing, it is empty, or no format that we read.
@@ -68,7 +72,7 @@ def sniff(path: Path | str) -> str:
         return kind
     if _is_pickle(head):
         return "pickle"
-    if is_table(head):
+    if is_table(head, separator):
         return "csv"
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
 

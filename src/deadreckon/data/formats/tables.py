@@ -66,9 +66,8 @@ def read_foreign(
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
     table, _, told = read_table(path, **ways)
     columns, extra, warnings = from_anybody(path, table, mapping, horizon)
-    return build(
-        path, columns, source=sniff(path), extra=extra, warnings=[*told, *warnings], strict=strict, name=name, horizon=horizon
-    )
+    kind, warnings = sniff(path, ways.get("separator")), [*told, *warnings]
+    return build(path, columns, source=kind, extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon)
 
 
 read_csv = read_foreign
