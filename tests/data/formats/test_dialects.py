@@ -3,7 +3,7 @@
 import gzip
 
 import pytest
-from dialect_files import READ, REFUSED
+from dialect_files import READ
 
 from deadreckon.cli.main import main
 from deadreckon.cli.train import columns_of
@@ -13,6 +13,59 @@ from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.dialect import Dialect, encoding_of, sniff
 from deadreckon.data.formats.io import convert, read
 from deadreckon.errors import UserError
+
+
+REFUSED = {
+    "names twice": ("a,b,a\n1,2,3\n", {}, "the name 'a' is given to columns 1 and 3; rename one"),
+    "names twice but for blanks": ("a,b, a\n1,2,3\n", {}, "the name 'a' is given to columns 1 and 3"),
+    "names twice in Latin-1": ("ä,b,ä\n1,2,3\n".encode("latin-1"), {}, "the name 'ä' is given to columns 1 and 3"),
+    "no name": ("a,,b\n1,2,3\n", {}, "column 2 has no name; give it one in the line of names"),
+    "no name, and no numbers of rows": (",b\nx,2\ny,3\n", {}, "column 1 has no name"),
+    "no name, and numbers that come twice": (",b\n1,2\n1,3\n", {}, "column 1 has no name"),
+    "no names": ("1.5,2.5\n3.5,4.5\n", {}, r"line 1 holds numbers \(1.5, 2.5\) where the names of the columns are needed"),
+    "names of rows without a name": (
+        '"x","y"\n"1",2,3\n"2",3,4\n', {}, r"line 1 has 2 names, the rows have 3 cells; .*in R: write.csv",
+    ),
+    "a separator behind rows alone": (
+        "a;b\n1;2;\n3;4;\n", {}, r"every line but that of the names \(line 1\) ends in a separator",
+    ),
+    "too few cells": (
+        "a;b;c\n1;2;3\n4;5\n6;7;8\n", {}, "line 3 has 2 cells, the line of names has 3: '4;5'; is a separator missing",
+    ),
+    "too many cells": ("a,b\n1,2\n3,4,5\n6,7\n8,9\n", {}, "line 3 has 3 cells, the line of names has 2: '3,4,5'"),
+    "too many cells below a title": ("Title\na,b\n1,2\n3,4,5\n6,7\n", {}, "line 4 has 3 cells, the line of names has 2"),
+    "a decimal comma without quotes": (
+        "a,b\n1,5,x\n2,x\n3,y\n4,z\n", {}, "line 2 has 3 cells, .*or does a text that holds one lack",
+    ),
+    "an open quote": ('a,b\n1,"x\n2,y\n3,z\n', {}, r'in line 2 a quote \("\) opens a text and none closes it'),
+    "an open quote far behind": (
+        "a,b\n" + "1,x\n" * 90_000 + '1,"x\n' + "1,x\n" * 90_000, {}, r"in line 90002 a quote",
+    ),
+    "names alone": ("a,b\n", {}, "the log has no rows, only a line of names"),
+    "names alone, without a line end": ("a;b", {}, "the log has no rows, only a line of names"),
+    "names alone and empty rows": ("a;b\n;\n;\n", {}, "the log has no rows"),
+    "one column": ("a\n1\n2\n", {}, "not a log in a format that is read"),
+    "prose": ("hello\nworld, this is\nprose\n", {}, "two columns or more, and nothing separates any in 'hello'"),
+    "UTF-8 that breaks": (
+        "a,ä\n".encode() + b"1,x\n" * 100_000 + b"2,\xe4\n", {}, "column ä, row 100000: .* is not utf-8; name the encoding",
+    ),
+    "UTF-16 that breaks": ("a,b\n1,2\n".encode("utf-16") * 1 + b"\0", {}, "not utf-16|not a text in"),
+    "another encoding than asked for": (
+        "a,b\n1,\xe4\n".encode("latin-1"), {"encoding": "utf-8"}, "line 2 is not utf-8; leave --encoding",
+    ),
+    "another separator than asked for": (
+        "a,b\n1,2\n", {"separator": ";"}, "no ';' separates columns in its line of names 'a,b'",
+    ),
+    "a wrong separator": ("a,b\n1,2\n", {"separator": "xy"}, "--separator takes one character, or comma, .*, not 'xy'"),
+    "a wrong decimal": ("a,b\n1,2\n", {"decimal": "x"}, "--decimal takes a point or a comma"),
+    "wrong thousands": ("a,b\n1,2\n", {"thousands": "x"}, "--thousands takes none, point, comma, space or apostrophe, not 'x'"),
+    "one mark for both": ("a,b\n1,2\n", {"thousands": ",", "decimal": ","}, "--decimal and --thousands are both ','"),
+    "a wrong encoding": ("a,b\n1,2\n", {"encoding": "utf-9"}, "--encoding utf-9: unknown; known are"),
+    "an encoding of no text": ("a,b\n1,2\n", {"encoding": "base64"}, "--encoding base64: unknown"),
+    "wrong dates": ("a,b\n1,2\n", {"dates": "us"}, "--dates takes iso, day-first or month-first, not 'us'"),
+    "a sheet of a text": ("a,b\n1,2\n", {"sheet": "1"}, "--sheet is for a spreadsheet, but this is CSV"),
+    "a query of a text": ("a,b\n1,2\n", {"query": "SELECT 1"}, "--query is for SQLite or DuckDB, but this is CSV"),
+}  # fmt: skip
 
 
 def written(tmp_path, content, name="log.csv"):
@@ -64,6 +117,7 @@ def test_the_head_may_end_within_a_row_and_within_a_letter(tmp_path):
         dialect, told = sniff("f", cut, False, Dialect.asked())
         assert (dialect.separator, dialect.decimal, dialect.encoding) == (";", ",", "utf-8")
         assert len(told) == 2
+    assert sniff("f", b"a;b\n1;x\n1,234", False, Dialect.asked())[1] == ["columns are separated by semicolons (--separator)"]
     assert encoding_of(head[:-1]) == "utf-8"
     assert encoding_of(head[:-1], whole=True) == "cp1252"
 

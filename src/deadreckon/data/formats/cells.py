@@ -1,7 +1,6 @@
 """Columns of texts that stand for something else: yes and no, numbers with marks of thousands, dates."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,12 +21,11 @@ _PAIRS = (("yes", "no"), ("ja", "nein"), ("oui", "non"), ("si", "no"), ("sí", "
 _LONE = ("yes", "no", "ja", "nein", "oui", "true", "false")  # enough even if the other of the pair never occurs
 _SPACES = " \\x{a0}\\x{202f}\\x{2009}"
 _THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}
+_SHOWN = 10  # lines on columns that stay texts
 _SAMPLE = 1_000  # rows that are looked at before all are
 
 
-def converted(
-    table: pa.Table, dialect: Dialect = PLAIN, wheres: Mapping[str, str] | None = None
-) -> tuple[pa.Table, str | None, list[str]]:
+def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str | None, list[str]]:
     """The table, where each column of texts that all stand for numbers, flags or dates holds those.
 
     A cell that is empty is missing. Among flags, numbers and dates so are the words of `MISSING`; in a column that stays text
@@ -36,7 +34,6 @@ def converted(
     Args:
         table: of any columns; those that hold no texts stay as they are.
         dialect: marks of numbers, and the order of dates where it is told.
-        wheres: {column: how it is called}, in what is told; the name by default.
 
     Returns:
         The table, the order of dates that was taken (None: there was none to take), and what to tell.
@@ -46,7 +43,6 @@ def converted(
     texts: dict[str, Any] = {}  # of the columns that may hold dates, without what is missing
     flags: list[str] = []
     grouped: list[str] = []
-    called = {name: (wheres or {}).get(name, f"column {name}") for name in table.column_names}
     for name, values in zip(table.column_names, table.columns, strict=True):
         if not (pa.types.is_string(values.type) or pa.types.is_large_string(values.type)):
             continue
@@ -59,10 +55,10 @@ def converted(
             flags += [f"{name} ({words})"] if words else []
         elif (number := _numbers(_without(trimmed, (*MISSING, DASH)), dialect)) is not None:
             done[name], lines, marked = number
-            told += [f"{called[name]}: {line}" for line in lines]
+            told += [f"column {name}: {line}" for line in lines]
             grouped += [name] if marked else []
             dashes = done[name].null_count - present.null_count
-            told += [f"{called[name]}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
+            told += [f"column {name}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
         else:
             texts[name] = present
     if flags:
@@ -73,14 +69,17 @@ def converted(
     moments, order, lines = dates_of(texts, dialect.dates, european)
     done |= moments
     told += lines
-    columns = []
+    columns, lines = [], []
     for name, values in zip(table.column_names, table.columns, strict=True):
         if name in done:
             values = done[name]
         elif pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
             values = _without(values, ("",))
-            told += _of_texts(called[name], values)
+            lines += _of_texts(f"column {name}", values)
         columns.append(values)
+    told += lines[:_SHOWN]
+    if len(lines) > _SHOWN:
+        told.append(f"and so on: {len(lines) - _SHOWN} more lines of columns that are read as texts")
     return pa.table(columns, names=table.column_names), order, told
 
 

@@ -50,7 +50,6 @@ def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
     place = f"file:{quote(str(Path(path).absolute()))}?mode=ro"
     try:
         with contextlib.closing(sqlite3.connect(place, uri=True)) as base:
-            base.execute("PRAGMA query_only = 1")
             if query is None:
                 listed = base.execute(
                     "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') AND name NOT LIKE 'sqlite_%' ORDER BY name"

@@ -86,17 +86,20 @@ def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect) -> pa.Table:
             convert_options=arrow.ConvertOptions(decimal_point=dialect.decimal, null_values=_NULLS),
         )  # fmt: skip
     except (pa.ArrowInvalid, UnicodeError) as error:
-        source.seek(0)
-        _diagnose(path, source, dialect)
+        _diagnose(path, dialect)
         text = " ".join(str(error).split())
         if "Empty CSV" in text:
             raise UserError(f"{path}: the log has no rows, only a line of names") from error
         raise UserError(f"{path}: cannot be read as CSV, it is damaged or cut short ({text[:200]})") from error
 
 
-def _diagnose(path: Path | str, source: BinaryIO, dialect: Dialect) -> None:
+def _diagnose(path: Path | str, dialect: Dialect) -> None:
     """Refuses the first row that cannot be read, by its line; does nothing if there is none."""
-    lines = io.TextIOWrapper(source, dialect.encoding or "utf-8", newline="")
+    with open(path, "rb") as file:  # anew: threads of pyarrow may still be reading from the other
+        _refuse_rows(path, io.TextIOWrapper(_unpacked(file), dialect.encoding or "utf-8", newline=""), dialect)
+
+
+def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) -> None:
     line, width = 1, 0
     try:
         reader = csv.reader(lines, delimiter=dialect.separator or ",", quotechar=dialect.quote, strict=True)
@@ -124,8 +127,6 @@ def _diagnose(path: Path | str, source: BinaryIO, dialect: Dialect) -> None:
         else:
             text = f"a text in quotes does not end at a separator ({error})"
         raise UserError(f"{path}: in line {line} {text}; a quote within a text is written twice") from error
-    finally:
-        lines.detach()  # the file is its opener's to close
 
 
 def _of_names(path: Path | str, names: list[str]) -> list[str]:
@@ -214,6 +215,5 @@ def _of_quotes(path: Path | str, table: pa.Table, dialect: Dialect) -> list[str]
                 )
                 break
     if last:  # whatever follows a quote that nothing closes is in the last row
-        with open(path, "rb") as file:
-            _diagnose(path, _unpacked(file), dialect)
+        _diagnose(path, dialect)
     return told

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from deadreckon.data.formats.marks import Marks
+from deadreckon.data.formats.marks import Marks, of_digits
 from deadreckon.errors import UserError
 
 HEAD = 1 << 18  # bytes that are looked at, and the rest of the line of names where that is longer
@@ -163,9 +163,10 @@ def sniff(path: Path | str, head: bytes, whole: bool, asked: Dialect) -> tuple[D
     if quote == "'":
         told.append("texts stand in single quotes (')")
     _refuse_names(path, layout)
-    marks = Marks.of([cells for _, cells in layout.rows[1:]])
+    names, *rows = [cells for _, cells in layout.rows]
+    marks = Marks.of(rows)
     decimal, thousands, lines = marks.resolve(asked.decimal, asked.thousands, separator)
-    told += lines
+    told += [*lines, *of_digits(names, rows)]
     return replace(Dialect(separator, decimal, thousands, encoding, quote), dates=asked.dates, skip=layout.skip), told
 
 
