@@ -127,6 +127,10 @@ READ = {
         ["column a: '-' is a missing number in 1 row", "column b: '-' is a missing number",
         "column c: '-' is a text like others"],
     ),
+    "signs at both ends, and an exponent alone": (
+        "a;b\n-1-;e5\n2-;7e5\n", {}, {"a": ["-1-", "2-"], "b": ["e5", "7e5"]},
+        [SEMICOLONS, "column a is read as texts", "column b is read as texts: 1 of 2 cells"],
+    ),
     "flags": (
         "a,b,c,d,e,f,g\nyes,J,n,t,on,True,no\nNo,N,Y,F,off,false,no\n,J,,T,on,,no\n", {},
         {"a": [True, False, None], "b": [True, False, True], "c": [False, True, None], "d": [True, False, True],

@@ -14,7 +14,6 @@ from deadreckon.data.formats.dialect import Dialect, encoding_of, sniff
 from deadreckon.data.formats.io import convert, read
 from deadreckon.errors import UserError
 
-
 REFUSED = {
     "names twice": ("a,b,a\n1,2,3\n", {}, "the name 'a' is given to columns 1 and 3; rename one"),
     "names twice but for blanks": ("a,b, a\n1,2,3\n", {}, "the name 'a' is given to columns 1 and 3"),

@@ -110,12 +110,13 @@ def _flags(texts: Any) -> tuple[Any, str] | None:
 def _numbers(texts: Any, dialect: Dialect) -> tuple[Any, list[str], bool] | None:
     """(rows,) numbers, what to tell of them and whether thousands were marked, if all texts are numbers of one form."""
     decimal = re.escape(dialect.decimal or ".")
-    ending = rf"(?:{decimal}\d+)?(?:[eE][+-]?\d+)?-?$"
-    forms = [rf"^[+\-−]?(?:0|[1-9]\d*)?{ending}"]
+    bodies = [rf"(?:(?:0|[1-9]\d*)(?:{decimal}\d*)?|{decimal}\d+)"]
     if dialect.thousands:
-        forms.append(rf"^[+\-−]?(?:\d{{1,3}}|[1-9]\d{{0,2}}(?:{_THOUSANDS[dialect.thousands]}\d{{3}})+){ending}")
+        bodies.append(rf"(?:\d{{1,3}}|[1-9]\d{{0,2}}(?:{_THOUSANDS[dialect.thousands]}\d{{3}})+)(?:{decimal}\d+)?")
+    # A sign stands before a number or, in exports of accounting, behind it, and not at both ends.
+    forms = [rf"^(?:[+\-−]?{body}(?:[eE][+-]?\d+)?|{body}-)$" for body in bodies]
     for marked, form in enumerate(forms):
-        if _all(texts, form) and _all(texts, r"\d"):
+        if _all(texts, form):
             return *_parsed(texts, dialect), bool(marked)
     return None
 
@@ -127,7 +128,6 @@ def _parsed(texts: Any, dialect: Dialect) -> tuple[Any, list[str]]:
         plain = _compute.replace_substring_regex(plain, _THOUSANDS[dialect.thousands], "")
     plain = _compute.replace_substring(plain, dialect.decimal or ".", ".")
     plain = _compute.utf8_ltrim(plain, "+")
-    # Programs of accounting write the sign behind the number.
     plain = _compute.if_else(behind, _compute.binary_join_element_wise("-", _compute.utf8_rtrim(plain, "-"), ""), plain)
     kind = pa.float64() if _any(plain, r"[.eE]|\d{18}") else pa.int64()
     if _compute.any(behind).as_py():
