@@ -66,17 +66,17 @@ class Mapping:
     keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """columns to keep that are not observations, such as a user to hold out by"""
     separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
-    """what separates the columns of a text file: a character, comma, semicolon, tab, pipe or space; None: it is found"""
+    """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
     decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
-    """mark of decimals in a text file; None: it is found"""
+    """mark of decimals in a text file; None: detected"""
     thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
-    """mark of thousands in a text file; None: it is found"""
+    """mark of thousands in a text file; None: detected"""
     encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: it is found"""
+    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
     dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
-    """order of dates such as 03/04/2024; None: it is found"""
+    """order of dates such as 03/04/2024; None: detected"""
     sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
-    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # SELECT that gives the rows of a database
+    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # query (one SELECT) that gives the rows of a database
     table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
 
 

@@ -1,6 +1,7 @@
 """Text files that try to be misread: each is read exactly, or what is open about it is told."""
 
 import gzip
+import random
 
 import pytest
 from dialect_files import READ
@@ -67,6 +68,10 @@ REFUSED = {
 }  # fmt: skip
 
 
+def dashed(name):
+    return name.replace(" ", "-")
+
+
 def written(tmp_path, content, name="log.csv"):
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -79,7 +84,7 @@ def _small_blocks(monkeypatch):
     monkeypatch.setattr("deadreckon.data.formats.delimited._BLOCK", 1 << 16)
 
 
-@pytest.mark.parametrize("name", READ)
+@pytest.mark.parametrize("name", READ, ids=dashed)
 def test_a_file_is_read_exactly_and_what_is_open_is_told(tmp_path, name):
     content, options, expected, lines = READ[name]
     options = dict(options)
@@ -93,7 +98,7 @@ def test_a_file_is_read_exactly_and_what_is_open_is_told(tmp_path, name):
     assert dialect is not None
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", REFUSED, ids=dashed)
 def test_a_file_is_refused_in_one_line(tmp_path, name):
     content, options, words = REFUSED[name]
     path = written(tmp_path, content)
@@ -101,6 +106,48 @@ def test_a_file_is_refused_in_one_line(tmp_path, name):
         read_table(path, **options)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith((f"{path}: ", "--"))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_file_that_is_broken_at_random_is_read_or_refused_in_one_line(tmp_path, seed):
+    rng = random.Random(seed)
+    files = [written(tmp_path, content).read_bytes() for content, *_ in READ.values()]
+    files = [content for content in files if len(content) < 1000]
+    pieces = [
+        '"',
+        " ;",
+        ",",
+        "\n",
+        "\r",
+        "\t",
+        "-",
+        "1.234",
+        "1,5",
+        "01.02.2024",
+        "31.02.2024",
+        "yes",
+        "",
+        "sep=;\n",
+        "#",
+        "'",
+        "e5",
+        "-1-",
+        ".",
+        "99999999999999999999",
+        "inf",
+        "12:30",
+    ]
+    pieces = [*(piece.encode() for piece in pieces), b"|", b"\0", b"\xe4", b"\xff", b"\xc2\xa0", b"\xef\xbb\xbf"]
+    for _ in range(100):
+        content = bytearray(rng.choice(files))
+        for _ in range(rng.randint(1, 6)):
+            place = rng.randrange(len(content) + 1)
+            content[place : place + rng.choice((0, 0, 1, 8))] = rng.choice(pieces)
+        try:
+            _, _, told = read_table(written(tmp_path, bytes(content)))
+        except UserError as error:
+            told = [str(error)]
+        assert not any("\n" in line for line in told), bytes(content)
 
 
 def test_the_dialect_that_was_found(tmp_path):
