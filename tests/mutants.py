@@ -601,8 +601,328 @@ MUTANTS = (
         "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
-        "csv-empty-text", "data/formats/tables.py", "_without_empty_texts(csv.read_csv(source))", "csv.read_csv(source)",
+        "csv-empty-text", "data/formats/cells.py", 'values = _without(values, ("",))', "pass",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
+    ),
+    # ---- tables of any dialect
+    Mutant(
+        "dialect-cp1252", "data/formats/dialect.py",
+        '("utf-8", "cp1252", "latin-1")', '("utf-8", "latin-1")',
+        "Windows-1252 is read as Latin-1", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-utf16", "data/formats/dialect.py",
+        'return "utf-16-le"', 'return "utf-16-be"',
+        "UTF-16 without a mark is read in the wrong order", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-cut-letter", "data/formats/dialect.py",
+        "codecs.getincrementaldecoder(name)().decode(head, final=whole)", "head.decode(name)",
+        "a letter that is cut at the end of the head makes a file Latin-1", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-sep-line", "data/formats/dialect.py",
+        "start, separator = 1, separator or said[1]", "start = 1",
+        "the separator in Excel's first line is not honoured", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-cut-row", "data/formats/dialect.py",
+        "            if not whole and len(rows) > 1:\n                rows.pop()  # it may be cut\n", "            pass\n",
+        "a row that is cut at the end of the head counts", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-preamble", "data/formats/dialect.py",
+        "rows = rows[first:] if loose and first <= _PREAMBLE else rows", "rows = rows",
+        "a title above the names is taken for them", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-names-lost", "data/formats/dialect.py",
+        "return self.named, self.share > 0.5, -self.skip, self.share, self.columns", "return self.share, self.columns",
+        "a name without commas is taken for a title", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-rivals", "data/formats/dialect.py",
+        "    if rivals:", "    if False:",
+        "two separators that fit are not told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-numbers-as-names", "data/formats/dialect.py",
+        "if not layout.named and all(", "if False and all(",
+        "a row of numbers becomes the names", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-counted", "data/formats/dialect.py",
+        "not any(map(_NUMBER.fullmatch, names)) or _counted(names)", "not any(map(_NUMBER.fullmatch, names))",
+        "columns that are counted are no names", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-quote", "data/formats/dialect.py",
+        "(\"'\" if _single_quotes(text) else '\"')", "'\"'",
+        "single quotes are part of texts", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dialect-encoding-silent", "data/formats/dialect.py",
+        'if asked.encoding is None and encoding != "utf-8":', "if False:",
+        "another encoding is not told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-votes", "data/formats/marks.py",
+        'decimal = "," if votes[","] > votes["."] or tie else "."', 'decimal = "."',
+        "decimal commas are not found", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-thousands-vote", "data/formats/marks.py",
+        "votes[other] += len(", "votes[mark] += len(",
+        "1.234.567 speaks for decimal points", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-tie", "data/formats/marks.py",
+        'separator == ";" and (evident or self.open[","])', "False",
+        "a lone comma beside semicolons is one of thousands", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-open-silent", "data/formats/marks.py",
+        'if not evident and separator != ",":', "if False:",
+        "1.234 beside semicolons is not told as open", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-open-thousands", "data/formats/marks.py",
+        'else other if self.open[other] else ""', 'else ""',
+        "groups of three beside other decimals are no thousands", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-shown", "data/formats/marks.py",
+        "if mark != decimal})", "})",
+        "the mark of decimals is one of thousands too", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "marks-mixed-silent", "data/formats/marks.py",
+        "if asked == (None, None) and self.decimals[other]:", "if False:",
+        "numbers of two marks are not told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-all-flags", "data/formats/cells.py",
+        "for some in (texts[:_SAMPLE], texts):\n        words", "for some in (texts[:2],):\n        words",
+        "the first rows decide what is a flag", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-lone", "data/formats/cells.py",
+        "and words <= set(_LONE)", "",
+        "a column of one letter is a flag", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-thousands-all", "data/formats/cells.py",
+        "(?:\\d{{1,3}}|[1-9]\\d{{0,2}}(?:", "(?:\\d+|[1-9]\\d*(?:",
+        "numbers with and without marks of thousands pass for numbers", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-sign-behind", "data/formats/cells.py",
+        "_compute.if_else(behind, _compute", "_compute.if_else(_compute.invert(behind), _compute",
+        "signs behind numbers turn", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-dash-text", "data/formats/cells.py",
+        "pa.array((*MISSING[1:], DASH), values.type)", "pa.array((DASH,), values.type)",
+        "NA among texts is not told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-dashes", "data/formats/cells.py",
+        "_without(trimmed, (*MISSING, DASH)), dialect", "_without(trimmed, MISSING), dialect",
+        "a dash makes numbers texts", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "cells-looks", "data/formats/cells.py",
+        "if found.alike and found.row < 0:", "if False:",
+        "texts that look like numbers are not told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-order", "data/formats/dates.py",
+        'None if above[0] == above[1] else "day-first" if above[0] else "month-first"', "None",
+        "the days do not tell their order", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-common", "data/formats/dates.py",
+        "asked or each.order or common or (", "asked or each.order or (",
+        "columns of dates do not tell each other", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-european", "data/formats/dates.py",
+        'if each.mark == "." or european else', 'if each.mark == "." else',
+        "dates beside semicolons are American", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-unsure", "data/formats/dates.py",
+        "if unsure else", "if not unsure else",
+        "dates that no cell tells are not told as open", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-asked", "data/formats/dates.py",
+        'elif asked != "iso" and', "elif",
+        "dates other than ISO's are read though they are not to be", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-half", "data/formats/dates.py",
+        "_compute.if_else(_compute.equal(number, 12), 0, number)", "number",
+        "half an hour past midnight is past noon", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-first-wrong", "data/formats/dates.py",
+        "(low, middle) if _moments(some, month, day) is None else (middle, high)",
+        "(low, middle) if _moments(some, month, day) is not None else (middle, high)",
+        "a date that there is not is told of another row", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-newlines", "data/formats/delimited.py",
+        "newlines_in_values=True", "newlines_in_values=False",
+        "a line end in quotes breaks a row at the end of a block", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-decimal", "data/formats/delimited.py",
+        "decimal_point=dialect.decimal, ", "",
+        "decimal commas are found and not used", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-nulls", "data/formats/delimited.py",
+        "null_values=_NULLS", 'null_values=[""]',
+        "words for missing make numbers texts", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-open-quote", "data/formats/delimited.py",
+        "    if last:  #", "    if False:  #",
+        "a quote that nothing closes swallows the rest", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-swallowed", "data/formats/delimited.py",
+        "            if inner:", "            if False:",
+        "quotes that swallow rows are not told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-twice", "data/formats/delimited.py",
+        "first.setdefault(name, index) != index", "False",
+        "a name stands for two columns", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-clean", "data/formats/delimited.py",
+        'return " ".join(name.split())', "return name",
+        "blanks around names stay", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-no-name", "data/formats/delimited.py",
+        "not _counts(table.column(column))", "False",
+        "a column without a name is taken for row numbers", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-late-latin", "data/formats/delimited.py",
+        "known=asked.encoding is not None or not head.isascii()", "known=False",
+        "broken UTF-8 becomes Latin-1", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-empty-rows", "data/formats/delimited.py",
+        'in (None, "") for', 'in ("",) for',
+        "rows of empty cells stay", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-gz", "data/formats/delimited.py",
+        'packed = file.read(2) == b"\\x1f\\x8b"', "packed = False",
+        "packed files are not unpacked", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "csv-line", "data/formats/delimited.py",
+        "line = reader.line_num + 1\n            cells", "line = reader.line_num\n            cells",
+        "the line before the wrong one is told", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "kind-options", "data/formats/kind.py",
+        "if key in READING and kind not in READING[key]:", "if False:",
+        "options of other formats are ignored", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "kind-table", "data/formats/kind.py",
+        '("csv",), "thousands"', '("csv", "parquet"), "thousands"',
+        "decimals of Parquet are taken and ignored", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "tables-mapping", "data/formats/tables.py",
+        "    ways = {key: mapping.pop(key) for key in READING if key in mapping}\n    tabl"
+        "e, _, told = read_table(path, **ways)\n    columns, extra",
+        "    ways = {key: mapping[key] for key in READING if key in mapping}\n    table, _"
+        ", told = read_table(path, **ways)\n    columns, extra",
+        "a separator counts as a mapping", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "likeness-refuse", "data/likeness.py",
+        "if found.mistaken:", "if False:",
+        "an odd text makes numbers a category", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "likeness-few", "data/likeness.py",
+        "and self.distinct > _FEW", "",
+        "levels that are numbers are refused beside a text", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "excel-sheet-base", "data/formats/excel.py",
+        "names[int(sheet) - 1]", "names[int(sheet) % len(names)]",
+        "sheets are counted from 0", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "excel-hidden", "data/formats/excel.py",
+        "and each.visible == calamine.SheetVisibleEnum.Visible", "",
+        "hidden sheets are shown", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "excel-cell", "data/formats/excel.py",
+        "enumerate(cells, 1)", "enumerate(cells)",
+        "the cell above is told", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "excel-gaps", "data/formats/excel.py",
+        'if any(cell != "" for cell in row)', "",
+        "empty rows stay", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "excel-unnamed", "data/formats/excel.py",
+        "            if filled is None:", "            if True:",
+        "a column without a name is dropped with its values", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "values-mistake", "data/formats/values.py",
+        'and usual != "text":', "and False:",
+        "a text among numbers makes them texts", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "values-missing", "data/formats/values.py",
+        "if texts and texts <= {*MISSING, DASH}:", "if False:",
+        "words for missing make numbers texts", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "values-moment", "data/formats/values.py",
+        "if type(value) is datetime.date else value", "if isinstance(value, datetime.date) else value",
+        "times of moments are lost", ("data/formats/test_excel.py",),
+    ),
+    Mutant(
+        "database-read-only", "data/formats/database.py",
+        '?mode=ro"', '"',
+        "a database is opened for writing", ("data/formats/test_database.py",),
+    ),
+    Mutant(
+        "database-only", "data/formats/database.py",
+        "len(known) != 1:", "not known:",
+        "the first of several tables is taken", ("data/formats/test_database.py",),
+    ),
+    Mutant(
+        "database-select", "data/formats/database.py",
+        "len(statements) != 1 or", "False or",
+        "the last of several statements is run", ("data/formats/test_database.py",),
+    ),
+    Mutant(
+        "database-twice", "data/formats/database.py",
+        "if name in seen:", "if False:",
+        "a query gives two columns one name", ("data/formats/test_database.py",),
+    ),
+    Mutant(
+        "database-quoted", "data/formats/database.py",
+        ".replace('\"', '\"\"')", "",
+        "odd names of tables break the query", ("data/formats/test_database.py",),
     ),
 )
 

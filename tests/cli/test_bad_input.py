@@ -125,7 +125,7 @@ CASES = {
     "texts for two numbers": (lambda f, g: [*OPE, "--return-range", "a", "b"], ["takes FLOAT FLOAT, got 'a b'"]),
     "no horizon": (lambda f, g: [*OPE, "--horizon", "x"], ["--horizon takes INT|auto, got 'x'"]),
     "width that is no number": (lambda f, g: [*BC, g, "--agent.hidden", "x"], ["--agent.hidden takes INT [INT ...], got 'x'"]),
-    "option that prose names": (lambda f, g: [*OPE, "--selct"], ["unknown option --selct: did you mean --select or --seed?"]),
+    "option that prose names": (lambda f, g: [*OPE, "--selct"], ["unknown option --selct: did you mean --select or --sheet?"]),
     "unknown agent": (lambda f, g: ["train", "--agent", "baer", "--data", g], ["did you mean", "bear"]),
     "no agent": (lambda f, g: ["train", "--data", g], ["--agent"]),
     "no data": (lambda f, g: ["train", "--agent", "bc"], ["--data"]),

@@ -50,7 +50,10 @@ class Get:
 
 @dataclass
 class Mapping:
-    """Which columns of a table (CSV, Parquet) are what; names decide about those that are not given."""
+    """Which columns of a table (CSV, Parquet, a spreadsheet, a database) are what, and how its file is read.
+
+    Names decide about columns that are not given.
+    """
 
     schema: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """schema of the table (TOML), drafted by `deadreckon data describe`; it replaces all other options of columns"""
@@ -74,6 +77,19 @@ class Mapping:
     weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are kept beside the log
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
     """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""
+    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
+    """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
+    decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
+    """mark of decimals in a text file; None: detected"""
+    thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
+    """mark of thousands in a text file; None: detected"""
+    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
+    dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
+    """order of dates such as 03/04/2024; None: detected"""
+    sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
+    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # query (one SELECT) that gives the rows of a database
+    table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
 
 
 @dataclass
@@ -81,7 +97,7 @@ class Info:
     """Describe a log, and warn of possible problems."""
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
 
 
@@ -102,7 +118,7 @@ class Convert:
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder to read
     target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID to write
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
     force: bool = False  # whether to overwrite an existing target
 

@@ -52,7 +52,7 @@ class Train:
     """
 
     data: str  # log to learn from: a known name, or a file
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table (CSV, Parquet)
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # number of steps after which episodes were cut off, for logs that do not mark time limits
     steps: int = 100_000  # number of updates per seed
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1

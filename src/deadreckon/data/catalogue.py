@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.build import TABLE_ENDINGS
 from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
@@ -212,7 +213,7 @@ def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: 
     text = str(name)
     if text.startswith("minari:") or Path(name).exists():
         return read(name, mmap=mmap, strict=strict, **options)
-    looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl", ".gz")
+    looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".gz", ".txt", *TABLE_ENDINGS)
     if isinstance(name, Path) or looks_like_a_file:
         raise UserError(f"no file {text}")
     if text in ENTRIES and (there := at_hand(ENTRIES[text])):

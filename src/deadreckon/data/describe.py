@@ -31,12 +31,16 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
         UserError: no such file or table, or a column that was asked for does not exist.
     """
     file = Path(source) if isinstance(source, str | Path) else None
+    ways: dict[str, Any] = {}
+    lines: list[str] = []  # of the file's reader
     if file is None:
         table = to_arrow(source, name or "frame")
     else:
-        from deadreckon.data.formats.io import read_table
+        from deadreckon.data.formats.any_table import read_table
+        from deadreckon.data.formats.kind import READING
 
-        table = read_table(file)
+        ways = {key: asked.pop(key) for key in READING if key in asked}
+        table, _, lines = read_table(file, **ways)
     name = name or (str(file) if file else "frame")
     schema, told = draft(table, Asked(**asked), name, needed=False)
     for role in ("action", "reward"):
@@ -52,8 +56,8 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
             told += [line for line in read.warnings if line not in told]
             resolved = {column.name: column for column in Schema.from_json(read.extra["schema"]).columns}
             found = [replace(resolved[column.name], reason=column.reason, doubt=column.doubt) for column in found]
-    where: Mapping[str, Any] = {"path": file.name} if file else {}
-    return Drafted(Schema(tuple(found), where), told)
+    where: Mapping[str, Any] = {"path": file.name, **ways} if file else {}
+    return Drafted(Schema(tuple(found), where), [*lines, *told])
 
 
 def _about(column: Column, table: pa.Table) -> str:

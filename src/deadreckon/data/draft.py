@@ -12,8 +12,9 @@ import pyarrow as pa
 
 from deadreckon.data import roles
 from deadreckon.data.asked import Asked, listed
-from deadreckon.data.cells import as_dates, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
+from deadreckon.data.cells import as_dates, decoded, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
 from deadreckon.data.kinds import FEW, asked_kinds, check_column, columns_like, kind_of
+from deadreckon.data.likeness import likeness
 from deadreckon.data.schema import ONE, Column, Role, Schema
 from deadreckon.errors import UserError
 
@@ -120,8 +121,7 @@ class _Maker:
 
     def rest_but(self, columns: Sequence[str]) -> list[str]:
         """What no role was given to, but for these columns, row numbers and times."""
-        index = roles.row_numbers(self.names)
-        out = (*columns, *index)
+        out = (*columns, *roles.row_numbers(self.names))
         return [c for c in self.names if c not in self.roles and c not in out and not pa.types.is_temporal(self.table[c].type)]
 
     def having(self, role: Role) -> list[str]:
@@ -225,10 +225,7 @@ class _Maker:
 
     def is_flag(self, column: str) -> bool:
         """Whether all values are truth values, or 0 and 1."""
-        values = flat(self.table, column)
-        if pa.types.is_boolean(values.type):
-            return not values.null_count
-        return levels_of_whole_numbers(values) in ([0], [1], [0, 1])
+        return levels_of_whole_numbers(flat(self.table, column)) in ([0], [1], [0, 1])
 
     def observe(self, column: str) -> None:
         """The role of a column that is left, and what to say of it."""
@@ -244,7 +241,8 @@ class _Maker:
             return
         if kind is None and is_text(values.type) and not says_numbers(values):
             many = distinct(values)
-            if many > FREE_TEXT and many > rows / 10:
+            # A text among numbers is a mistake, which is refused with its row when the column is encoded.
+            if many > FREE_TEXT and many > rows / 10 and not likeness(decoded(values)).mistaken:
                 self.give([column], "ignore", "free text or an identifier")
                 self.doubt(column, f"has {many:,} different texts in {rows:,} rows and is left out as free text or identifier "
                            f"(--keep {column}, or --kinds {column}=category)")  # fmt: skip

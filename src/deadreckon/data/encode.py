@@ -21,6 +21,7 @@ from deadreckon.data.cells import (
     some_numbers,
     sorted_indices,
 )
+from deadreckon.data.likeness import refuse_mistaken
 from deadreckon.data.schema import Column
 from deadreckon.errors import UserError
 
@@ -154,6 +155,7 @@ class Encoder:
                 raise UserError(f"{self.name}: {text}")
             values = values.cast(pa.int64())
         if column.levels is None:
+            refuse_mistaken(self.name, column.name, values)
             codes, levels = category_codes(self.name, column.name, values)
             return codes, replace(column, levels=tuple(levels))
         codes, other = codes_of(self.name, column.name, values, column.levels)

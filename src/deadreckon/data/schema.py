@@ -148,6 +148,10 @@ class Schema:
             raise UserError(f"{path}: its table {name} must lie beside the schema; give the table itself and --schema {path}")
         return Path(path).parent / name
 
+    def options(self) -> dict[str, Any]:
+        """How the table's file is read: what stands in [table] beside its path."""
+        return {key: value for key, value in self.table.items() if key != "path"}
+
     def resolved(self, columns: Iterable[Column]) -> "Schema":
         """The same schema in which these columns replace those of their names."""
         new = {column.name: column for column in columns}

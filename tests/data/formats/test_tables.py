@@ -128,7 +128,7 @@ def test_gzipped_csv_and_episodes_without_flags(tmp_path):
         ("observation_0,action,reward\n1,0,1\nx,0,1\n", "column observation_0 holds string, numbers are needed; name"),
         ("observation_0,action,reward\n1,0,1\n2,0,\n", "column reward is empty in row 1"),
         ("observation_0,action,reward\n1,0,1\n2,0,nan\n", "column reward is empty in row 1"),
-        ("observation_0,action,reward\n1,0,1\n2,0\n", "cannot be read as CSV"),
+        ("observation_0,action,reward\n1,0,1\n2,0\n", "line 3 has 2 cells, the line of names has 3: '2,0'"),
         ("observation_0,action,reward\n", "the log has no rows"),
         ("observation_0,action,reward,terminal\n1,0,1,3\n", "column terminals has 3 in row 0, 0 or 1 is needed"),
         ("episode,observation_0,action,reward\n1,1,0,1\n2,1,0,1\n1,1,0,1\n", "rows of episode 1 are not together .row 2"),
@@ -185,7 +185,7 @@ def test_damaged_files(log, tmp_path):
     np.savez(tmp_path / "less.npz", observations=np.zeros(1), actions=np.zeros(1))
     with pytest.raises(UserError, match="no column rewards"):
         read_npz(tmp_path / "less.npz")
-    with pytest.raises(UserError, match="no such file"):
+    with pytest.raises(UserError, match="no file .*nothing.csv"):
         read_csv(tmp_path / "nothing.csv")
 
 
@@ -222,14 +222,6 @@ def test_a_table_of_our_names_can_be_cut_and_a_mapped_one_names_its_column(tmp_p
     assert read(path, horizon=3).lengths.tolist() == [3, 3, 1]
     with pytest.raises(UserError, match="--timeout names the one that marks time limits"):
         read(path, horizon=3, action="action", reward="reward")
-
-
-@pytest.mark.parametrize(("separator", "words"), [(";", "semicolons"), ("\t", "tabs")])
-def test_other_separators(tmp_path, separator, words):
-    path = tmp_path / "log.csv"
-    path.write_text(f"observation_0{separator}action{separator}reward\n1,5{separator}0{separator}1\n")
-    with pytest.raises(UserError, match=f"{path}: .*separated by {words}, a comma is needed as separator"):
-        read(path)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])

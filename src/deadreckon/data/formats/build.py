@@ -14,6 +14,7 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
+TABLE_ENDINGS = (".parquet", ".csv", ".tsv", ".xlsx", ".xls", ".ods", ".sqlite", ".sqlite3", ".duckdb", ".db")
 _ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 
 
@@ -112,7 +113,7 @@ def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarr
 def stem(path: Path | str) -> str:
     """A log's name made of its file's: without folders and without the endings of formats."""
     name = Path(path).name
-    for ending in (".gz", ".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl"):
+    for ending in (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", *TABLE_ENDINGS):
         name = name.removesuffix(ending)
     return name or "log"
 

@@ -1,9 +1,6 @@
 """Reading and converting logs of any format; what a file is, its content says."""
 
-import gzip
-import pickle
 import tempfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,14 +9,13 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
+from deadreckon.data.formats.kind import TABLES, no_options, sniff
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
-FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of deadreckon's"
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
 _TELLING = ("folder", "minari")  # say where episodes end
-_TABLES = ("csv", "parquet")  # columns have names of the user's own
 
 
 def read(
@@ -34,13 +30,16 @@ def read(
     """Reads a log; the format is told by content, not by name.
 
     Args:
-        path: a file (D4RL hdf5, Parquet, CSV, npz, pickled demonstrations; CSV and pickles may be gzipped), a folder
-            (Minari's or ours), or `minari:` and an id; or the TOML file of a schema that names a table beside it.
+        path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, pickled demonstrations; CSV and
+            pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id, or the TOML file of a schema
+            that names a table beside it.
         mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
-        **mapping: for tables, which column is what: see `Dataset.from_frame`.
+        **mapping: for tables, which column is what: see `Dataset.from_frame`; and how the file is to be read, where that is not
+            found by itself: `separator`, `decimal`, `thousands`, `encoding`, `dates` (CSV), `sheet` (spreadsheets), `query`,
+            `table` (databases): see `read_table`.
 
     Raises:
         UserError: one line with the file, and column and row where they apply.
@@ -49,8 +48,8 @@ def read(
         if mapping.get("schema") is not None:
             raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
         schema = Schema.load(path)
-        path, mapping = schema.file_beside(path), mapping | {"schema": schema}
-    kind = sniff(path)
+        path, mapping = schema.file_beside(path), schema.options() | mapping | {"schema": schema}
+    kind = sniff(path, mapping.get("separator"))
     options = _options(path, kind, mmap, horizon, mapping)
     return _reader(kind)(path, strict=strict, name=name, **options)
 
@@ -62,12 +61,12 @@ def _is_schema(path: Path | str) -> bool:
 
 def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mapping: dict[str, Any]) -> dict[str, Any]:
     """Those options that readers of a format take; what was asked for beyond them is refused."""
-    _no_mapping(path, kind, mapping)
+    no_options(path, kind, mapping)
     if mmap and kind not in _MAPPED:
         raise refuse_mmap(path, f"{kind} is not stored column by column")
     if horizon is not None and kind in _TELLING:
         raise UserError(f"{path}: {kind} says where episodes end; a horizon is for files that do not say")
-    options: dict[str, Any] = mapping if kind in _TABLES else {}
+    options: dict[str, Any] = mapping if kind in TABLES else {}
     if kind in _MAPPED:
         options = {**options, "mmap": mmap}
     return options if kind in _TELLING else {**options, "horizon": horizon}
@@ -88,68 +87,8 @@ def _reader(kind: str) -> Callable[..., Dataset]:
     elif kind == "parquet":
         from deadreckon.data.formats.tables import read_parquet as reader
     else:
-        from deadreckon.data.formats.tables import read_csv as reader
+        from deadreckon.data.formats.tables import read_foreign as reader
     return reader
-
-
-def read_table(path: Path | str) -> Any:
-    """(rows,) of each column of a CSV or Parquet file, as a pyarrow table.
-
-    Raises:
-        UserError: it is neither, or damaged.
-    """
-    kind = sniff(path)
-    if kind not in _TABLES:
-        raise UserError(f"{path}: this is {kind}, whose columns have names of its own; a table (CSV, Parquet) is needed")
-    from deadreckon.data.formats import tables
-
-    return tables.csv_table(path) if kind == "csv" else tables.parquet_table(path)
-
-
-def sniff(path: Path | str) -> str:
-    """The format of a log: hdf5, parquet, npz, pickle, csv, minari or folder.
-
-    Raises:
-        UserError: there is nothing, it is empty, or no format that we read.
-    """
-    if str(path).startswith(minaris.PREFIX):
-        return "minari"
-    path = Path(path)
-    if path.is_dir():
-        if (path / folders.HEADER).is_file():
-            return "folder"
-        if (path / "metadata.json").is_file() or (path / "data" / "metadata.json").is_file():
-            return "minari"
-        raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
-    packed = False
-    try:
-        with open(path, "rb") as file:
-            head = file.read(4096)
-            if packed := head[:2] == b"\x1f\x8b":
-                file.seek(0)
-                head = gzip.GzipFile(fileobj=file).read(4096)
-    except FileNotFoundError as error:
-        raise UserError(f"no file {path}") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise UserError(f"{path}: cannot be unpacked, it is damaged or cut short ({error})") from error
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
-    if not head:
-        raise UserError(f"{path}: the file is empty")
-    for magic, kind in ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz")):
-        if head.startswith(magic) and packed:
-            raise UserError(f"{path}: a gzipped {kind} file; unpack it first (gunzip)")
-        if head.startswith(magic):
-            return kind
-    if _is_pickle(head):
-        return "pickle"
-    line = head.partition(b"\n")[0].strip()
-    if b"\0" not in head and b"," in line:
-        return "csv"
-    for separator, words in ((b";", "semicolons"), (b"\t", "tabs")):
-        if b"\0" not in head and separator in line[:-1]:
-            raise UserError(f"{path}: not CSV: its columns are separated by {words}, a comma is needed as separator")
-    raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
 
 
 def convert(
@@ -184,9 +123,9 @@ def convert(
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
-    kind = "schema" if _is_schema(source) else sniff(source)
+    kind = "schema" if _is_schema(source) else sniff(source, mapping.get("separator"))
     if kind != "schema":
-        _no_mapping(source, kind, mapping)
+        no_options(source, kind, mapping)
     if kind != "hdf5":
         log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)
         write(log, target, force)
@@ -229,18 +168,3 @@ def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
         return lambda log, path, force: (write_csv if ending == ".csv" else write_parquet)(log, path)
     known = ", ".join(_ENDINGS)
     raise UserError(f"{target}: unknown ending {ending}; known: {known}, none (a folder), minari:ns/name-v0")
-
-
-def _no_mapping(path: Path | str, kind: str, mapping: dict[str, Any]) -> None:
-    """Refuses names of columns for formats whose columns have names of their own."""
-    given = sorted(key for key, value in mapping.items() if value is not None and key != "name")
-    if given and kind not in _TABLES:
-        raise UserError(f"{path}: {given[0]} names a column of a table, but this is {kind}, which has its own")
-
-
-def _is_pickle(head: bytes) -> bool:
-    """Protocols 2 and up begin with their number; older ones with the text of a list or a dict."""
-    if head[:1] == pickle.PROTO and len(head) > 1:
-        return head[1] <= pickle.HIGHEST_PROTOCOL
-    starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n")
-    return head[:2] in (b"(l", b"(d", b"(i", b"]q", b"}q") or head.startswith(starts)

@@ -1,22 +1,20 @@
 """Logs as Parquet and CSV files. CSV keeps neither action bounds nor name; Parquet gives a log back exactly."""
 
-import gzip
 import json
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.compute
 from pyarrow import csv, parquet
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
+from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
-from deadreckon.errors import UserError, reading
+from deadreckon.errors import UserError
 from deadreckon.files import replacing
 
-_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header as JSON
 
 
@@ -35,7 +33,8 @@ def read_parquet(
     Raises:
         UserError: one line with file, column and row.
     """
-    table = parquet_table(path)
+    ways = {key: mapping.pop(key) for key in READING if key in mapping}
+    table, _, told = read_table(path, **ways)
     text = (table.schema.metadata or {}).get(_HEADER)
     if text is None or any(value is not None for value in mapping.values()):
         columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
@@ -43,47 +42,39 @@ def read_parquet(
     else:
         header = Header.parse(path, text)
         columns, extra, warnings, space = from_table(path, table, told_shapes(path, header)), {}, [], None
+    warnings = [*told, *warnings]
     return build(
         path, columns, header, source="parquet", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
         action_space=space,
     )  # fmt: skip
 
 
-def read_csv(
+def read_foreign(
     path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
 ) -> Dataset:
-    """Reads a CSV file with a line of names, plain or gzipped; see `read_parquet`."""
-    table = csv_table(path)
+    """Reads a table that is not Parquet: CSV in any dialect, plain or gzipped, a spreadsheet, SQLite or DuckDB.
+
+    Args:
+        path: of the file.
+        strict: refuse actions out of bounds.
+        name: of the log; the file's if absent.
+        horizon: steps after which an episode is cut by a timeout, for files of our names that mark no time limits.
+        **mapping: which column is what, as for `from_frame`, and how to read the file, as for `read_table`.
+
+    Raises:
+        UserError: one line with file, column and row or line.
+    """
+    ways = {key: mapping.pop(key) for key in READING if key in mapping}
+    table, _, told = read_table(path, **ways)
     columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
+    kind, warnings = sniff(path, ways.get("separator")), [*told, *warnings]
     return build(
-        path, columns, source="csv", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
+        path, columns, source=kind, extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
         action_space=space,
     )  # fmt: skip
 
 
-def parquet_table(path: Path | str) -> pa.Table:
-    """(rows,) of each column of a Parquet file."""
-    with reading(path, "Parquet", pa.ArrowException):
-        return parquet.read_table(path)
-
-
-def csv_table(path: Path | str) -> pa.Table:
-    """(rows,) of each column of a CSV file."""
-    with reading(path, "CSV", pa.ArrowException, EOFError), open(path, "rb") as file:
-        packed = file.read(2) == b"\x1f\x8b"
-        file.seek(0)
-        # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
-        source = gzip.GzipFile(fileobj=file) if packed else file
-        return _without_empty_texts(csv.read_csv(source))
-
-
-def _without_empty_texts(table: pa.Table) -> pa.Table:
-    """An empty cell is missing, of texts as of numbers; pyarrow reads it as a text of no letters."""
-    for index, column in enumerate(table.columns):
-        if pa.types.is_string(column.type):
-            filled = _compute.if_else(_compute.equal(column, ""), pa.scalar(None, column.type), column)
-            table = table.set_column(index, table.column_names[index], filled)
-    return table
+read_csv = read_foreign
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:

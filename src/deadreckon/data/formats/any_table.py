@@ -1,0 +1,76 @@
+"""Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.formats.kind import no_options, sniff
+from deadreckon.errors import UserError, reading
+
+
+def read_table(
+    path: Path | str,
+    *,
+    separator: str | None = None,
+    decimal: str | None = None,
+    thousands: str | None = None,
+    encoding: str | None = None,
+    dates: str | None = None,
+    sheet: str | int | None = None,
+    query: str | None = None,
+    table: str | None = None,
+) -> tuple[pa.Table, Dialect | None, list[str]]:
+    """A file of a table, whose format is told by its content; what is None is found.
+
+    Args:
+        path: of the file.
+        separator: of the columns of a text file: one character, or `comma`, `semicolon`, `tab`, `pipe`, `space`.
+        decimal: mark of decimals in a text file: a point or a comma.
+        thousands: mark of thousands in a text file: `none`, a point, a comma, a space or an apostrophe.
+        encoding: of a text file: a name that Python knows, such as utf-8, utf-16, latin-1.
+        dates: how texts of dates are read: `iso`, `day-first` or `month-first`.
+        sheet: of a spreadsheet: its name, or its number counted from 1.
+        query: of a database: one SELECT.
+        table: of a database: its name.
+
+    Returns:
+        The table; the dialect of a text file, None for other formats; and one line for each thing that may be read otherwise
+        than it was meant.
+
+    Raises:
+        UserError: one line with the file; the file is no table, is damaged, or takes no such option.
+    """
+    given: dict[str, Any] = {
+        "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
+        "sheet": sheet, "query": query, "table": table,
+    }  # fmt: skip
+    kind = sniff(path, separator)
+    no_options(path, kind, given)
+    asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
+    if kind == "csv":
+        from deadreckon.data.formats.delimited import read_delimited
+
+        return read_delimited(path, asked)
+    if kind == "parquet":
+        from pyarrow import parquet
+
+        with reading(path, "Parquet", pa.ArrowException):
+            return parquet.read_table(path), None, []
+    if kind == "excel":
+        from deadreckon.data.formats.excel import read_excel
+
+        found, told = read_excel(path, sheet)
+    elif kind in ("sqlite", "duckdb"):
+        from deadreckon.data.formats.database import read_database
+
+        found, told = read_database(path, kind, query, table)
+    else:
+        raise UserError(f"{path}: this is {kind}, a log with columns of its own, and no table")
+    from dataclasses import replace
+
+    from deadreckon.data.formats.cells import PLAIN, converted
+
+    found, _, lines = converted(found, replace(PLAIN, dates=dates))
+    return found, None, told + lines

@@ -1,0 +1,169 @@
+"""Columns of texts that stand for something else: yes and no, numbers with marks of thousands, dates."""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute
+
+from deadreckon.data.formats.dates import dates_of
+from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.likeness import likeness
+
+_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
+# Texts that stand for a missing value among numbers, dates and flags.
+MISSING = ("", "NA", "N/A", "n/a", "NaN", "nan", "NULL", "Null", "null", "None", "none", "#N/A", "#NV", "#NA")
+DASH = "-"  # among numbers only
+PLAIN = Dialect(",", ".", "", "utf-8", '"')
+_PAIRS = (("yes", "no"), ("ja", "nein"), ("oui", "non"), ("si", "no"), ("sí", "no"), ("sì", "no"), ("true", "false"),
+          ("y", "n"), ("j", "n"), ("t", "f"), ("on", "off"))  # fmt: skip
+_LONE = ("yes", "no", "ja", "nein", "oui", "true", "false")  # enough even if the other of the pair never occurs
+_SPACES = " \\x{a0}\\x{202f}\\x{2009}"
+_THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}
+_SHOWN = 10  # lines on columns that stay texts
+_SAMPLE = 1_000  # rows that are looked at before all are
+
+
+def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str | None, list[str]]:
+    """The table, where each column of texts that all stand for numbers, flags or dates holds those.
+
+    A cell that is empty is missing. Among flags, numbers and dates so are the words of `MISSING`; in a column that stays text
+    they are texts, and told. A column is converted as a whole or not at all.
+
+    Args:
+        table: of any columns; those that hold no texts stay as they are.
+        dialect: marks of numbers, and the order of dates where it is told.
+
+    Returns:
+        The table, the order of dates that was taken (None: there was none to take), and what to tell.
+    """
+    told: list[str] = []
+    done: dict[str, Any] = {}
+    texts: dict[str, Any] = {}  # of the columns that may hold dates, without what is missing
+    flags: list[str] = []
+    grouped: list[str] = []
+    for name, values in zip(table.column_names, table.columns, strict=True):
+        if not (pa.types.is_string(values.type) or pa.types.is_large_string(values.type)):
+            continue
+        trimmed = _compute.utf8_trim_whitespace(values)
+        present = _without(trimmed, MISSING)
+        if present.null_count == len(present):
+            continue
+        if (found := _flags(present)) is not None:
+            done[name], words = found
+            flags += [f"{name} ({words})"] if words else []
+        elif (number := _numbers(_without(trimmed, (*MISSING, DASH)), dialect)) is not None:
+            done[name], lines, marked = number
+            told += [f"column {name}: {line}" for line in lines]
+            grouped += [name] if marked else []
+            dashes = done[name].null_count - present.null_count
+            told += [f"column {name}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
+        else:
+            texts[name] = present
+    if flags:
+        told.append(f"read as true and false: {', '.join(flags)}")
+    if grouped:
+        told.append(f"marks of thousands are taken out of the numbers in {', '.join(grouped)}")
+    european = dialect.separator == ";" or dialect.decimal == ","
+    moments, order, lines = dates_of(texts, dialect.dates, european)
+    done |= moments
+    told += lines
+    columns, lines = [], []
+    for name, values in zip(table.column_names, table.columns, strict=True):
+        if name in done:
+            values = done[name]
+        elif pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
+            values = _without(values, ("",))
+            lines += _of_texts(f"column {name}", values)
+        columns.append(values)
+    told += lines[:_SHOWN]
+    if len(lines) > _SHOWN:
+        told.append(f"and so on: {len(lines) - _SHOWN} more lines of columns that are read as texts")
+    return pa.table(columns, names=table.column_names), order, told
+
+
+def with_dates(dialect: Dialect, order: str | None) -> Dialect:
+    """The dialect, with the order of dates that was found."""
+    return dialect if order is None else replace(dialect, dates=order)
+
+
+def _without(values: Any, words: tuple[str, ...]) -> Any:
+    """The texts, without those of `words`, which are missing."""
+    gone = _compute.is_in(values, value_set=pa.array(words, values.type))
+    return _compute.if_else(gone, pa.scalar(None, values.type), values)
+
+
+def _flags(texts: Any) -> tuple[Any, str] | None:
+    """(rows,) truth values and the pair that stands for them, nothing for true and false, if the texts are all of one pair."""
+    for some in (texts[:_SAMPLE], texts):
+        words = {text.lower() for text in _compute.unique(some).to_pylist()[:9] if text is not None}
+        if len(words) > 2:
+            return None
+    for yes, no in _PAIRS:
+        if words == {yes, no} or (len(words) == 1 and words <= {yes, no} and words <= set(_LONE)):
+            values = _compute.equal(_compute.utf8_lower(texts), yes)
+            return values, "" if yes == "true" else f"{yes}/{no}"
+    return None
+
+
+def _numbers(texts: Any, dialect: Dialect) -> tuple[Any, list[str], bool] | None:
+    """(rows,) numbers, what to tell of them and whether thousands were marked, if all texts are numbers of one form."""
+    decimal = re.escape(dialect.decimal or ".")
+    bodies = [rf"(?:(?:0|[1-9]\d*)(?:{decimal}\d*)?|{decimal}\d+)"]
+    if dialect.thousands:
+        bodies.append(rf"(?:\d{{1,3}}|[1-9]\d{{0,2}}(?:{_THOUSANDS[dialect.thousands]}\d{{3}})+)(?:{decimal}\d+)?")
+    # A sign stands before a number or, in exports of accounting, behind it, and not at both ends.
+    forms = [rf"^(?:[+\-−]?{body}(?:[eE][+-]?\d+)?|{body}-)$" for body in bodies]
+    for marked, form in enumerate(forms):
+        if _all(texts, form):
+            return *_parsed(texts, dialect), bool(marked)
+    return None
+
+
+def _parsed(texts: Any, dialect: Dialect) -> tuple[Any, list[str]]:
+    behind = _compute.ends_with(texts, "-")
+    plain = _compute.replace_substring(texts, "−", "-")
+    if dialect.thousands:
+        plain = _compute.replace_substring_regex(plain, _THOUSANDS[dialect.thousands], "")
+    plain = _compute.replace_substring(plain, dialect.decimal or ".", ".")
+    plain = _compute.utf8_ltrim(plain, "+")
+    plain = _compute.if_else(behind, _compute.binary_join_element_wise("-", _compute.utf8_rtrim(plain, "-"), ""), plain)
+    kind = pa.float64() if _any(plain, r"[.eE]|\d{18}") else pa.int64()
+    if _compute.any(behind).as_py():
+        example = texts.filter(_compute.fill_null(behind, False))[0].as_py()
+        return _compute.cast(plain, kind), [f"a minus sign behind a number is one before it ({example!r})"]
+    return _compute.cast(plain, kind), []
+
+
+def _all(texts: Any, pattern: str) -> bool:
+    for some in (texts[:_SAMPLE], texts):
+        if _compute.all(_compute.match_substring_regex(some, pattern)).as_py() is False:
+            return False
+    return texts.null_count < len(texts)
+
+
+def _any(texts: Any, pattern: str) -> bool:
+    return bool(_compute.any(_compute.match_substring_regex(texts, pattern)).as_py())
+
+
+def _rows(count: int) -> str:
+    return f"{count} row{'s' * (count != 1)}"
+
+
+def _of_texts(called: str, values: Any) -> list[str]:
+    """What to tell of a column that stays text."""
+    gone = _compute.is_in(values, value_set=pa.array((*MISSING[1:], DASH), values.type))
+    told = []
+    if count := _compute.sum(gone).as_py():
+        word = values.filter(gone)[0].as_py()
+        told.append(f"{called}: {word!r} is a text like others in {_rows(count)}; empty such cells if they are missing")
+    found = likeness(_without(values, (*MISSING, DASH)))
+    if found.alike and found.row < 0:
+        told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date")
+    elif found.mistaken or 2 * found.alike >= found.cells > 0:
+        told.append(
+            f"{called} is read as texts: {found.alike} of {found.cells} cells look like numbers or dates, row {found.row} "
+            f"has {found.odd[:40]!r}"
+        )
+    return told

@@ -1,0 +1,122 @@
+"""Tables of SQLite and DuckDB files, whole or by a query, as pyarrow tables. Files are opened for reading alone."""
+
+import contextlib
+import sqlite3
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pyarrow as pa
+
+from deadreckon.data.formats.values import column_of
+from deadreckon.errors import UserError, reading, unknown
+
+_BATCH = 10_000  # rows that are fetched at once
+
+
+def read_database(
+    path: Path | str, kind: str, query: str | None = None, table: str | None = None
+) -> tuple[pa.Table, list[str]]:
+    """The rows of a query, of a table or view, or of the only one that there is.
+
+    Args:
+        path: of the file.
+        kind: `sqlite` or `duckdb`.
+        query: one SELECT in SQL.
+        table: its name.
+
+    Returns:
+        The table, and what to tell.
+
+    Raises:
+        UserError: one line: the query is wrong or is no SELECT, or the tables where one must be named.
+    """
+    if query is not None and table is not None:
+        raise UserError(f"{path}: --query and --table exclude each other; name the table in the query")
+    with reading(path, "a database"), open(path, "rb"):  # SQLite's own error does not say why
+        pass
+    found, told = _sqlite(path, query, table) if kind == "sqlite" else _duckdb(path, query, table)
+    seen: set[str] = set()
+    for index, name in enumerate(found.column_names):
+        if not name.strip():
+            raise UserError(f"{path}: column {index + 1} of the query has no name; give it one with AS")
+        if name in seen:
+            raise UserError(f"{path}: the query gives two columns called {name!r}; rename one with AS")
+        seen.add(name)
+    return found, told
+
+
+def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.Table, list[str]]:
+    place = f"file:{quote(str(Path(path).absolute()))}?mode=ro"
+    try:
+        with contextlib.closing(sqlite3.connect(place, uri=True)) as base:
+            if query is None:
+                listed = base.execute(
+                    "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') AND name NOT LIKE 'sqlite_%' ORDER BY name"
+                )
+                query = _all_of(path, {name: _quoted(name) for (name,) in listed}, table)
+            rows = base.execute(query)
+            if rows.description is None:
+                raise UserError(f"{path}: --query takes a SELECT, which gives rows, not {query[:60]!r}")
+            names = [name for name, *_ in rows.description]
+            columns: list[list[Any]] = [[] for _ in names]
+            while batch := rows.fetchmany(_BATCH):
+                for values, more in zip(columns, zip(*batch, strict=True), strict=True):
+                    values.extend(more)
+    except (sqlite3.Error, sqlite3.Warning) as error:  # a Warning: of several statements
+        raise _wrong(path, "SQLite", error, query) from error
+    arrays, told = [], []
+    for name, values in zip(names, columns, strict=True):
+        array, lines = column_of(path, f"column {name}", values, lambda row: f"row {row}")
+        arrays.append(array)
+        told += lines
+    return pa.table(arrays, names=names), told
+
+
+def _duckdb(path: Path | str, query: str | None, table: str | None) -> tuple[pa.Table, list[str]]:
+    try:
+        import duckdb
+    except ImportError as error:
+        raise UserError(f"{path}: DuckDB's files are read with duckdb: pip install 'deadreckon[tables]'") from error
+    try:
+        with contextlib.closing(duckdb.connect(str(path), read_only=True)) as base:
+            if query is None:
+                listed = base.execute("SELECT table_schema, table_name FROM information_schema.tables ORDER BY 1, 2").fetchall()
+                known = {
+                    name if schema == "main" else f"{schema}.{name}": f"{_quoted(schema)}.{_quoted(name)}"
+                    for schema, name in listed
+                }
+                query = _all_of(path, known, table)
+            statements = base.extract_statements(query)
+            if len(statements) != 1 or statements[0].type != duckdb.StatementType.SELECT:
+                raise UserError(f"{path}: --query takes one SELECT, which gives rows, not {query[:60]!r}")
+            found = base.sql(query).to_arrow_table()
+    except duckdb.Error as error:
+        raise _wrong(path, "DuckDB", error, query) from error
+    for name, values in zip(found.column_names, found.columns, strict=True):
+        if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):
+            raise UserError(f"{path}: column {name} holds binary data, which nothing can learn from; leave it out with --query")
+    return found, []
+
+
+def _all_of(path: Path | str, known: dict[str, str], table: str | None) -> str:
+    """The query for all of a table, of those known: {name: as it stands in SQL}."""
+    if table is None and len(known) != 1:
+        if not known:
+            raise UserError(f"{path}: the database has no tables")
+        listed = ", ".join(known)
+        raise UserError(f"{path}: which table holds the log? --table NAME, or --query 'SELECT ...'; it has {listed}")
+    if table is not None and table not in known:
+        raise UserError(f"{path}: {unknown('table', table, known)}")
+    return f"SELECT * FROM {known[table] if table is not None else next(iter(known.values()))}"
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
+
+
+def _wrong(path: Path | str, what: str, error: Exception, query: str | None) -> UserError:
+    text = " ".join(str(error).split())[:200]
+    if query is None or "not a database" in text or "malformed" in text or "disk image" in text:
+        return UserError(f"{path}: cannot be read as a database of {what}, it is damaged or in use ({text})")
+    return UserError(f"{path}: {what} cannot run {query[:80]!r} ({text})")

@@ -1,0 +1,219 @@
+"""Text files of tables (CSV and its dialects, plain or gzipped) as pyarrow tables."""
+
+import csv
+import gzip
+import io
+import zlib
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import pyarrow as pa
+import pyarrow.compute
+from pyarrow import csv as arrow
+
+from deadreckon.data.formats.cells import MISSING, converted, with_dates
+from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
+from deadreckon.errors import UserError, reading
+
+_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
+_BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
+_NULLS = (*MISSING, "-nan", "-NaN", "#N/A N/A", "1.#QNAN", "-1.#IND")
+
+
+def read_delimited(path: Path | str, asked: Dialect) -> tuple[pa.Table, Dialect, list[str]]:
+    """A text file as a table.
+
+    Types are those that fit all cells of a column: integers, numbers, truth values, dates, else texts.
+
+    Args:
+        path: of the file, plain or gzipped.
+        asked: what is known of its dialect.
+
+    Returns:
+        The table, the dialect in which it was read, and one line for each thing that is not plain or is open.
+
+    Raises:
+        UserError: one line with the file and the line or the column.
+    """
+    with reading(path, "CSV", pa.ArrowException, EOFError, zlib.error), open(path, "rb") as file:
+        source = _unpacked(file)
+        head, whole = _head(source)
+        dialect, told = sniff(path, head, whole, asked)
+        source.seek(0)
+        table = _parsed(path, source, dialect)
+        told += _of_names(path, table.column_names)
+        table = _named(path, table)
+        table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
+        told += lines
+        table, lines = _without_empty(path, table)
+        told += lines
+        told += _of_quotes(path, table, dialect)
+        if not table.num_rows:
+            raise UserError(f"{path}: the log has no rows, only a line of names")
+    table, order, lines = converted(table, dialect)
+    return table, with_dates(dialect, order), told + lines
+
+
+def _unpacked(file: BinaryIO) -> BinaryIO:
+    packed = file.read(2) == b"\x1f\x8b"
+    file.seek(0)
+    # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
+    return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
+
+
+def _head(source: BinaryIO) -> tuple[bytes, bool]:
+    """The first bytes, with at least three line ends where there are as many, and whether that is all."""
+    head = source.read(HEAD)
+    while head.count(b"\n") + head.count(b"\r") < 3:
+        more = source.read(HEAD)
+        if not more:
+            return head, True
+        head += more
+    return head, not source.read(1)
+
+
+def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect) -> pa.Table:
+    try:
+        return arrow.read_csv(
+            source,
+            read_options=arrow.ReadOptions(
+                encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK
+            ),
+            # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
+            parse_options=arrow.ParseOptions(
+                delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True
+            ),
+            convert_options=arrow.ConvertOptions(decimal_point=dialect.decimal, null_values=_NULLS),
+        )  # fmt: skip
+    except (pa.ArrowInvalid, UnicodeError) as error:
+        _diagnose(path, dialect)
+        text = " ".join(str(error).split())
+        if "Empty CSV" in text:
+            raise UserError(f"{path}: the log has no rows, only a line of names") from error
+        raise UserError(f"{path}: cannot be read as CSV, it is damaged or cut short ({text[:200]})") from error
+
+
+def _diagnose(path: Path | str, dialect: Dialect) -> None:
+    """Refuses the first row that cannot be read, by its line; does nothing if there is none."""
+    with open(path, "rb") as file:  # anew: threads of pyarrow may still be reading from the other
+        _refuse_rows(path, io.TextIOWrapper(_unpacked(file), dialect.encoding or "utf-8", newline=""), dialect)
+
+
+def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) -> None:
+    line, width = 1, 0
+    try:
+        reader = csv.reader(lines, delimiter=dialect.separator or ",", quotechar=dialect.quote, strict=True)
+        while True:
+            line = reader.line_num + 1
+            cells = next(reader, None)
+            if cells is None:
+                return
+            if line <= (dialect.skip or 0) or not cells:
+                continue
+            width = width or len(cells)
+            if len(cells) != width:
+                raise UserError(
+                    f"{path}: line {line} has {len(cells)} cell{'s' * (len(cells) > 1)}, the line of names has {width}: "
+                    f"{str(dialect.separator).join(cells)[:60]!r}; is a separator missing or too many, or does a text that "
+                    "holds one lack its quotes?"
+                )
+    except UnicodeError as error:
+        raise UserError(
+            f"{path}: line {line} or a later one is not {dialect.encoding}; name the encoding (--encoding)"
+        ) from error
+    except csv.Error as error:
+        if "end of data" in str(error) or "field larger" in str(error):
+            text = f"a quote ({dialect.quote}) opens a text and none closes it"
+        else:
+            text = f"a text in quotes does not end at a separator ({error})"
+        raise UserError(f"{path}: in line {line} {text}; a quote within a text is written twice") from error
+
+
+def _of_names(path: Path | str, names: list[str]) -> list[str]:
+    shown = [name for name in names if name != _clean(name)]
+    return [f"blanks around or within names of columns are taken out, such as of {shown[0]!r}"] if shown else []
+
+
+def _clean(name: str) -> str:
+    """A name without blanks around it and with single blanks within."""
+    return " ".join(name.split())
+
+
+def _named(path: Path | str, table: pa.Table) -> pa.Table:
+    """The table under clean names, each once; a column without a name is one of row numbers or empty."""
+    names = [_clean(name) for name in table.column_names]
+    kept = [index for index, name in enumerate(names) if name or table.column(index).null_count < table.num_rows]
+    table = table.select(kept).rename_columns([names[index] for index in kept])
+    first: dict[str, int] = {}
+    for column, index in enumerate(kept):
+        name = names[index]
+        if name and first.setdefault(name, index) != index:
+            text = f"the name {name!r} is given to columns {first[name] + 1} and {index + 1}"
+            raise UserError(f"{path}: {text}; rename one of them")
+        if not name and (column or not _counts(table.column(column))):
+            raise UserError(f"{path}: column {index + 1} has no name; give it one in the line of names")
+    return table
+
+
+def _counts(values: Any) -> bool:
+    """Whether a column numbers its rows: integers, each once."""
+    return pa.types.is_integer(values.type) and not values.null_count and len(_compute.unique(values)) == len(values)
+
+
+def _decoded(path: Path | str, table: pa.Table, dialect: Dialect, known: bool) -> tuple[pa.Table, list[str]]:
+    """The table with columns that turned out not to be UTF-8 behind the head: Windows-1252 if nothing spoke for UTF-8."""
+    told = []
+    for index, name in enumerate(table.column_names):
+        if not pa.types.is_binary(table.schema.field(index).type):
+            continue
+        values: list[Any] = table.column(index).to_pylist()
+        for row, value in enumerate(values):
+            try:
+                values[row] = None if value is None else value.decode("utf-8")
+            except UnicodeDecodeError as error:
+                assert value is not None
+                if known:
+                    raise UserError(
+                        f"{path}: column {name}, row {row}: {value[:40]!r} is not {dialect.encoding}; name the encoding "
+                        "(--encoding latin-1, for one)"
+                    ) from error
+                values[row] = text = value.decode("cp1252", "replace")
+                if not told:
+                    told.append(
+                        f"from row {row} on the text is not UTF-8, and is read as Windows-1252 (Latin-1), such as "
+                        f"{text[:30]!r} (--encoding)"
+                    )
+        table = table.set_column(index, name, pa.array(values, pa.string()))
+    return table, told
+
+
+def _without_empty(path: Path | str, table: pa.Table) -> tuple[pa.Table, list[str]]:
+    """The table without rows of empty cells at its end, which spreadsheets leave there."""
+    rows = table.num_rows
+    while rows and all(values[rows - 1].as_py() in (None, "") for values in table.columns):
+        rows -= 1
+    if rows == table.num_rows:
+        return table, []
+    return table.slice(0, rows), [f"rows of empty cells at the end are left out: {table.num_rows - rows}"]
+
+
+def _of_quotes(path: Path | str, table: pa.Table, dialect: Dialect) -> list[str]:
+    """Refuses a quote that nothing closes, and tells of texts that look as if they had swallowed rows."""
+    told: list[str] = []
+    last = False
+    for name, values in zip(table.column_names, table.columns, strict=True):
+        if not pa.types.is_string(values.type):
+            continue
+        last |= bool(table.num_rows) and "\n" in (values[-1].as_py() or "")
+        separator = str(dialect.separator)
+        for text in values.filter(_compute.match_substring(values, "\n")).to_pylist() if table.num_columns > 1 else []:
+            inner = [line for line in text.splitlines()[1:-1] if line.count(separator) == table.num_columns - 1]
+            if inner:
+                told.append(
+                    f"column {name}: a text in quotes holds lines that look like rows, such as {inner[0][:40]!r}; is a quote "
+                    "missing, or one too many?"
+                )
+                break
+    if last:  # whatever follows a quote that nothing closes is in the last row
+        _diagnose(path, dialect)
+    return told

@@ -1,0 +1,103 @@
+"""Sheets of spreadsheets (.xlsx, and .xls and .ods, which the same library reads) as pyarrow tables."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from deadreckon.data.formats.values import column_of
+from deadreckon.errors import UserError, reading, unknown
+
+
+def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Table, list[str]]:
+    """A sheet as a table: its first row that is not empty holds the names of the columns; empty rows are left out.
+
+    Args:
+        path: of the file.
+        sheet: name, or number counted from 1; may be left out where one sheet alone can be seen.
+
+    Returns:
+        The table, and what to tell.
+
+    Raises:
+        UserError: one line with the cell, or with the sheets where one must be named.
+    """
+    try:
+        import python_calamine as calamine
+    except ImportError as error:
+        raise UserError(f"{path}: spreadsheets are read with python-calamine: pip install 'deadreckon[tables]'") from error
+    with reading(path, "a spreadsheet", calamine.CalamineError):
+        try:
+            book = calamine.CalamineWorkbook.from_path(str(path))
+        except calamine.PasswordError as error:
+            raise UserError(f"{path}: the spreadsheet needs a password; save it without one") from error
+        with book:
+            shown = [
+                each.name
+                for each in book.sheets_metadata
+                if each.typ == calamine.SheetTypeEnum.WorkSheet and each.visible == calamine.SheetVisibleEnum.Visible
+            ]
+            found = book.get_sheet_by_name(_chosen(path, sheet, book.sheet_names, shown))
+            cells = found.to_python(skip_empty_area=False)  # from A1 on, so that cells can be named
+            rows = [(line, row) for line, row in enumerate(cells, 1) if any(cell != "" for cell in row)]
+    if len(rows) < 2:
+        raise UserError(f"{path}: sheet {found.name!r} has no rows below a row of names")
+    table, told = _table(path, rows)
+    gaps = rows[-1][0] - rows[0][0] + 1 - len(rows)
+    return table, [*([f"empty rows are left out: {gaps}"] if gaps else []), *told]
+
+
+def _chosen(path: Path | str, sheet: str | int | None, names: list[str], shown: list[str]) -> str:
+    if sheet is None:
+        if len(shown) == 1:
+            return shown[0]
+        listed = ", ".join(repr(name) for name in shown or names)
+        raise UserError(f"{path}: which sheet holds the log? --sheet NAME, or its number; it has {listed}")
+    if str(sheet) in names:
+        return str(sheet)
+    if str(sheet).isdecimal():
+        if not 1 <= int(sheet) <= len(names):
+            raise UserError(f"{path}: there is no sheet {sheet}; it has {len(names)}: {', '.join(map(repr, names))}")
+        return names[int(sheet) - 1]
+    raise UserError(f"{path}: {unknown('sheet', str(sheet), names)}")
+
+
+def _table(path: Path | str, rows: list[tuple[int, list[Any]]]) -> tuple[pa.Table, list[str]]:
+    (header, names), *body = rows
+    lines_of = [line for line, _ in body]
+    columns: dict[str, Any] = {}
+    told: list[str] = []
+    for index, raw in enumerate(names):
+        letters = letters_of(index)
+        name = " ".join(_name(raw).split())
+        values = [row[index] for _, row in body]
+        if not name:
+            filled = next((line for line, row in body if row[index] != ""), None)
+            if filled is None:
+                continue
+            raise UserError(f"{path}: cell {letters}{header} is empty, where the name of column {letters} is needed; "
+                            f"{letters}{filled} holds a value")  # fmt: skip
+        if name in columns:
+            raise UserError(f"{path}: the name {name!r} in cell {letters}{header} is that of another column too; rename one")
+        columns[name], lines = column_of(path, f"column {name}", values, _where(letters, lines_of))
+        told += lines
+    return pa.table(columns), told
+
+
+def _where(letters: str, lines: list[int]) -> Callable[[int], str]:
+    return lambda row: f"cell {letters}{lines[row]}"
+
+
+def _name(value: Any) -> str:
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def letters_of(column: int) -> str:
+    """The letters of a column counted from 0: A, B, ..., Z, AA, ..."""
+    letters = ""
+    column += 1
+    while column:
+        column, rest = divmod(column - 1, 26)
+        letters = chr(ord("A") + rest) + letters
+    return letters

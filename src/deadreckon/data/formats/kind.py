@@ -1,0 +1,112 @@
+"""Of which format a file is: its content says, not its name. And which options that format takes."""
+
+import gzip
+import pickle
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data.formats import folder as folders
+from deadreckon.data.formats import minari as minaris
+from deadreckon.data.formats.dialect import is_table
+from deadreckon.errors import UserError
+
+FORMATS = (
+    "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, spreadsheets, SQLite, DuckDB, npz, pickle, a Minari data set "
+    "or a folder of deadreckon's"
+)
+TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # columns have names of the user's own
+# How a file is read, and the formats that can be read so.
+READING = {
+    "separator": ("csv",), "decimal": ("csv",), "thousands": ("csv",), "encoding": ("csv",),
+    "dates": ("csv", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
+    "table": ("sqlite", "duckdb"),
+}  # fmt: skip
+_WORDS = {"csv": "CSV", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
+_MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
+          (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
+_CONTENTS = "[Content_Types].xml"
+
+
+def sniff(path: Path | str, separator: str | None = None) -> str:
+    """The format of a log: hdf5, parquet, npz, pickle, csv, excel, sqlite, duckdb, minari or folder.
+
+    Args:
+        path: of the file or folder.
+        separator: of the columns of a text file, where it is known; else a usual one must occur.
+
+    Raises:
+        UserError: there is nothing, it is empty, or no format that we read.
+    """
+    if str(path).startswith(minaris.PREFIX):
+        return "minari"
+    path = Path(path)
+    if path.is_dir():
+        if (path / folders.HEADER).is_file():
+            return "folder"
+        if (path / "metadata.json").is_file() or (path / "data" / "metadata.json").is_file():
+            return "minari"
+        raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
+    packed = False
+    try:
+        with open(path, "rb") as file:
+            head = file.read(4096)
+            if packed := head[:2] == b"\x1f\x8b":
+                file.seek(0)
+                head = gzip.GzipFile(fileobj=file).read(4096)
+    except FileNotFoundError as error:
+        raise UserError(f"no file {path}") from error
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise UserError(f"{path}: cannot be unpacked, it is damaged or cut short ({error})") from error
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+    if not head:
+        raise UserError(f"{path}: the file is empty")
+    kind = next((kind for magic, kind in _MAGIC if head.startswith(magic)), "duckdb" if head[8:12] == b"DUCK" else "")
+    if kind and packed:
+        raise UserError(f"{path}: a gzipped {kind} file; unpack it first (gunzip)")
+    if kind == "npz" and _is_spreadsheet(path, head):
+        return "excel"
+    if kind:
+        return kind
+    if _is_pickle(head):
+        return "pickle"
+    if is_table(head, separator):
+        return "csv"
+    raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
+
+
+def no_options(path: Path | str, kind: str, given: dict[str, Any]) -> None:
+    """Refuses ways of reading that are those of other formats, and names of columns for formats whose columns have names of
+    their own.
+
+    Args:
+        path: named in errors.
+        kind: its format.
+        given: {option: its value, or None}.
+    """
+    for key in sorted(key for key, value in given.items() if value is not None and key != "name"):
+        if key in READING and kind not in READING[key]:
+            formats = " or ".join(_WORDS[each] for each in READING[key])
+            raise UserError(f"{path}: --{key} is for {formats}, but this is {_WORDS.get(kind, kind)}")
+        if kind not in TABLES:
+            raise UserError(f"{path}: {key} names a column of a table, but this is {kind}, which has its own")
+
+
+def _is_spreadsheet(path: Path, head: bytes) -> bool:
+    """Whether a zip archive is one of Excel's or of OpenDocument's; a damaged one is by what it begins with."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, OSError):
+        return any(name in head for name in (_CONTENTS.encode(), b"opendocument.spreadsheet", b"xl/"))
+    return (_CONTENTS in names and any(name.startswith("xl/") for name in names)) or b"opendocument.spreadsheet" in head
+
+
+def _is_pickle(head: bytes) -> bool:
+    """Protocols 2 and up begin with their number; older ones with the text of a list or a dict."""
+    if head[:1] == pickle.PROTO and len(head) > 1:
+        return head[1] <= pickle.HIGHEST_PROTOCOL
+    starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n")
+    return head[:2] in (b"(l", b"(d", b"(i", b"]q", b"}q") or head.startswith(starts)

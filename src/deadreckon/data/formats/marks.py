@@ -1,0 +1,150 @@
+"""Which marks the numbers of a text file have: for decimals and for thousands."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+# 1,234 and 1.234.567 and 12'345.67: groups of three behind one to three digits, and perhaps decimals.
+_GROUPED = re.compile(
+    r"[+-]?[1-9]\d{0,2}(?P<mark>[.,'’ \u00a0\u202f])\d{3}(?P<more>(?:(?P=mark)\d{3})*)(?:(?P<decimal>[.,])\d+)?-?"
+)
+_DECIMAL = re.compile(r"[+-]?\d*(?P<decimal>[.,])\d+(?:[eE][+-]?\d+)?-?")
+_MOST = 400_000  # cells that are looked at
+_SAME = {"’": "'", "\u00a0": " ", "\u202f": " "}
+WORDS = {".": "points", ",": "commas", " ": "spaces", "'": "apostrophes"}
+
+
+@dataclass
+class Marks:
+    """What the cells of a file say about its marks; each {mark: {column: a cell}}.
+
+    Attributes:
+        decimals: cells whose mark is one of decimals (1,5 and 0,123 and 1234,567).
+        thousands: cells whose mark is one of thousands (1.234,56 and 1.234.567 and 1 234).
+        open: cells that may be either: 1,234 and 1.234.
+    """
+
+    decimals: dict[str, dict[int, str]] = field(default_factory=lambda: {".": {}, ",": {}})
+    thousands: dict[str, dict[int, str]] = field(default_factory=dict)
+    open: dict[str, dict[int, str]] = field(default_factory=lambda: {".": {}, ",": {}})
+
+    @classmethod
+    def of(cls, rows: Iterable[Sequence[str]]) -> "Marks":
+        """Of the cells of the rows, each a sequence of texts."""
+        marks, seen = cls(), 0
+        for row in rows:
+            seen += len(row)
+            if seen > _MOST:
+                break
+            for column, cell in enumerate(row):
+                if cell and not cell.isalnum():
+                    marks._look(column, cell.strip())
+        return marks
+
+    def _look(self, column: int, cell: str) -> None:
+        if match := _GROUPED.fullmatch(cell):
+            mark = _SAME.get(match["mark"], match["mark"])
+            if match["decimal"] == mark:
+                return
+            if match["decimal"]:
+                self.decimals[match["decimal"]].setdefault(column, cell)
+            if match["decimal"] or match["more"] or mark not in ".,":
+                self.thousands.setdefault(mark, {}).setdefault(column, cell)
+            else:
+                self.open[mark].setdefault(column, cell)
+        elif match := _DECIMAL.fullmatch(cell):
+            self.decimals[match["decimal"]].setdefault(column, cell)
+
+    def resolve(self, decimal: str | None, thousands: str | None, separator: str) -> tuple[str, str, list[str]]:
+        """The marks of decimals and thousands, and what to tell of them.
+
+        Rules: decimals have the mark that more columns show (1,5 and 1.234,56 show a comma; 1.234.567 excludes a point). If
+        none does, and cells such as 1,234 are all there is, the comma is one of decimals where semicolons separate columns,
+        and one of thousands elsewhere, which is told as open. A mark of thousands is one that cells show or, beside decimals
+        of the other mark, one that stands before groups of three alone.
+
+        Args:
+            decimal: as asked for, or None.
+            thousands: as asked for, or None.
+            separator: of columns.
+        """
+        told: list[str] = []
+        asked = decimal, thousands
+        votes = Counter({mark: len(columns) for mark, columns in self.decimals.items()})
+        for mark, other in ((".", ","), (",", ".")):
+            votes[other] += len(self.thousands.get(mark, {}).keys() - self.decimals[other].keys())
+        if decimal is None and thousands in (".", ","):
+            decimal = "," if thousands == "." else "."
+        evident = decimal is not None or votes["."] + votes[","] > 0
+        if decimal is None:
+            tie = votes[","] == votes["."] and separator == ";" and (evident or self.open[","])
+            decimal = "," if votes[","] > votes["."] or tie else "."
+        other = "," if decimal == "." else "."
+        if thousands is None:
+            shown = Counter({mark: len(columns) for mark, columns in self.thousands.items() if mark != decimal})
+            thousands = max(shown, key=lambda mark: shown[mark]) if shown else other if self.open[other] else ""
+        if asked[0] is None:
+            told += self._of_decimals(decimal, evident, separator)
+        if asked[1] is None and thousands:
+            told += self._of_thousands(decimal, thousands, evident)
+        if asked == (None, None) and self.decimals[other]:
+            cell = _any(self.decimals[other])
+            told.append(f"most numbers have decimal {WORDS[decimal]}, but {cell!r} has another mark (--decimal)")
+        return decimal, thousands, told
+
+    def _of_decimals(self, decimal: str, evident: bool, separator: str) -> list[str]:
+        cells = self.decimals[decimal] or self.open[decimal]
+        if not cells:
+            return []
+        cell = _any(cells)
+        value = _value(cell, decimal)
+        if not evident and decimal == ",":
+            whole = cell.replace(",", "")
+            return [
+                f"{cell!r} is read as {value}, not as {whole}: beside semicolons a comma is taken for decimals, "
+                "and no other cell tells (--thousands comma)"
+            ]
+        if not evident and separator != ",":
+            return [f"{cell!r} is read as {value}, not as {cell.replace('.', '')}, and no other cell tells (--thousands point)"]
+        return [f"decimal commas: {cell!r} is read as {value} (--decimal)"] if decimal == "," else []
+
+    def _of_thousands(self, decimal: str, thousands: str, evident: bool) -> list[str]:
+        shown = self.thousands.get(thousands)
+        cell = _any(shown or self.open[thousands])
+        value = _value(cell, decimal)
+        text = f"thousands are separated by {WORDS[thousands]}: {cell!r} is read as {value}"
+        if shown or evident:
+            return [f"{text} (--thousands)"]
+        return [f"{text}, not as {_value(cell, thousands)}, and no other cell tells (--decimal comma)"]
+
+
+def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """What to tell of columns of digits that lose something as numbers: zeros in front, or places that no integer has.
+
+    Args:
+        names: of the columns.
+        rows: their cells.
+    """
+    told = []
+    for name, cells in zip(names, zip(*(row for row in rows if len(row) == len(names)), strict=True)):
+        found = [cell for cell in map(str.strip, cells) if cell]
+        if not all(cell.isdecimal() for cell in found):
+            continue
+        if zeros := [cell for cell in found if cell[0] == "0" and len(cell) > 1]:
+            told.append(f"column {name}: {zeros[0]!r} is read as the number {int(zeros[0])}; put a letter before codes")
+        if large := [cell for cell in found if int(cell) >= 2**63]:
+            told.append(f"column {name}: {large[0]!r} is rounded, as no integer is so large; put a letter before codes")
+    return told
+
+
+def _any(cells: dict[int, str]) -> str:
+    return next(iter(cells.values()))
+
+
+def _value(cell: str, decimal: str) -> str:
+    """What a cell says, with a point for decimals."""
+    whole, _, fraction = cell.rstrip("-").partition(decimal)
+    whole = re.sub(r"[^\d+-]", "", whole)
+    sign = "-" if cell.endswith("-") else ""
+    return f"{sign}{whole}.{fraction}" if fraction else f"{sign}{whole}"

@@ -1,0 +1,87 @@
+"""Columns of Python's values, as spreadsheets and SQLite give them, as pyarrow arrays."""
+
+import datetime
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from deadreckon.data.formats.cells import DASH, MISSING
+from deadreckon.errors import UserError
+
+_MOSTLY = 0.9  # share of one kind among the cells of a column from which another is taken for a mistake
+_LARGEST = 2**53  # up to which a float holds every integer
+
+
+def column_of(path: Any, called: str, values: Sequence[Any], where: Callable[[int], str]) -> tuple[Any, list[str]]:
+    """A column as a pyarrow array: numbers, truth values, moments, durations, times of day, or texts.
+
+    Cells that are empty or None are missing, and so are words such as NA among cells that are no texts. A column of several
+    kinds becomes text, which is told, unless nearly all cells are of one kind.
+
+    Args:
+        path: named in errors.
+        called: what the column is called, in errors.
+        values: (rows,) of it.
+        where: what the cell of a row is called, in errors.
+
+    Raises:
+        UserError: nearly all cells are of one kind, and one is not; or a cell holds bytes.
+    """
+    kinds = Counter(_kind(value) for value in values)
+    missing = kinds.pop("", 0)
+    if not kinds:
+        return pa.nulls(len(values)), []
+    for row in (row for row, value in enumerate(values) if "bytes" in kinds and isinstance(value, bytes)):
+        raise UserError(f"{path}: {called} holds binary data ({where(row)}), which nothing can learn from; leave it out")
+    texts = {value.strip() for value in values if isinstance(value, str)} if len(kinds) > 1 else set()
+    if texts and texts <= {*MISSING, DASH}:
+        values = [None if isinstance(value, str) else value for value in values]
+        del kinds["text"]
+    usual, count = kinds.most_common(1)[0]
+    if len(kinds) == 1:
+        return _array([None if _kind(value) == "" else value for value in values], usual), []
+    row = next(row for row, value in enumerate(values) if _kind(value) not in ("", usual))
+    odd = f"{where(row)} holds {str(values[row])[:40]!r}, and most cells hold {_WORDS[usual]}"
+    if count >= _MOSTLY * (len(values) - missing) and usual != "text":
+        raise UserError(f"{path}: {called}: {odd}; mend that cell (an empty one is missing), or make all of them texts")
+    return _array([None if _kind(value) == "" else _text(value) for value in values], "text"), [
+        f"{called} is read as texts: {odd}"
+    ]
+
+
+_WORDS = {"number": "numbers", "flag": "true or false", "moment": "dates", "text": "texts", "time": "times of day",
+          "duration": "durations"}  # fmt: skip
+
+
+def _kind(value: Any) -> str:
+    if value is None or (isinstance(value, str) and not value.strip()):
+        return ""
+    for kinds, word in (
+        (bool, "flag"), ((int, float), "number"), (str, "text"), (datetime.date, "moment"), (datetime.time, "time"),
+        (datetime.timedelta, "duration"), (bytes, "bytes"),
+    ):  # fmt: skip
+        if isinstance(value, kinds):
+            return word
+    raise TypeError(f"a cell of type {type(value).__name__}")
+
+
+def _text(value: Any) -> str:
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def _array(values: list[Any], kind: str) -> Any:
+    if kind == "number":
+        whole = all(value is None or (abs(value) < _LARGEST and float(value).is_integer()) for value in values)
+        if whole:
+            return pa.array([None if value is None else int(value) for value in values], pa.int64())
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    if kind == "moment":
+        full = [
+            datetime.datetime.combine(value, datetime.time()) if type(value) is datetime.date else value for value in values
+        ]
+        return pa.array(full, pa.timestamp("us"))
+    return pa.array(
+        values, {"flag": pa.bool_(), "text": pa.string(), "time": pa.time64("us"), "duration": pa.duration("us")}[kind]
+    )
