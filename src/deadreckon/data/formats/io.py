@@ -5,6 +5,7 @@ import pickle
 import tempfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,12 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
+from deadreckon.data.formats.open_bandit import open_bandit
+from deadreckon.data.formats.rllib import files_of, is_rllib
+from deadreckon.data.formats.vw import is_vw
 from deadreckon.errors import UserError
 
-FORMATS = "hdf5, Parquet, CSV, npz, pickle, a Minari data set or a folder of deadreckon's"
+FORMATS = "hdf5, Parquet, CSV, npz, pickle, RLlib's JSON lines, VW's text, a Minari data set or a folder of deadreckon's"
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
 _TELLING = ("folder", "minari")  # say where episodes end
@@ -34,7 +38,7 @@ def read(
 
     Args:
         path: a file (D4RL hdf5, Parquet, CSV, npz, pickled demonstrations; CSV and pickles may be gzipped), a folder
-            (Minari's or ours), or `minari:` and an id.
+            (Minari's or ours), or `minari:` and an id; of a data set that is installed here, the id alone.
         mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
@@ -45,8 +49,10 @@ def read(
         UserError: one line with the file, and column and row where they apply.
     """
     kind = sniff(path)
+    mapping, told = open_bandit(path, kind, mapping)
     options = _options(path, kind, mmap, horizon, mapping)
-    return _reader(kind)(path, strict=strict, name=name, **options)
+    log = _reader(kind)(path, strict=strict, name=name, **options)
+    return replace(log, warnings=(*told, *log.warnings))
 
 
 def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mapping: dict[str, Any]) -> dict[str, Any]:
@@ -74,6 +80,10 @@ def _reader(kind: str) -> Callable[..., Dataset]:
         from deadreckon.data.formats.pickles import read_pickle as reader
     elif kind == "npz":
         from deadreckon.data.formats.npz import read_npz as reader
+    elif kind == "rllib":
+        from deadreckon.data.formats.rllib import read_rllib as reader
+    elif kind == "vw":
+        from deadreckon.data.formats.vw import read_vw as reader
     elif kind == "parquet":
         from deadreckon.data.formats.tables import read_parquet as reader
     else:
@@ -82,12 +92,12 @@ def _reader(kind: str) -> Callable[..., Dataset]:
 
 
 def sniff(path: Path | str) -> str:
-    """The format of a log: hdf5, parquet, npz, pickle, csv, minari or folder.
+    """The format of a log: hdf5, parquet, npz, pickle, csv, rllib, vw, minari or folder.
 
     Raises:
         UserError: there is nothing, it is empty, or no format that we read.
     """
-    if str(path).startswith(minaris.PREFIX):
+    if str(path).startswith(minaris.PREFIX) or (not Path(path).exists() and minaris.installed(str(path))):
         return "minari"
     path = Path(path)
     if path.is_dir():
@@ -95,6 +105,8 @@ def sniff(path: Path | str) -> str:
             return "folder"
         if (path / "metadata.json").is_file() or (path / "data" / "metadata.json").is_file():
             return "minari"
+        if files_of(path):
+            return "rllib"
         raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
     packed = False
     try:
@@ -118,6 +130,9 @@ def sniff(path: Path | str) -> str:
             return kind
     if _is_pickle(head):
         return "pickle"
+    for kind, test in (("vw", is_vw), ("rllib", is_rllib)):
+        if test(head):
+            return kind
     line = head.partition(b"\n")[0].strip()
     if b"\0" not in head and b"," in line:
         return "csv"
