@@ -269,7 +269,7 @@ MUTANTS = (
         "rows without a known successor are learned from", ("data/test_dataset.py",),
     ),
     Mutant(
-        "returns-to-go", "data/dataset.py", "to_go[rows] += discount * to_go[rows + 1]",
+        "returns-to-go", "data/episodes.py", "to_go[rows] += discount * to_go[rows + 1]",
         "to_go[rows] += discount * to_go[rows]",
         "returns to go are sums of the wrong rows", ("data/test_dataset.py",),
     ),
@@ -603,6 +603,139 @@ MUTANTS = (
     Mutant(
         "csv-empty-text", "data/formats/tables.py", "_without_empty_texts(csv.read_csv(source))", "csv.read_csv(source)",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
+    ),
+    # ---- layouts of other libraries
+    Mutant(
+        "layout-d3rlpy-terminated", "data/formats/layout_rows.py",
+        "append(last & bool(ended))",
+        "append(last)",
+        "d3rlpy's episodes all end by termination", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-minari-flat", "data/formats/layouts.py",
+        '"terminations": "terminated", "truncations": "truncated"',
+        '"terminations": "truncated", "truncations": "terminated"',
+        "Minari's two flags are exchanged in flat files", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-rllib-new-obs", "data/formats/layouts.py",
+        '"rewards": "rewards", "new_obs": "next_observations",',
+        '"rewards": "rewards", "prev_obs": "next_observations",',
+        "RLlib's next observations are forgotten", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-sb3-unstacked", "data/formats/layout_rows.py",
+        "np.swapaxes(column[order], 0, 1)",
+        "column[order]",
+        "parallel environments of Stable-Baselines3 stay interleaved", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-sb3-timeouts", "data/formats/layout_ends.py",
+        "return ended & ~truncated, truncated",
+        "return ended, truncated",
+        "time limits of Stable-Baselines3 are terminations", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-tianshou-ring", "data/formats/layout_rows.py",
+        "(following if length == size else 0)) % size",
+        "0) % size",
+        "Tianshou's ring is read from its first row on", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-tianshou-rings", "data/formats/layout_rows.py",
+        'parts.arrays["cut"][np.cumsum([len(ring) for ring in rings if len(ring)]) - 1] = True',
+        "pass",
+        "episodes of Tianshou cross from one ring to the next", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-torchrl-one-hot", "data/formats/layout_rows.py",
+        'parts.arrays["action"] = action.argmax(1)',
+        'parts.arrays["action"] = action.argmin(1)',
+        "TorchRL's one-hot actions are read as another", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-torchrl-zeros", "data/formats/layout_rows.py",
+        "and not following[ends].any():",
+        "and False:",
+        "zeros in place of TorchRL's last observations are taken for observations", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-ogbench-masks", "data/formats/layouts.py",
+        '"terminals": "done", "masks": "alive"',
+        '"terminals": "terminated"',
+        "OGBench's ends of trajectories are terminations", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-ogbench-valids", "data/formats/layout_rows.py",
+        "parts.take(valid, rows)",
+        "parts.take(valid | True, rows)",
+        "OGBench's rows without an action are steps", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-rl-unplugged-discount", "data/formats/layout_ends.py",
+        "return column == 0",
+        "return column < 1",
+        "any discount is a termination", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-steps-shifted", "data/formats/layout_rows.py",
+        'parts.arrays["terminated"] = np.append(ended[1:], False)',
+        'parts.arrays["terminated"] = ended',
+        "the termination of steps is looked for in rows that are left out", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-dsrl-own-names", "data/formats/layouts.py",
+        'never=("masks", "dones"), ours=True',
+        'never=("masks", "dones")',
+        "DSRL's columns lose their names", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-corl-breaks", "data/checks.py",
+        "np.append(_breaks(observations, following), True) & ~terminals",
+        "np.append(np.zeros(rows - 1, bool), True) & ~terminals",
+        "episodes of CORL end at terminals alone", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-open-bandit-probability", "data/formats/arrange.py",
+        "return {LOG_PROBS: np.log(probs)}",
+        "return {LOG_PROBS: probs}",
+        "probabilities pass for their logarithms", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-vw-cost", "data/formats/vw.py",
+        '"rewards": -np.array(',
+        '"rewards": np.array(',
+        "VW's costs are rewards", ("data/formats/test_vw.py", "data/formats/test_layouts.py"),
+    ),
+    Mutant(
+        "layout-vw-actions", "data/formats/vw.py",
+        "_Example(number, features, action - 1, cost",
+        "_Example(number, features, action % 2, cost",
+        "VW's actions are others", ("data/formats/test_vw.py",),
+    ),
+    Mutant(
+        "layout-episodes-sorted", "data/formats/layout_ends.py",
+        "place = first[codes]",
+        "place = codes",
+        "episodes are put into the order of their identifiers", ("data/formats/test_layouts.py",),
+    ),
+    Mutant(
+        "layout-done-alone", "data/formats/layout_ends.py",
+        "if done is None:\n        raise",
+        "if False:\n        raise",
+        "`done` alone is taken for a time limit", ("data/formats/test_layouts_refused.py",),
+    ),
+    Mutant(
+        "minari-one-hot-start", "data/formats/flatten.py",
+        "column.astype(np.int64) - start\n    wrong = (index < 0) | (index >= count)",
+        "column.astype(np.int64) % count\n    wrong = (index < 0) | (index >= count)",
+        "discrete observations are counted from 0, wherever they start", ("data/formats/test_minari.py",),
+    ),
+    Mutant(
+        "minari-joined-actions", "data/formats/flatten.py",
+        "np.ravel_multi_index(tuple(index.T), tuple(counts.tolist()))",
+        'np.ravel_multi_index(tuple(index.T), tuple(counts.tolist()), order="F")',
+        "joined actions stand for other combinations than their levels say", ("data/formats/test_minari.py",),
     ),
 )
 

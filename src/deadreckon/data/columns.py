@@ -4,14 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deadreckon.errors import UserError
 
 NEEDED = ("observations", "actions", "rewards")
 COLUMNS = (*NEEDED, "terminals", "timeouts", "next_observations", "final_observations", "final_known")
 # Names that a further column cannot have, because they are arguments of `Dataset.from_arrays`.
 RESERVED = frozenset({*COLUMNS, "action_space", "name", "provenance", "strict", "cls"})
-ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
-NO_ENDS = "no timeouts and no next_observations: time limits that are not marked would be crossed"
+_ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 LOG_PROBS = "behavior_log_probs"  # the further column of the logging policy's log-probabilities
 
 
@@ -64,6 +65,13 @@ def renamed(source: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:
             raise UserError(f"{source}: two columns would be called {key}; rename one")
         given[key] = column
     return given
+
+
+def unmarked(given: Mapping[str, Any], lengths: np.ndarray) -> list[str]:
+    """What to say of a log of the columns `given`, whose episodes have `lengths`, if nothing in it marks time limits."""
+    if lengths.max() <= 1 or _ENDS & given.keys():
+        return []
+    return ["no timeouts and no next_observations: time limits that are not marked would be crossed"]
 
 
 def done_alone(name: str) -> UserError:

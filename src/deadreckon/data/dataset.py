@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.checks import bounds_warnings, checked_columns, if_needed
-from deadreckon.data.columns import ENDS, NO_ENDS, given_columns
+from deadreckon.data.columns import given_columns, unmarked
 from deadreckon.data.episodes import content_ids, fingerprint, returns_to_go, rows_of
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
@@ -115,7 +115,7 @@ class Dataset:
         """A mapping of arrays in the layout of another library (`data.formats.layouts`), or under our names, as a log.
 
         Args:
-            columns: {name: (rows, ...)}, maybe nested as in TorchRL, or fields of a buffer as in Stable-Baselines3.
+            columns: {name: (rows, ...)}, maybe nested, or the fields of a replay buffer.
             name: of the log.
             done: what `done` or `dones` alone marks: "terminals" (the task ended) or "timeouts"; refused if absent.
             strict: refuse actions out of bounds instead of warning.
@@ -123,13 +123,12 @@ class Dataset:
         Raises:
             UserError: one line that names the column and the row.
         """
-        from deadreckon.data.formats.arrange import arranged  # few logs come so
+        from deadreckon.data.formats.arrange import arranged
 
         found = arranged(name, columns, done)
-        given, notes = given_columns(name, found.columns), Provenance(extra=found.extra)
-        log = cls.from_arrays(**given, action_space=found.space, name=name, provenance=notes, strict=strict)
-        crossed = [NO_ENDS] if log.lengths.max() > 1 and not ENDS & given.keys() else []
-        return replace(log, warnings=(*found.told, *log.warnings, *crossed))
+        given, about = given_columns(name, found.columns), Provenance(extra=found.extra)
+        log = cls.from_arrays(**given, action_space=found.space, name=name, provenance=about, strict=strict)
+        return replace(log, warnings=(*found.told, *log.warnings, *unmarked(given, log.lengths)))
 
     @classmethod
     def from_frame(

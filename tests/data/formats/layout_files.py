@@ -212,20 +212,6 @@ def by_ogbench(world, tmp_path):
     return path
 
 
-def ogbench_compact(world):
-    """The same with `compact_dataset=True`: a row more in each trajectory, whose action is not valid."""
-    more = lambda column, value: np.append(column, value).astype(np.float32)  # noqa: E731
-    ends = [more(e.last, 1) for e in world]
-    return {
-        "observations": np.concatenate([e.observations for e in world]),
-        "actions": np.concatenate([np.append(e.actions, 0) for e in world]),
-        "rewards": np.concatenate([more(e.rewards, 77) for e in world]),
-        "terminals": np.concatenate(ends),
-        "valids": np.concatenate([more(np.ones(len(e.actions)), 0) for e in world]),
-        "masks": np.concatenate([more(~(e.last & e.terminated), 1) for e in world]),
-    }
-
-
 def by_rl_unplugged(world, tmp_path):
     """google-deepmind/deepmind-research, rl_unplugged/atari.py: transitions, `d_t` the discount after the action."""
     path = tmp_path / "atari.npz"
@@ -236,21 +222,6 @@ def by_rl_unplugged(world, tmp_path):
         episode_return=np.zeros(len(identifiers(world)), np.float32),
     )  # fmt: skip
     return path
-
-
-def rlds_steps(world):
-    """google-research/rlds, README.md (dataset format): the last step holds the last observation, its action is not valid."""
-    first = [np.arange(len(e.observations)) == 0 for e in world]
-    last = [np.arange(len(e.observations)) == len(e.actions) for e in world]
-    return {
-        "observation": np.concatenate([e.observations for e in world]),
-        "action": np.concatenate([np.append(e.actions, 0) for e in world]),
-        "reward": np.concatenate([np.append(e.rewards, 77) for e in world]),
-        "discount": np.concatenate([np.append(1.0 - (e.last & e.terminated), 0) for e in world]),
-        "is_first": np.concatenate(first),
-        "is_last": np.concatenate(last),
-        "is_terminal": np.concatenate([flag & e.terminated for flag, e in zip(last, world)]),
-    }
 
 
 def by_dsrl(world, tmp_path):

@@ -1,11 +1,12 @@
-import json
 import pickle
 
 import h5py
 import layout_files as files
+import layout_forms as forms
 import numpy as np
 import pytest
 from layout_files import ACTIONS, BANDIT, LIBRARIES, WORLD, stacked
+from layout_forms import ALIKE, D4RL, TIANSHOU, TORCHRL, flat_file
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import convert, read
@@ -75,41 +76,6 @@ def test_layouts_of_episodes_give_the_same_transitions(library, tmp_path):
     assert read(tmp_path / "ours.hdf5", mmap=True).fingerprint == log.fingerprint
 
 
-def flat_file(names, extra=None):
-    """WORLD as a dict of columns under other names; `extra` are further ones."""
-    given = {theirs: stacked(WORLD, ours) for ours, theirs in names.items()}
-    return {**given, **(extra or {})}
-
-
-D4RL = {"observations": "observations", "actions": "actions", "rewards": "rewards", "next_observations": "next_observations"}
-TIANSHOU = {"observations": "obs", "actions": "act", "rewards": "rew", "next_observations": "obs_next"}
-TORCHRL = {
-    "observations": "observation",
-    "actions": "action",
-    "rewards": "next.reward",
-    "next_observations": "next.observation",
-}
-STEP = {"observations": "observation", "actions": "action", "rewards": "reward", "next_observations": "next_observation"}
-CUT = {"info": {"TimeLimit.truncated": stacked(WORLD, "truncated")}}
-ALIKE = {
-    "Minari's names in a flat file": flat_file({**D4RL, "terminated": "terminations", "truncated": "truncations"}),
-    "Gymnasium's names": flat_file({**D4RL, "terminated": "terminated", "truncated": "truncated"}),
-    "d3rlpy 1": flat_file({**D4RL, "terminated": "terminals", "done": "episode_terminals"}),
-    "Tianshou's dict": flat_file({**TIANSHOU, "terminated": "terminated", "done": "done"}),
-    "Tianshou's before 0.5": flat_file({**TIANSHOU, "done": "done"}, CUT),
-    "TorchRL's dict": flat_file({**TORCHRL, "terminated": "next.terminated", "done": "next.done"}),
-    "OGBench's compact form": files.ogbench_compact(WORLD),
-    "steps of RLDS": files.rlds_steps(WORLD),
-    "transitions with a discount": flat_file(STEP, {"discount": 0.99 * ~stacked(WORLD, "terminated"),
-                                                    "episode_id": files.identifiers(WORLD)}),
-    "a buffer of environments that step together": files.sb3_fields(WORLD),
-    "RLlib's before Gymnasium": flat_file(
-        {"observations": "obs", "actions": "actions", "rewards": "rewards", "next_observations": "new_obs"},
-        {"terminateds": stacked(WORLD, "terminated"), "eps_id": files.identifiers(WORLD)},
-    ),
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("kind", ALIKE)
 def test_further_forms_give_the_same_transitions(kind, tmp_path):
     columns = ALIKE[kind]
@@ -122,7 +88,7 @@ def test_further_forms_give_the_same_transitions(kind, tmp_path):
 
 
 def test_steps_of_dm_env_and_a_dict_of_observations():
-    steps = files.rlds_steps(WORLD)
+    steps = forms.rlds_steps(WORLD)
     kinds = np.where(steps.pop("is_first"), 0, np.where(steps.pop("is_last"), 2, 1))
     seen = steps.pop("observation")
     del steps["is_terminal"]
@@ -150,6 +116,16 @@ def test_a_buffer_that_has_been_written_around_its_end():
     check(Dataset.from_dict({**moved, "_size": 14, "_index": 4}), WORLD)
     spare = {key: np.concatenate([np.roll(column, -4, 0), column[:2]]) for key, column in moved.items()}
     check(Dataset.from_dict({**spare, "_size": 14, "_insertion_idx": 14}), WORLD)
+
+
+def test_discrete_observations_of_a_pickled_buffer_are_one_hot():
+    fields = files.sb3_fields(WORLD)
+    for key in ("observations", "next_observations"):
+        fields[key] = fields[key][..., :1].astype(np.int64) % 4 + 1
+    log = Dataset.from_dict({**fields, "observation_space": {"n": np.int64(4), "start": np.int64(1)}})
+    number = stacked(WORLD, "observations")[:, 0].astype(int) % 4
+    np.testing.assert_array_equal(log.observations, np.eye(4)[number])
+    assert log.provenance.extra["observation_names"] == [f"observation={level}" for level in (1, 2, 3, 4)]
 
 
 def test_buffers_without_next_observations_know_those_of_the_rows_below():
@@ -196,60 +172,12 @@ def test_rows_that_are_not_together_are_put_together():
 
 
 def test_ogbench_tasks_may_end_inside_a_trajectory():
-    columns = {**files.ogbench_compact(WORLD)}
+    columns = {**forms.ogbench_compact(WORLD)}
     columns["masks"] = columns["masks"].copy()
     columns["masks"][5] = 0
     log = Dataset.from_dict(columns)
     assert log.lengths.tolist() == [3, 2, 2, 2, 5]
     assert any("in 1 of 14 rows the task ended (masks) inside a trajectory (terminals)" in line for line in log.warnings)
-
-
-FLAGS = {**D4RL, "terminated": "terminated", "truncated": "truncated"}
-BOTH = {**TIANSHOU, "terminated": "terminated", "truncated": "truncated"}
-STEPS = files.rlds_steps(WORLD)
-COMPACT = files.ogbench_compact(WORLD)
-REFUSED = {
-    "done alone": (flat_file({**D4RL, "done": "done"}), r"column done must be called terminals .* done=\"terminals\""),
-    "dones alone": (flat_file({**D4RL, "done": "dones"}), "column dones must be called terminals"),
-    "done of Tianshou": (flat_file({**TIANSHOU, "done": "done"}), "column done must be called terminals"),
-    "dones of RLlib": (flat_file({"observations": "obs", "actions": "actions", "rewards": "rewards", "done": "dones"}),
-                       "column dones must be called terminals"),
-    "truncated alone": (flat_file({**D4RL, "truncated": "truncated"}), "column truncated without a flag of terminations"),
-    "a done too few": (flat_file(BOTH, {"done": np.zeros(14)}),
-                       r"the task ended \(terminated\) and done is not set, first in row 2"),
-    "a done too many": (flat_file(BOTH, {"done": np.ones(14)}),
-                        "done is not truncated or a termination, first in row 0"),
-    "timeouts that are no dones": (flat_file({**D4RL, "terminated": "dones", "truncated": "timeouts"}),
-                                   "column dones must be called terminals if it marks no time limits, else all ends; row 6"),
-    "masks that are end flags": (flat_file({**D4RL, "done": "terminals"}, {"masks": stacked(WORLD, "done")}),
-                                 "masks and terminals contradict each other: masks are 1 exactly where trajectories end"),
-    "masks of two": (flat_file({**D4RL, "done": "terminals"}, {"masks": np.full(14, 2)}),
-                     "column masks has 2 in row 0, 0 or 1"),
-    "valids without masks": ({key: column for key, column in COMPACT.items() if key != "masks"}, "no column masks: OGBench's"),
-    "valids that are off": ({**COMPACT, "valids": np.ones(18)}, "valids and terminals contradict each other in row 2"),
-    "a last step too few": ({**STEPS, "is_last": np.zeros(18)}, "row 4 contradicts the row before it"),
-    "an end inside": ({**STEPS, "is_terminal": np.ones(18)}, "is_terminal in row 0, which is not a last step"),
-    "steps without ends": ({key: STEPS[key] for key in ("observation", "action", "reward", "is_first", "is_last")},
-                           "neither is_terminal nor discount"),
-    "a discount of two": (flat_file(STEP, {"discount": np.full(14, 2.0)}),
-                          r"column discount has 2.0 in row 0, a number in 0 \.\. 1"),
-    "no probability": ({**files.by_open_bandit(BANDIT, None), "pscore": np.zeros(6)},
-                       "column pscore has 0.0 in row 0, a positive"),
-    "pictures beside numbers": (
-        {**flat_file(FLAGS), "observations": {"eye": np.zeros((14, 4, 4), np.uint8), "hand": np.zeros(14)}},
-        "eye is a picture of shape",
-    ),
-    "a column too short": ({**flat_file(BOTH), "rew": np.zeros(13)}, "column rew has 13 rows, act has 14"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", REFUSED)
-def test_what_contradicts_or_does_not_say_is_refused_in_one_line(kind):
-    columns, words = REFUSED[kind]
-    with pytest.raises(UserError, match=words) as caught:
-        Dataset.from_dict(columns, name="mine")
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith("mine: ")
 
 
 def test_done_alone_is_what_it_is_said_to_be():
@@ -287,34 +215,6 @@ def test_action_masks_and_costs_are_kept(tmp_path):
     costs = read(files.by_dsrl(WORLD, tmp_path))
     assert costs.extras["costs"].tolist() == list(range(14))
     assert Dataset.from_dict(files.by_open_bandit(BANDIT, None)).extras["position"].tolist() == [0, 1, 2, 0, 1, 2]
-
-
-def test_json_of_rllib_that_cannot_be_read(tmp_path):
-    path = tmp_path / "log.json"
-    good = {"type": "SampleBatch", "obs": [[1.0], [2.0]], "actions": [0, 1], "rewards": [1.0, 2.0],
-            "terminateds": [False, True], "truncateds": [False, False], "eps_id": [1, 1]}  # fmt: skip
-    for lines, words in (
-        ([{**good, "obs": "BCJNGGhA"}], "column obs is compressed in line 1; write it with compress_columns"),
-        ([{**good, "obs": [[1.0], [2.0, 3.0]]}], "column obs has entries of different shapes in line 1"),
-        ([good, {**good, "obs": [[1.0, 3.0], [2.0, 3.0]]}], r"column obs has shape \(2,\) in line 2, \(1,\) before"),
-        ([good, {**good, "t": [0, 1]}], "column t is in some lines and not in others, first noticed in line 2"),
-        ([good, 3], "line 2 is no object"),
-        ([{"a": [1, 2]}], "JSON lines are read in RLlib's layout: obs, actions, rewards"),
-        (
-            [{"type": "MultiAgentBatch", "policy_batches": {"a": good, "b": good}}],
-            "a batch of several policies, and one is read",
-        ),
-    ):
-        path.write_text("\n".join(map(json.dumps, lines)))
-        with pytest.raises(UserError, match=words) as caught:
-            read(path)
-        assert str(path) in str(caught.value)
-        assert "\n" not in str(caught.value)
-    path.write_text(json.dumps(good) + "\n{")
-    with pytest.raises(UserError, match="line 2 is no JSON"):
-        read(path)
-    path.write_text(json.dumps({"type": "MultiAgentBatch", "count": 2, "policy_batches": {"default_policy": good}}))
-    assert read(path).lengths.tolist() == [2]
 
 
 def test_buffers_in_pickles_run_nothing(tmp_path):

@@ -44,7 +44,7 @@ def test_examples_of_one_line_each(log_of, tmp_path):
     assert "legal" not in log.extras
     (tmp_path / "log.vw.gz").write_bytes(gzip.compress(LINES.encode()))
     packed = read(tmp_path / "log.vw.gz")
-    assert (packed.name, packed.fingerprint) == ("log.vw", log.fingerprint)
+    assert (packed.name, packed.fingerprint) == ("log", log.fingerprint)
 
 
 def test_decisions_of_several_lines(log_of):

@@ -16,6 +16,10 @@ from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming
 
 _MAIN = ("observation", "observations", "obs")  # the observation among the columns of a dict of them
+# Flags of ends: one that has no part to play would be an extra that nobody looks at.
+_ENDS = {"terminals", "timeouts", "terminated", "truncated", "terminateds", "truncateds", "terminations", "truncations", "done",
+         "dones", "masks"}  # fmt: skip
+_FLAGS = ("terminated", "truncated", "done", "alive", "discount")
 _CORE = ("observations", "next_observations")
 
 
@@ -97,6 +101,8 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
         layout.order(parts)
     lines += parts.told
     extra: dict[str, Any] = {"layout": layout.library}
+    if parts.names is not None:
+        extra["observation_names"] = parts.names
     roles, names, further = _roles(layout, parts, extra)
     for key in ("observations", "actions", "rewards"):
         if key not in roles:
@@ -120,6 +126,9 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     if "legal" in roles:
         columns["legal"] = roles["legal"].reshape(rows, -1) != 0
         lines.append(f"{names['legal']} is kept as the extra `legal` (rows, actions), which no method uses yet")
+    for key in sorted(_ENDS & further.keys()):
+        have = ", ".join(names[role] for role in _FLAGS if role in names) or "none"
+        raise UserError(f"column {key} says how episodes end, beside {have} of {layout.library}'s layout; leave one out")
     left_out = []
     for key, column in further.items():
         if len(column) == rows:

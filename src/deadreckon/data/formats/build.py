@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.data.columns import COLUMNS, ENDS, NO_ENDS, given_columns
+from deadreckon.data.columns import COLUMNS, given_columns, unmarked
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.header import Header
 from deadreckon.data.provenance import Provenance
@@ -55,8 +55,8 @@ def build(
     # Called as the file while its columns are checked, so that errors name that.
     log = Dataset.from_arrays(**given, action_space=space, name=str(path), provenance=provenance, strict=strict)
     found = [*warnings, *log.warnings]
-    if header is None and log.lengths.max() > 1 and not ENDS & given.keys():
-        found.append(f"{NO_ENDS} (a horizon marks them)")
+    if header is None:
+        found += [f"{line} (a horizon marks them)" for line in unmarked(given, log.lengths)]
     return replace(log, name=name or about.name, warnings=tuple(found))
 
 
@@ -86,7 +86,7 @@ def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarr
 def stem(path: Path | str) -> str:
     """A log's name made of its file's: without folders and without the endings of formats."""
     name = Path(path).name
-    for ending in (".gz", ".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl"):
+    for ending in (".gz", ".hdf5", ".h5", ".parquet", ".csv", ".npz", ".pickle", ".pkl", ".json", ".vw"):
         name = name.removesuffix(ending)
     return name or "log"
 

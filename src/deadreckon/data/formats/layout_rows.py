@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.formats.flatten import one_hot
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -21,12 +22,14 @@ class Parts:
         other: what else there is: single numbers, texts, dicts of fields.
         told: one line each.
         space: of the actions, where it is told.
+        names: of the observation's dimensions, where they are made here.
     """
 
     arrays: dict[str, np.ndarray]
     other: dict[str, Any] = field(default_factory=dict)
     told: list[str] = field(default_factory=list)
     space: Box | Discrete | None = None
+    names: list[str] | None = None
 
     def under(self, name: str) -> list[str]:
         """The columns called `name`, or those in the dict `name`."""
@@ -89,6 +92,7 @@ def sb3(parts: Parts) -> None:
     for key in [key for key in parts.arrays if key.startswith(("observation_space", "action_space"))]:
         parts.other[key] = parts.arrays.pop(key)
     parts.space = _space(parts.other)
+    count, start = parts.number("observation_space/n"), parts.number("observation_space/start") or 0
     rewards = parts.arrays["rewards"]
     if rewards.ndim == 1:
         rewards = rewards[:, None]
@@ -110,6 +114,9 @@ def sb3(parts: Parts) -> None:
         key: np.swapaxes(column[order], 0, 1).reshape(environments * len(order), *column.shape[2:])
         for key, column in stacked.items()
     }
+    for key in ("observations", "next_observations") if count is not None else ():
+        if key in parts.arrays:
+            parts.arrays[key], parts.names = one_hot(parts.arrays[key].reshape(-1), count, start, "observation")
     parts.arrays["cut"] = np.arange(environments * len(order)) % len(order) == len(order) - 1
     if environments > 1:
         parts.told.append(f"rows of {environments} parallel environments are put one environment after the other")
@@ -175,6 +182,8 @@ def torchrl(parts: Parts) -> None:
         together = {key: column for key, column in parts.arrays.items() if column.shape[:2] == (size, steps)}
         parts.arrays = {key: column[kept] for key, column in together.items()}
         parts.arrays["cut"] = last[kept]
+    for key in ("done", "terminated", "truncated"):
+        parts.arrays.pop(key, None)  # of the state before the step
     action = parts.arrays["action"]
     whole = action.ndim == 2 and action.shape[1] > 1 and action.dtype.kind in "iub"
     if whole and (np.isin(action, (0, 1)).all(1) & (action.sum(1) == 1)).all():

@@ -116,6 +116,11 @@ LAYOUTS = (
         order=rows.ogbench, names={**_GYMNASIUM, "terminals": "done", "masks": "alive"},
     ),
     Layout(
+        "D4RL", "`terminals` are terminations, `timeouts` time limits; `masks` are 0 where terminals are 1",
+        needs=("observations", "actions", "rewards", "terminals", "timeouts", "masks"), never=("dones",),
+        names={**_GYMNASIUM, "terminals": "terminated", "timeouts": "truncated", "masks": "alive"},
+    ),
+    Layout(
         "Open Bandit", "each round is an episode of one terminal step, `pscore` is the probability of the logged action",
         needs=("context", "action", "reward", "pscore"), order=rows.rounds,
         names={"context": "observations", "action": "actions", "reward": "rewards", "pscore": "probs",
@@ -129,7 +134,8 @@ LAYOUTS = (
     Layout(
         "Gymnasium", "`terminated` are terminations, `truncated` time limits",
         needs=("observations", "actions", "rewards"), one_of=("terminated", "truncated"), never=("terminals",),
-        names={**_GYMNASIUM, "terminated": "terminated", "truncated": "truncated", "done": "done", "dones": "done"},
+        names={**_GYMNASIUM, "terminated": "terminated", "truncated": "truncated", "timeouts": "truncated", "done": "done",
+               "dones": "done"},
     ),
     Layout(
         "DSRL", "`terminals` are terminations, `timeouts` time limits; `costs` are kept as an extra, which no method uses yet",
