@@ -114,8 +114,8 @@ def sb3(parts: Parts) -> None:
         key: np.swapaxes(column[order], 0, 1).reshape(environments * len(order), *column.shape[2:])
         for key, column in stacked.items()
     }
-    for key in ("observations", "next_observations") if count is not None else ():
-        if key in parts.arrays:
+    for key in ("observations", "next_observations"):
+        if count is not None and key in parts.arrays:
             parts.arrays[key], parts.names = one_hot(parts.arrays[key].reshape(-1), count, start, "observation")
     parts.arrays["cut"] = np.arange(environments * len(order)) % len(order) == len(order) - 1
     if environments > 1:
