@@ -3,9 +3,8 @@ import inspect
 import numpy as np
 import pytest
 
-from deadreckon.data.columns import COLUMNS, NEEDED, RESERVED, extra_name
+from deadreckon.data.columns import COLUMNS, NEEDED, RESERVED, extra_name, renamed
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.build import renamed
 from deadreckon.errors import UserError
 
 

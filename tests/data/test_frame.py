@@ -242,8 +242,17 @@ def test_real_bandit_feedback(real_data):
     assert log.action_space == Discrete(34)
     assert log.dropped == 0
     assert (log.extras["behavior_log_probs"] <= 0).all()
-    with pytest.raises(UserError, match="no column is the action or the reward by its name"):
-        read(real_data / "open_bandit" / "bts_men.csv.gz")
+    known = read(real_data / "open_bandit" / "bts_men.csv.gz")  # the names of its columns say what they are
+    np.testing.assert_array_equal(known.actions, log.actions)
+    np.testing.assert_array_equal(known.rewards, log.rewards)
+    np.testing.assert_array_equal(known.extras["behavior_log_probs"], log.extras["behavior_log_probs"])
+    assert (known.extras["position"] > 0).all()
+    assert known.episodes == 10_000
+    assert known.terminals.all()
+    names = known.provenance.extra["observation_names"]
+    assert sum(name.startswith("user-item_affinity_") for name in names) == 34
+    assert not any(name.startswith(("position", "timestamp", "item_id")) for name in names)
+    assert known.warnings[0].startswith("read as Open Bandit's layout: each row is an episode of one terminal step")
 
 
 def test_prefixes_among_several_and_columns_to_ignore():

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import TABLE_ENDINGS
 from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
@@ -211,7 +212,7 @@ def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: 
         UserError: one line: no such name, or how the log can be had.
     """
     text = str(name)
-    if text.startswith("minari:") or Path(name).exists():
+    if text.startswith("minari:") or Path(name).exists() or (text not in ENTRIES and minaris.installed(text)):
         return read(name, mmap=mmap, strict=strict, **options)
     looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".gz", ".txt", *TABLE_ENDINGS)
     if isinstance(name, Path) or looks_like_a_file:

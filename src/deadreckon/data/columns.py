@@ -1,7 +1,10 @@
 """The columns that a log consists of: their names in `Dataset.from_arrays`, and the names that are left for further ones."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from deadreckon.errors import UserError
 
@@ -9,6 +12,7 @@ NEEDED = ("observations", "actions", "rewards")
 COLUMNS = (*NEEDED, "terminals", "timeouts", "next_observations", "final_observations", "final_known")
 # Names that a further column cannot have, because they are arguments of `Dataset.from_arrays`.
 RESERVED = frozenset({*COLUMNS, "action_space", "name", "provenance", "strict", "cls"})
+_ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 LOG_PROBS = "behavior_log_probs"  # the further column of the logging policy's log-probabilities
 
 
@@ -24,3 +28,55 @@ def extra_name(key: str, taken: Mapping[str, Any]) -> str:
     if found in taken:
         raise UserError(f"two columns would be called {found}, {key} and another; rename one")
     return found
+
+
+def given_columns(source: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """`columns` as arguments of `from_arrays`; see `renamed`.
+
+    Args:
+        source: named in errors.
+        columns: by `from_arrays` names; other names are extras.
+
+    Raises:
+        UserError: a column that a log needs is missing, ends are marked by a column that does not say which, or two columns
+            would have one name.
+    """
+    for key in NEEDED:
+        if key not in columns:
+            found = ", ".join(sorted(columns)) or "none"
+            raise UserError(f"{source}: no column {key}; {', '.join(NEEDED)} are needed, the file has {found}")
+    # Read as mere extras, these would leave a log without ends: better no log than a wrong one.
+    for key in ("dones", "done", "terminations") if "terminals" not in columns else ():
+        if key in columns:
+            raise UserError(f"{source}: {done_alone(key)}")
+    return renamed(source, columns)
+
+
+def renamed(source: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """`columns`, where further ones that are called like an argument of `from_arrays` become `infos_...`.
+
+    Raises:
+        UserError: two columns would have one name.
+    """
+    given: dict[str, Any] = {}
+    for key, column in columns.items():
+        key = f"infos_{key}" if key in RESERVED and key not in COLUMNS else key
+        if key in given:
+            raise UserError(f"{source}: two columns would be called {key}; rename one")
+        given[key] = column
+    return given
+
+
+def unmarked(given: Mapping[str, Any], lengths: np.ndarray) -> list[str]:
+    """What to say of a log of the columns `given`, whose episodes have `lengths`, if nothing in it marks time limits."""
+    if lengths.max() <= 1 or _ENDS & given.keys():
+        return []
+    return ["no timeouts and no next_observations: time limits that are not marked would be crossed"]
+
+
+def done_alone(name: str) -> UserError:
+    """The error for an end flag that does not say how an episode ended."""
+    return UserError(
+        f"column {name} must be called terminals (the task ended) or timeouts (a time limit), as it does not say which; "
+        'in Python, Dataset.from_dict(columns, done="terminals") or done="timeouts" says it'
+    )

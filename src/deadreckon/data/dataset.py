@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.checks import bounds_warnings, checked_columns, if_needed
-from deadreckon.data.episodes import content_ids, fingerprint
+from deadreckon.data.columns import given_columns, unmarked
+from deadreckon.data.episodes import content_ids, fingerprint, returns_to_go, rows_of
 from deadreckon.data.provenance import Provenance
-from deadreckon.data.spec import Box, Discrete, Spec, Statistics
+from deadreckon.data.spec import Box, Discrete, Spec, spec_of
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Logged steps in episodes. Build one with `Dataset.from_arrays`, `Dataset.from_frame` or `deadreckon.read`.
+    """Logged steps in episodes, made by `Dataset.from_arrays`, `from_dict`, `from_frame` or `deadreckon.read`.
 
     Row `t` holds the observation seen, the action taken there, the reward that followed and how the step ended:
     `terminals` (the task ended, no future) or `timeouts` (only the recording ended). Columns may be memory-mapped.
@@ -108,6 +109,28 @@ class Dataset:
         return replace(log, warnings=tuple(warnings))
 
     @classmethod
+    def from_dict(
+        cls, columns: Mapping[str, Any], *, name: str = "arrays", done: str | None = None, strict: bool = False
+    ) -> "Dataset":
+        """A mapping of arrays in the layout of another library (`data.formats.layouts`), or under our names, as a log.
+
+        Args:
+            columns: {name: (rows, ...)}, maybe nested, or the fields of a replay buffer.
+            name: of the log.
+            done: what `done` or `dones` alone marks: "terminals" (the task ended) or "timeouts"; refused if absent.
+            strict: refuse actions out of bounds instead of warning.
+
+        Raises:
+            UserError: one line that names the column and the row.
+        """
+        from deadreckon.data.formats.arrange import arranged
+
+        found = arranged(name, columns, done)
+        given, about = given_columns(name, found.columns), Provenance(extra=found.extra)
+        log = cls.from_arrays(**given, action_space=found.space, name=name, provenance=about, strict=strict)
+        return replace(log, warnings=(*found.told, *log.warnings, *unmarked(given, log.lengths)))
+
+    @classmethod
     def from_frame(
         cls, frame: Any, *, name: str = "frame", strict: bool = False, source: str = "frame", **mapping: Any
     ) -> "Dataset":
@@ -126,8 +149,8 @@ class Dataset:
         from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
 
         columns, extra, warnings, space = frame_columns(frame, name=name, **mapping)
-        provenance = Provenance(source=source, extra=extra)
-        log = cls.from_arrays(**columns, action_space=space, name=name, provenance=provenance, strict=strict)
+        about = {"name": name, "provenance": Provenance(source=source, extra=extra), "strict": strict}
+        log = cls.from_arrays(**columns, action_space=space, **about)
         return replace(log, warnings=(*warnings, *log.warnings))
 
     def __len__(self) -> int:
@@ -168,19 +191,7 @@ class Dataset:
     @cached_property
     def spec(self) -> Spec:
         """Shape, bounds and statistics of the log."""
-        return Spec(
-            observation_shape=self.observations.shape[1:],
-            observation_dtype=str(self.observations.dtype),
-            action=self.action_space,
-            observation=Statistics.of(self.observations),
-            actions=Statistics.of(self.actions),
-            reward=Statistics.of(self.rewards),
-            rows=len(self),
-            episodes=self.episodes,
-            longest=int(self.lengths.max()),
-            returns=(float(self.returns().min()), float(self.returns().max())),
-            name=self.name,
-        )
+        return spec_of(self)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -229,14 +240,7 @@ class Dataset:
 
     def returns_to_go(self, discount: float = 1.0) -> np.ndarray:
         """(rows,) float64 return from each row to the end of its episode; nothing is added beyond a timeout."""
-        to_go = np.asarray(self.rewards, np.float64).copy()
-        # All episodes are walked back together, longest first, so that there are as many numpy calls as steps.
-        order = np.argsort(-self.lengths, kind="stable")
-        ends, lengths = self.ends[order], self.lengths[order]
-        for back in range(1, int(lengths[0])):
-            rows = ends[: np.searchsorted(-lengths, -back, side="left")] - back
-            to_go[rows] += discount * to_go[rows + 1]
-        return to_go
+        return returns_to_go(np.asarray(self.rewards), self.ends, self.lengths, discount)
 
     def loaded(self) -> "Dataset":
         """The same log with its memory-mapped columns read into memory, so that their files may go."""
@@ -254,11 +258,7 @@ class Dataset:
         episodes = np.asarray(episodes)
         if episodes.size == 0:
             raise UserError(f"{self.name}: a part with no episodes was asked for")
-        lengths = self.lengths[episodes]
-        offsets = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-        rows: Any = np.repeat(self.starts[episodes], lengths) + offsets
-        if (np.diff(rows) == 1).all():  # neighbours are not copied, so that memory maps stay such
-            rows = slice(int(rows[0]), int(rows[-1]) + 1)
+        rows = rows_of(self.starts[episodes], self.lengths[episodes])
         observations, terminals, timeouts = self.observations[rows], self.terminals[rows], self.timeouts[rows]
         own = self.successors
         successors = None if own is None else if_needed(own[rows], observations, terminals | timeouts)

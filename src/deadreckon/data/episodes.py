@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -57,6 +57,33 @@ def content_ids(log: "Dataset") -> np.ndarray:
     _add(last, "final_observations", log.final_observations)
     ids = _mixed(ids + np.where(log.final_known, _mixed(last), np.uint64(0)))
     return _mixed(ids ^ _places("alike", _alike_before(ids)))
+
+
+def returns_to_go(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, discount: float) -> np.ndarray:
+    """(rows,) float64 return from each row to the end of its episode.
+
+    Args:
+        rewards: (rows,).
+        ends: (episodes,) index of each episode's last row.
+        lengths: (episodes,) steps in each.
+        discount: of one step.
+    """
+    to_go = rewards.astype(np.float64)
+    # All episodes are walked back together, longest first, so that there are as many numpy calls as steps.
+    order = np.argsort(-lengths, kind="stable")
+    ends, lengths = ends[order], lengths[order]
+    for back in range(1, int(lengths[0])):
+        rows = ends[: np.searchsorted(-lengths, -back, side="left")] - back
+        to_go[rows] += discount * to_go[rows + 1]
+    return to_go
+
+
+def rows_of(starts: np.ndarray, lengths: np.ndarray) -> Any:
+    """The rows of episodes that begin at `starts` and have `lengths`: indices, or a slice where they are neighbours, which are
+    then not copied, so that memory maps stay such."""
+    offsets = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    rows = np.repeat(starts, lengths) + offsets
+    return slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
 
 
 def _add(into: np.ndarray, name: str, column: np.ndarray) -> None:

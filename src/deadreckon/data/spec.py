@@ -1,11 +1,14 @@
 """What a log looks like from outside: spaces, ranges and statistics, and nothing of its rows."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deadreckon.errors import UserError
+
+if TYPE_CHECKING:
+    from deadreckon.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,24 @@ class Spec:
     def discrete(self) -> bool:
         """Whether actions are indices."""
         return isinstance(self.action, Discrete)
+
+
+def spec_of(log: "Dataset") -> Spec:
+    """The shape, bounds and statistics of a log."""
+    returns = log.returns()
+    return Spec(
+        observation_shape=log.observations.shape[1:],
+        observation_dtype=str(log.observations.dtype),
+        action=log.action_space,
+        observation=Statistics.of(log.observations),
+        actions=Statistics.of(log.actions),
+        reward=Statistics.of(log.rewards),
+        rows=len(log),
+        episodes=log.episodes,
+        longest=int(log.lengths.max()),
+        returns=(float(returns.min()), float(returns.max())),
+        name=log.name,
+    )
 
 
 def action_space_to_json(space: Box | Discrete) -> dict[str, Any]:

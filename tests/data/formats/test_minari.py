@@ -1,5 +1,6 @@
 import json
 
+import gymnasium
 import h5py
 import minari
 import numpy as np
@@ -8,7 +9,9 @@ from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
 from small_logs import images, make_log, same
 
+from deadreckon.data.catalogue import load
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.flatten import flatten_space
 from deadreckon.data.formats.hdf5 import read_hdf5
 from deadreckon.data.formats.io import read
 from deadreckon.data.formats.minari import read_minari, write_minari
@@ -152,17 +155,95 @@ def test_what_cannot_be_read_or_written_is_told_in_one_line(log, root, tmp_path)
         read_minari(tmp_path / "empty")
 
 
-def test_actions_that_are_neither_box_nor_discrete_are_refused():
-    buffer = EpisodeBuffer(
-        observations=np.zeros((2, 2), np.float32), actions=np.array([[1, 1]]), rewards=[0.0], terminations=[True],
-        truncations=[False],
+def by_spaces(dataset_id, observation_space, action_space, steps=3):
+    """Samples of two spaces as one episode, written with the minari package alone."""
+    observation_space.seed(0), action_space.seed(1)
+    seen = [observation_space.sample() for _ in range(steps + 1)]
+    acted = [action_space.sample() for _ in range(steps)]
+    stacked = {key: np.stack([each[key] for each in seen]) for key in seen[0]} if isinstance(seen[0], dict) else (
+        tuple(np.stack(part) for part in zip(*seen)) if isinstance(seen[0], tuple) else np.stack(seen)
     )  # fmt: skip
-    box = spaces.Box(-1, 1, (2,), np.float32)
+    buffer = EpisodeBuffer(
+        observations=stacked, actions=np.stack(acted), rewards=[1.0] * steps, terminations=[False] * (steps - 1) + [True],
+        truncations=[False] * steps,
+    )  # fmt: skip
     minari.create_dataset_from_buffers(
-        "theirs/multi-v0", buffer=[buffer], observation_space=box, action_space=spaces.MultiDiscrete([2, 2])
+        dataset_id, buffer=[buffer], observation_space=observation_space, action_space=action_space
     )
-    with pytest.raises(UserError, match="actions are MultiDiscrete; Box or Discrete is needed"):
-        read_minari("minari:theirs/multi-v0")
+    return seen, acted
+
+
+GOAL, CARDS = spaces.Box(-1, 1, (2,), np.float32), spaces.MultiDiscrete([2, 3])
+FLATTENED = {
+    "lake": (spaces.Discrete(4), [f"observation={level}" for level in range(4)]),
+    "start": (spaces.Discrete(3, start=5), ["observation=5", "observation=6", "observation=7"]),
+    "cards": (CARDS, ["observation[0]=0", "observation[0]=1", "observation[1]=0", "observation[1]=1", "observation[1]=2"]),
+    "lamps": (spaces.MultiBinary(3), ["observation[0]", "observation[1]", "observation[2]"]),
+    "dict": (
+        spaces.Dict({"state": spaces.Discrete(3), "goal": GOAL}), ["goal[0]", "goal[1]", "state=0", "state=1", "state=2"]
+    ),
+    "tuple": (spaces.Tuple((spaces.Discrete(2), GOAL)), ["0=0", "0=1", "1[0]", "1[1]"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FLATTENED)
+def test_observations_are_flattened_as_gymnasium_does_it(kind):
+    space, names = FLATTENED[kind]
+    seen, _ = by_spaces(f"theirs/{kind}-v0", space, spaces.Discrete(2))
+    log = read_minari(f"minari:theirs/{kind}-v0")
+    want = np.stack([gymnasium.spaces.utils.flatten(space, each) for each in seen])
+    np.testing.assert_array_equal(log.observations, want[:-1])
+    np.testing.assert_array_equal(log.next_observations, want[1:])
+    assert log.provenance.extra["observation_names"] == names
+
+
+def test_the_names_of_dicts_within_dicts():
+    inner = spaces.Dict({"b": spaces.Dict({"c": spaces.Box(0, 1, (1, 2), np.float32)}), "a": spaces.Box(0, 1, (), np.float32)})
+    column, names = flatten_space(inner, {"a": np.ones(2), "b": {"c": np.zeros((2, 1, 2))}})
+    assert names == ["a", "b/c[0,0]", "b/c[0,1]"]
+    np.testing.assert_array_equal(column, [[1, 0, 0], [1, 0, 0]])
+    for space, values, words in (
+        (spaces.Dict({"eye": spaces.Box(0, 255, (4, 4), np.uint8)}), {"eye": np.zeros((2, 4, 4), np.uint8)}, "is a picture"),
+        (spaces.Dict({"word": spaces.Text(3)}), {"word": ["a", "b"]}, "word is Text, which has no fixed number of dimensions"),
+        (spaces.Discrete(2), np.array([0, 2]), r"observation has 2 in row 1, 0 \.\. 1 is needed"),
+    ):
+        with pytest.raises(UserError, match=words):
+            flatten_space(space, values)
+
+
+SEVERAL = (spaces.MultiDiscrete([2, 3]), spaces.MultiBinary(2), spaces.MultiDiscrete([2, 2], start=[1, 3]))
+
+
+@pytest.mark.parametrize("space", SEVERAL)
+def test_actions_of_several_integers_are_joined(space):
+    _, acted = by_spaces("theirs/multi-v0", GOAL, space, steps=20)
+    log = read_minari("minari:theirs/multi-v0")
+    levels = log.provenance.extra["action_levels"]
+    np.testing.assert_array_equal(np.array(levels)[log.actions], acted)
+    assert log.action_space == Discrete(len(levels))
+    assert len({tuple(level) for level in levels}) == len(levels)
+    assert f"are joined into {len(levels)} discrete ones" in log.warnings[0]
+
+
+def test_actions_that_cannot_be_joined_are_refused():
+    by_spaces("theirs/many-v0", GOAL, spaces.MultiDiscrete([101, 100]))
+    with pytest.raises(UserError, match="MultiDiscrete with 10,100 combinations; at most 10,000 are joined"):
+        read_minari("minari:theirs/many-v0")
+
+
+def test_bare_ids_of_data_sets_that_are_here(root, tmp_path, monkeypatch):
+    log = make_log(name="mine@dr1")
+    write_minari(log, "mujoco/hopper/medium-v0")
+    for reader in (read, read_minari, load):
+        assert reader("mujoco/hopper/medium-v0").fingerprint == log.fingerprint
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mujoco" / "hopper").mkdir(parents=True)
+    (tmp_path / "mujoco" / "hopper" / "medium-v0").write_text("a file of this name is meant before the data set")
+    with pytest.raises(UserError, match="not a log in a format that is read"):
+        read("mujoco/hopper/medium-v0")
+    for bad in ("mujoco/hopper/expert-v0", "../minari/mujoco/hopper/medium-v0", str(root / "mujoco" / "none-v0")):
+        with pytest.raises(UserError, match="no file"):
+            read(bad)
 
 
 def test_ids_stay_within_the_root_and_need_their_prefix(log, root, tmp_path):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.data.columns import COLUMNS, NEEDED, RESERVED
+from deadreckon.data.columns import COLUMNS, given_columns, unmarked
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.header import Header
 from deadreckon.data.provenance import Provenance
@@ -15,7 +15,6 @@ from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
 TABLE_ENDINGS = (".parquet", ".csv", ".tsv", ".xlsx", ".xls", ".ods", ".sqlite", ".sqlite3", ".duckdb", ".db")
-_ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 
 
 def build(
@@ -48,17 +47,9 @@ def build(
     Raises:
         UserError: one line with file, column and row.
     """
-    for key in NEEDED:
-        if key not in columns:
-            found = ", ".join(sorted(columns)) or "none"
-            raise UserError(f"{path}: no column {key}; {', '.join(NEEDED)} are needed, the file has {found}")
-    # Read as mere extras, these would leave a log without ends: better no log than a wrong one.
-    for key in ("dones", "done", "terminations") if "terminals" not in columns else ():
-        if key in columns:
-            raise UserError(f"{path}: column {key} must be called terminals (the task ended) or timeouts (a time limit)")
+    given = given_columns(path, columns)
     about = header or Header(name or stem(path), None, Provenance(source=source, extra=dict(extra or {})))
     provenance = replace(about.provenance, path=str(path))
-    given = renamed(path, columns)
     if horizon is not None:
         given["timeouts"] = _cut(path, given, horizon)
         provenance = replace(provenance, extra={**provenance.extra, "horizon": horizon})
@@ -66,25 +57,9 @@ def build(
     # Called as the file while its columns are checked, so that errors name that.
     log = Dataset.from_arrays(**given, action_space=space, name=str(path), provenance=provenance, strict=strict)
     found = [*warnings, *log.warnings]
-    if header is None and log.lengths.max() > 1 and not _ENDS & given.keys():
-        text = "no timeouts and no next_observations: time limits that are not marked would be crossed"
-        found.append(f"{text} (a horizon marks them)")
+    if header is None:
+        found += [f"{line} (a horizon marks them)" for line in unmarked(given, log.lengths)]
     return replace(log, name=name or about.name, warnings=tuple(found))
-
-
-def renamed(path: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:
-    """`columns`, where further ones that are called like an argument of `from_arrays` become `infos_...`.
-
-    Raises:
-        UserError: two columns would have one name.
-    """
-    given: dict[str, Any] = {}
-    for key, column in columns.items():
-        key = f"infos_{key}" if key in RESERVED and key not in COLUMNS else key
-        if key in given:
-            raise UserError(f"{path}: two columns would be called {key}; rename one")
-        given[key] = column
-    return given
 
 
 def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarray:
@@ -113,7 +88,7 @@ def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarr
 def stem(path: Path | str) -> str:
     """A log's name made of its file's: without folders and without the endings of formats."""
     name = Path(path).name
-    for ending in (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", *TABLE_ENDINGS):
+    for ending in (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".json", ".vw", *TABLE_ENDINGS):
         name = name.removesuffix(ending)
     return name or "log"
 

@@ -13,8 +13,10 @@ import numpy as np
 
 from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, columns_of, refuse_mmap
 from deadreckon.data.formats.header import Header
+from deadreckon.data.formats.layouts import layout_of, told
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading
@@ -36,7 +38,7 @@ def read_hdf5(
     horizon: int | None = None,
     scratch: Path | str | None = None,
 ) -> Dataset:
-    """Reads a D4RL-layout hdf5 file, ours or anybody's.
+    """Reads a D4RL-layout hdf5 file, ours or anybody's, or one in another library's layout (`layouts`).
 
     `infos/*` and further columns with as many rows become extras (`infos/goal` is `goal`); `metadata/*` that is text
     or a single number goes to the provenance,
@@ -58,6 +60,15 @@ def read_hdf5(
         header = _header(path, file)
         if header is None and "episode_0" in file:
             raise UserError(f"{path}: the inside of a Minari data set; give its folder, which holds metadata.json")
+        layout = None if header else layout_of(key for key, _ in _leaves(file))
+        if layout is not None and not layout.ours:
+            if mmap and scratch is None:
+                raise refuse_mmap(path, f"it has {layout.library}'s layout")
+            found = arranged(path, {**dict(file.attrs), **{key: dataset[()] for key, dataset in _leaves(file)}})
+            return build(
+                path, found.columns, source="hdf5", name=name, action_space=found.space, extra=found.extra, strict=strict,
+                horizon=horizon, warnings=found.told,
+            )  # fmt: skip
         rows = _rows(path, file)
         columns: dict[str, Any] = {}
         metadata: dict[str, Any] = {}
@@ -75,9 +86,12 @@ def read_hdf5(
                 with naming(path, ""):
                     extra = extra or extra_name(key, columns)
                 columns[extra] = _load(path, key, dataset, mmap, scratch)
-    found = {"metadata": metadata, "left_out": left_out}
-    extra = {key: value for key, value in found.items() if value}
-    return build(path, columns, header, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon)
+    notes = {"metadata": metadata, "left_out": left_out, "layout": layout and layout.library}
+    extra = {key: value for key, value in notes.items() if value}
+    lines = [told(layout)] if layout else []
+    return build(
+        path, columns, header, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon, warnings=lines
+    )
 
 
 def write_hdf5(log: Dataset, path: Path | str) -> None:

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
 from deadreckon.data.formats.kind import TABLES, no_options, sniff
+from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
@@ -30,9 +32,9 @@ def read(
     """Reads a log; the format is told by content, not by name.
 
     Args:
-        path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, pickled demonstrations; CSV and
-            pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id, or the TOML file of a schema
-            that names a table beside it.
+        path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, RLlib's JSON lines, VW's text,
+            pickled demonstrations; CSV and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id (of a
+            data set that is installed here, the id alone), or the TOML file of a schema that names a table beside it.
         mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
@@ -50,8 +52,10 @@ def read(
         schema = Schema.load(path)
         path, mapping = schema.file_beside(path), schema.options() | mapping | {"schema": schema}
     kind = sniff(path, mapping.get("separator"))
+    mapping, told = open_bandit(path, kind, mapping)
     options = _options(path, kind, mmap, horizon, mapping)
-    return _reader(kind)(path, strict=strict, name=name, **options)
+    log = _reader(kind)(path, strict=strict, name=name, **options)
+    return replace(log, warnings=(*told, *log.warnings))
 
 
 def _is_schema(path: Path | str) -> bool:
@@ -84,6 +88,10 @@ def _reader(kind: str) -> Callable[..., Dataset]:
         from deadreckon.data.formats.pickles import read_pickle as reader
     elif kind == "npz":
         from deadreckon.data.formats.npz import read_npz as reader
+    elif kind == "rllib":
+        from deadreckon.data.formats.rllib import read_rllib as reader
+    elif kind == "vw":
+        from deadreckon.data.formats.vw import read_vw as reader
     elif kind == "parquet":
         from deadreckon.data.formats.tables import read_parquet as reader
     else:

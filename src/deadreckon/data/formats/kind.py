@@ -10,11 +10,13 @@ from typing import Any
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.dialect import is_table
+from deadreckon.data.formats.rllib import files_of, is_rllib
+from deadreckon.data.formats.vw import is_vw
 from deadreckon.errors import UserError
 
 FORMATS = (
-    "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, spreadsheets, SQLite, DuckDB, npz, pickle, a Minari data set "
-    "or a folder of deadreckon's"
+    "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, spreadsheets, SQLite, DuckDB, npz, pickle, "
+    "RLlib's JSON lines, VW's text, a Minari data set or a folder of deadreckon's"
 )
 TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # columns have names of the user's own
 # How a file is read, and the formats that can be read so.
@@ -30,7 +32,7 @@ _CONTENTS = "[Content_Types].xml"
 
 
 def sniff(path: Path | str, separator: str | None = None) -> str:
-    """The format of a log: hdf5, parquet, npz, pickle, csv, excel, sqlite, duckdb, minari or folder.
+    """The format of a log: hdf5, parquet, npz, pickle, csv, excel, sqlite, duckdb, rllib, vw, minari or folder.
 
     Args:
         path: of the file or folder.
@@ -39,7 +41,7 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
     Raises:
         UserError: there is nothing, it is empty, or no format that we read.
     """
-    if str(path).startswith(minaris.PREFIX):
+    if str(path).startswith(minaris.PREFIX) or (not Path(path).exists() and minaris.installed(str(path))):
         return "minari"
     path = Path(path)
     if path.is_dir():
@@ -47,6 +49,8 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
             return "folder"
         if (path / "metadata.json").is_file() or (path / "data" / "metadata.json").is_file():
             return "minari"
+        if files_of(path):
+            return "rllib"
         raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
     packed = False
     try:
@@ -72,6 +76,9 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         return kind
     if _is_pickle(head):
         return "pickle"
+    for kind, test in (("vw", is_vw), ("rllib", is_rllib)):
+        if test(head):
+            return kind
     if is_table(head, separator):
         return "csv"
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")

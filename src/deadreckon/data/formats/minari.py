@@ -14,6 +14,7 @@ import numpy as np
 from deadreckon.data.columns import extra_name
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build
+from deadreckon.data.formats.flatten import bounds, flatten_space, join_actions
 from deadreckon.data.formats.header import Header
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading, unknown
@@ -28,11 +29,14 @@ _KEPT = ("dataset_id", "algorithm_name", "code_permalink", "ref_min_score", "ref
 def read_minari(source: Path | str, *, strict: bool = False, name: str | None = None) -> Dataset:
     """Reads a Minari data set.
 
-    Of observations that are dicts, `observation` is the observation, and the rest (such as `desired_goal`) and the
-    infos become extras. Terminations are terminals, truncations timeouts.
+    Of observations that are dicts with an array called `observation`, that is the observation, and the rest (such as
+    `desired_goal`) and the infos become extras. Other dicts, tuples, and discrete observations are flattened as Gymnasium does
+    it, discrete ones one-hot; what each dimension is goes to `provenance.extra["observation_names"]`. Actions of several
+    integers are joined into one, whose integers are in `provenance.extra["action_levels"]`. Terminations are terminals,
+    truncations timeouts.
 
     Args:
-        source: its folder, or its id after `minari:`, such as `minari:D4RL/pointmaze/umaze-v2`.
+        source: its folder, or its id, such as `minari:D4RL/pointmaze/umaze-v2`; `minari:` may be left out if it is here.
         strict: refuse actions out of bounds.
         name: of the log; what the data set says, else the id without its namespace, if absent.
 
@@ -48,21 +52,22 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
     broken = (ValueError, KeyError, TypeError, RuntimeError, AssertionError, NotImplementedError)
     with reading(folder, "a Minari data set", *broken), naming(folder, ""):
         storage = MinariStorage.read(folder)
-        space, start = _action_space(storage.action_space)
+        extra = {key: metadata[key] for key in _KEPT if key in metadata}
         parts: dict[str, list[np.ndarray]] = {}
         for episode in storage.get_episodes(range(storage.total_episodes)):
-            for key, column in _episode(episode).items():
+            for key, column in _episode(episode, storage.observation_space, extra).items():
                 parts.setdefault(key, []).append(column)
         if not parts:
             raise UserError("the data set has no episodes")
         columns = _joined(parts)
-    columns["actions"] = columns["actions"] - start if isinstance(space, Discrete) else columns["actions"]
+        space, lines = _actions(storage.action_space, columns, extra)
     about = metadata.get("deadreckon")
     header = None if about is None else Header.from_json(folder / _METADATA, about)
-    extra = {key: metadata[key] for key in _KEPT if key in metadata}
     if name is None and header is None:
         name = str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
-    return build(folder, columns, header, source="minari", name=name, action_space=space, extra=extra, strict=strict)
+    return build(
+        folder, columns, header, source="minari", name=name, action_space=space, extra=extra, strict=strict, warnings=lines
+    )
 
 
 def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
@@ -129,6 +134,8 @@ def find(source: Path | str) -> Path:
     text = str(source)
     by_id = text.startswith(PREFIX)
     folder = _root() / _checked_id(text.removeprefix(PREFIX)) if by_id else Path(text)
+    if not by_id and not folder.exists() and installed(text):
+        folder = _root() / text
     for inner in (folder / "data", folder):
         if (inner / _METADATA).is_file():
             return inner
@@ -138,6 +145,12 @@ def find(source: Path | str) -> Path:
     if not there:
         raise UserError(f"no Minari data set {text.removeprefix(PREFIX)!r}: {_root()} ({_ROOT}) holds none")
     raise unknown("Minari data set", text.removeprefix(PREFIX), there)
+
+
+def installed(text: str) -> bool:
+    """Whether `text` is the id of a data set that is installed here; says so without loading Minari."""
+    inside = text and "\0" not in text and not text.startswith("/") and ".." not in text.split("/")
+    return bool(inside) and (_root() / text / "data" / _METADATA).is_file()
 
 
 def _checked_id(dataset_id: str) -> str:
@@ -172,18 +185,19 @@ def _root_is(folder: str) -> Iterator[None]:
             os.environ[_ROOT] = before
 
 
-def _action_space(space: Any) -> tuple[Box | Discrete | None, int]:
-    """Our action space, None where the bounds are not finite, and the index of the first action."""
+def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) -> tuple[Box | Discrete | None, list[str]]:
+    """Our action space, None where the bounds are not finite, and what to say; `columns["actions"]` become actions of it."""
     from gymnasium import spaces
 
     if isinstance(space, spaces.Discrete):
-        return Discrete(int(space.n)), int(space.start)
+        columns["actions"] = columns["actions"] - int(space.start)
+        return Discrete(int(space.n)), []
+    if isinstance(space, (spaces.MultiDiscrete, spaces.MultiBinary)):
+        columns["actions"], joined, extra["action_levels"] = join_actions(space, columns["actions"])
+        return joined, [f"actions of {space} are joined into {joined.n} discrete ones, one for each combination"]
     if not isinstance(space, spaces.Box):
-        raise UserError(f"actions are {type(space).__name__}; Box or Discrete is needed")
-    if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
-        return None, 0
-    low, high = (bound.astype(np.float64).ravel().tolist() for bound in (space.low, space.high))
-    return Box(tuple(low), tuple(high)), 0
+        raise UserError(f"actions are {type(space).__name__}; Box, Discrete, MultiDiscrete or MultiBinary is needed")
+    return bounds(space), []
 
 
 def _spaces(log: Dataset) -> tuple[Any, Any]:
@@ -223,15 +237,25 @@ def _buffers(log: Dataset) -> Iterator[Any]:
         )
 
 
-def _episode(episode: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _observations(space: Any, values: Any, extra: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """(T + 1, *shape) observations of an episode, and what else came with them."""
+    from gymnasium import spaces
+
+    if isinstance(space, spaces.Box):
+        return np.asarray(values), {}
+    if isinstance(space, spaces.Dict) and isinstance(space.spaces.get("observation"), spaces.Box):
+        further = dict(_leaves(values, ""))
+        return further.pop("observation"), further
+    column, extra["observation_names"] = flatten_space(space, values)
+    return column, {}
+
+
+def _episode(episode: Mapping[str, Any], space: Any, extra: dict[str, Any]) -> dict[str, np.ndarray]:
     """Columns of one episode, T rows each; extras under their Minari paths."""
     number, steps = episode["id"], len(episode["rewards"])
     if not steps:
         raise UserError(f"episode {number} has no steps")
-    observed = dict(_leaves(episode["observations"], ""))
-    main = observed.pop("", None) if "" in observed else observed.pop("observation", None)
-    if main is None:
-        raise UserError(f"observations have no array called observation, but {', '.join(observed) or 'nothing'}")
+    main, observed = _observations(space, episode["observations"], extra)
     if isinstance(episode["actions"], (dict, tuple)):
         raise UserError("actions are a dict or a tuple; one array is needed")
     if len(main) != steps + 1:

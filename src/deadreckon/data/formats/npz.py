@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.arrange import Arranged, arranged
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
 from deadreckon.errors import UserError, reading
@@ -16,7 +17,7 @@ _HEADER = "deadreckon"  # the array that holds the header as JSON
 
 
 def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
-    """Reads an npz file with columns by `Dataset.from_arrays` names (D4RL's).
+    """Reads an npz file with columns by `Dataset.from_arrays` names (D4RL's), or in another library's layout.
 
     Raises:
         UserError: one line: damaged, columns missing or wrong, or arrays that hold Python objects.
@@ -28,7 +29,11 @@ def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None,
         columns = {key: file[key] for key in file.files}
     text = columns.pop(_HEADER, None)
     header = None if text is None else Header.parse(path, str(text))
-    return build(path, columns, header, source="npz", name=name, strict=strict, horizon=horizon)
+    found = Arranged(columns) if header else arranged(path, columns)
+    return build(
+        path, found.columns, header, source="npz", name=name, action_space=found.space, extra=found.extra, strict=strict,
+        horizon=horizon, warnings=found.told,
+    )  # fmt: skip
 
 
 def write_npz(log: Dataset, path: Path | str) -> None:

@@ -8,14 +8,42 @@ import numpy as np
 
 from deadreckon.data.columns import COLUMNS, NEEDED
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, stem
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.unpickle import load_pickle
+from deadreckon.unpickle import ObjectDouble, PlainUnpickler, unpickle
+
+_BUFFERS = ("ReplayBuffer", "DictReplayBuffer")  # of Stable-Baselines3
+
+
+class _Ignored(ObjectDouble):
+    """Stands for an object that no log needs, such as a generator of random numbers."""
+
+    def __init__(self, *given: Any):
+        super().__init__()
+
+    def __setstate__(self, state: Any) -> None:
+        pass
+
+
+class _BufferUnpickler(PlainUnpickler):
+    """Knows Stable-Baselines3's replay buffers and Gymnasium's spaces, too, as doubles that hold their fields."""
+
+    def find_class(self, module_name: str, global_name: str) -> Any:
+        """The double of what the pickle asks for; all else is refused."""
+        if module_name == "stable_baselines3.common.buffers" and global_name in _BUFFERS:
+            return ObjectDouble
+        if module_name.startswith(("gymnasium.spaces.", "gym.spaces.")):
+            return ObjectDouble
+        if (module_name, global_name) == ("torch", "device") or module_name.startswith("numpy.random."):
+            return _Ignored
+        return super().find_class(module_name, global_name)
 
 
 def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
-    """Reads a pickled log: a dict of D4RL's columns, or a list of such dicts, one an episode.
+    """Reads a pickled log: a dict of D4RL's columns or in another library's layout, a list of such dicts of D4RL's columns, one
+    an episode, or a replay buffer of Stable-Baselines3.
 
     The human demonstrations of Adroit (dicts with `init_state_dict`, which is not kept) have T observations for T
     actions, so the last row of each episode has no known successor; their actions are bounded by -1 and 1, and
@@ -24,10 +52,14 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
     Raises:
         UserError: one line that names file, episode, column and row.
     """
-    value = load_pickle(path)
+    value = unpickle(path, _BufferUnpickler)
     if isinstance(value, Mapping):
-        columns = {str(key): column for key, column in value.items() if isinstance(column, np.ndarray)}
-        return build(path, columns, source="pickle", name=name, strict=strict, horizon=horizon)
+        found = arranged(path, value)
+        columns = {key: column for key, column in found.columns.items() if isinstance(column, np.ndarray)}
+        return build(
+            path, columns, source="pickle", name=name, action_space=found.space, extra=found.extra, strict=strict,
+            horizon=horizon, warnings=found.told,
+        )  # fmt: skip
     if not isinstance(value, list) or not value or not all(isinstance(episode, Mapping) for episode in value):
         raise UserError(f"{path}: a list of episodes (dicts of arrays) is needed, found {type(value).__name__}")
     columns = _joined(path, value)

@@ -1,0 +1,36 @@
+"""The Open Bandit Dataset's tables: which column is what, told by their names."""
+
+import csv
+import gzip
+import re
+from pathlib import Path
+from typing import Any
+
+_NEEDED = ("item_id", "position", "click", "propensity_score")
+_CONTEXT = re.compile(r"user_feature_\d+|user-item_affinity_\d+")
+
+
+def open_bandit(path: Path | str, kind: str, mapping: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """What columns of a CSV file mean if it is a table of the Open Bandit Dataset (`all.csv`, `men.csv`, `women.csv`).
+
+    Args:
+        path: of the file, which may be gzipped.
+        kind: of the file; all but "csv" are left as they are.
+        mapping: what was given; it is left as it is if anything was.
+
+    Returns:
+        The mapping, as `Dataset.from_frame` takes it, and a line that says so.
+    """
+    if kind != "csv" or any(value is not None for value in mapping.values()):
+        return mapping, []
+    with open(path, "rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    with (gzip.open if packed else open)(path, "rt", encoding="utf-8", errors="replace", newline="") as lines:
+        names = next(csv.reader([lines.readline()]), [])
+    context = [name for name in names if _CONTEXT.fullmatch(name)]
+    if not context or not all(name in names for name in _NEEDED):
+        return mapping, []
+    found = {"action": "item_id", "reward": "click", "propensity": "propensity_score", "observations": context,
+             "keep": "position"}  # fmt: skip
+    told = "read as Open Bandit's layout: each row is an episode of one terminal step, position is kept as an extra"
+    return {**mapping, **found}, [told]
