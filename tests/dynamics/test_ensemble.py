@@ -240,6 +240,7 @@ def test_refusals():
         Trainer().fit(Gaussian(members=2, hidden=(4,), lr=1e30), SPEC, linear(100), 0)
 
 
+@pytest.mark.slow  # a matter of learning; its numbers are golden
 def test_the_autoregressive_model_knows_what_numbers_have_to_do_with_each_other():
     """Both numbers become one draw, which no diagonal model can say."""
     rng = np.random.default_rng(0)

@@ -55,8 +55,8 @@ def test_the_small_budget_changes_fields_that_exist():
 
 
 # Slow are those whose code fast ones share: AutoFocus is CbAS and more, the mean of an ensemble is its least with another
-# reduction, NEMO has tests of its own. All of them have golden numbers.
-SELDOM = ("cbas", "ensemble", "nemo", "mins")
+# reduction, NEMO and DDOM's sampler have tests of their own. All of them have golden numbers.
+SELDOM = ("cbas", "ddom", "ensemble", "nemo", "mins")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SELDOM else ()) for n in DESIGNERS])

@@ -177,6 +177,7 @@ def test_seeds_side_by_side_and_checkpoints(bowl, tmp_path):
     np.testing.assert_array_equal(again.x, alone.x)
 
 
+@pytest.mark.slow  # its parts are compared with numpy above
 def test_trained_long_on_a_design_that_stays_it_is_exact_cnml():
     """Four straight lines under a logistic, against scipy's maximum likelihood on the data and each claim."""
     bins, rows = 4, 12
