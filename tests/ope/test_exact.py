@@ -6,6 +6,7 @@ compared with the true world, and are unbiased over many logs or lie within thei
 """
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,14 +63,19 @@ def cases(names, everywhere=(), nowhere=(), also=()):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def world(request):
-    """A case of three policies, the first of which made the log."""
-    true = WORLDS[request.param]
+@cache
+def case_in(name):
+    """A case of three policies, the first of which made the log; tests share what is fitted for it."""
+    true = WORLDS[name]
     policies = [*tables(true, 1, 0.2), *tables(true, 2, 0.6, seed=1)]
-    log = true.log(policies[0], 800, 40, np.random.default_rng(0), name=request.param)
+    log = true.log(policies[0], 800, 40, np.random.default_rng(0), name=name)
     case = OPEInput(log, [as_policy(p) for p in policies], discount=DISCOUNT)
     return case, true, policies
+
+
+@pytest.fixture
+def world(request):
+    return case_in(request.param)
 
 
 # Forms of the DICE family differ in their losses alone, which golden numbers know; distributions of returns have fast tests of

@@ -408,6 +408,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_learned(small, tmp_path
     assert not [state for state in of(sent, "state") if "candidates" in state]
 
 
+@pytest.mark.slow  # holding out by clusters is looked at in test_holdout.py, and judging by them in test_offline.py
 def test_clusters_are_held_out_whole(small, tmp_path):
     log = a_log()
     user = np.repeat(np.arange(20), 3)[log.episode_of]
@@ -440,13 +441,14 @@ def test_a_run_may_be_ended_early(tmp_path):
             raise StopTraining
 
     asked = {"steps": 100, "chunk": 20, "evaluate_every": 100}
-    run = dr.train("bc", a_log(), out=tmp_path / "run", watch=watch, **asked)
+    agent = dr.agents.BC(hidden=(8,), batch_size=16)
+    run = dr.train(agent, a_log(), out=tmp_path / "run", watch=watch, **asked)
     assert run.metrics["step"].to_pylist() == [20, 40]
     assert run.evaluations["step"].to_pylist() == [40]
     assert run.config["steps"] == 40
     # It can be gone on with, and then is what it would have been without the break.
-    resumed = dr.train("bc", a_log(), out=tmp_path / "run", resume=True, **asked)
-    whole = dr.train("bc", a_log(), out=tmp_path / "whole", **asked)
+    resumed = dr.train(agent, a_log(), out=tmp_path / "run", resume=True, **asked)
+    whole = dr.train(agent, a_log(), out=tmp_path / "whole", **asked)
     x = np.linspace(-0.5, 0.5, 8, dtype=np.float32).reshape(4, 2)
     assert resumed.config["steps"] == 100
     assert np.array_equal(resumed.policy(x), whole.policy(x))
