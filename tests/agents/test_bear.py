@@ -16,6 +16,7 @@ from deadreckon.nets.mmd import squared_mmd
 from deadreckon.policies import EnvPolicy
 from deadreckon.randomness import key_for, keys
 from deadreckon.training.fit import fit
+from tests.agents.compiled import Compiled
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
 from tests.nets.test_mmd import reference_mmd
@@ -34,7 +35,7 @@ def setup(steps=100, **fields):
         reward=jnp.asarray(rng.normal(size=6)), next_observation=jnp.asarray(rng.normal(size=(6, 1)), jnp.float32),
         terminal=jnp.asarray([0.0, 1.0, 0.0, 0.0, 1.0, 0.0]),
     )  # fmt: skip
-    return agent, state, batch
+    return Compiled(agent), state, batch
 
 
 def numpy_gaussian(net, obs):
@@ -104,7 +105,7 @@ def test_mmd_gradient_reaches_the_actor_and_never_the_behaviour_model():
     agent, state, batch = setup(warm_start=10)
     key = jax.random.key(0)
     loss = lambda actor, model: agent.actor_loss(actor, state._replace(behavior=model), batch, jnp.int32(0), key)[0]  # noqa: E731
-    to_actor, to_model = jax.grad(loss, (0, 1))(state.actor, state.behavior)
+    to_actor, to_model = jax.jit(jax.grad(loss, (0, 1)))(state.actor, state.behavior)
     assert all(np.abs(g).max() > 1e-6 for g in jax.tree.leaves(to_actor))
     assert all(np.abs(g).max() == 0 for g in jax.tree.leaves(to_model))
     after, _ = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=key))(state)
@@ -203,13 +204,13 @@ def test_multiplier_zero_is_the_unconstrained_actor_exactly():
         pre = dist.sample(dist.gaussian_head(actor(batch.observation)), k_policy, (4,))[0]
         return -q_values(state.critics, batch.observation, jnp.tanh(pre)).min(0).mean()
 
-    got = jax.grad(lambda actor: agent.actor_loss(actor, state, batch, jnp.int32(0), key)[0])(state.actor)
-    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(jax.grad(unconstrained)(state.actor)), strict=True):
+    got = jax.jit(jax.grad(lambda actor: agent.actor_loss(actor, state, batch, jnp.int32(0), key)[0]))(state.actor)
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(jax.jit(jax.grad(unconstrained))(state.actor)), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-7)
 
 
 def test_importance_sampled_losses_equal_numpy():
-    agent = ISBEAR(hidden=(16, 16), policy_samples=3, delta=0.25, warm_start=0).resolve(SPEC, 100)
+    agent = Compiled(ISBEAR(hidden=(16, 16), policy_samples=3, delta=0.25, warm_start=0).resolve(SPEC, 100))
     state = agent.init(SPEC, jax.random.key(0))
     # Another actor, so that ratios are not one.
     state = state._replace(actor=jax.tree.map(lambda w: w * 1.3, state.actor))

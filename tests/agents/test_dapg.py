@@ -130,19 +130,19 @@ def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
              "action": jnp.asarray(rng.uniform(-0.5, 0.5, (50, 2)), jnp.float32)}  # fmt: skip
     center, spread = jnp.array([0.1, -0.2]), jnp.array([0.3, 0.5])
     cloning = Cloning(1e-3, center, spread, (4,))
-    clone = cloning.init(SPEC, jax.random.key(0))
+    clone = jax.jit(lambda key: cloning.init(SPEC, key))(jax.random.key(0))
     seen = jnp.asarray(rng.standard_normal((7, 3)), jnp.float32)
     batch = Batch(observation=seen, action=shown["action"][:7])
-    _, metrics = cloning.update(clone, batch, step=0, key=jax.random.key(1))
+    _, metrics = jax.jit(lambda clone: cloning.update(clone, batch, step=0, key=jax.random.key(1)))(clone)
     np.testing.assert_allclose(cloning.means(clone)(seen), clone.net(seen) * spread + center, rtol=1e-5, atol=1e-6)
     error = (clone.net(seen) - (shown["action"][:7] - center) / spread) ** 2
     assert float(metrics["behavior_error"]) == pytest.approx(float(error.mean()), rel=1e-5)
     state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), shown["observation"])
     means = cloning.means(clone)
     off = means((shown["observation"] - shown["observation"].mean(0)) / shown["observation"].std(0)) - shown["action"]
-    acting = AGENT.begun(state, means, shown).actor
+    acting = jax.jit(lambda state: AGENT.begun(state, means, shown).actor)(state)
     np.testing.assert_allclose(jnp.exp(acting.log_std), jnp.sqrt((off**2).mean(0)), rtol=1e-3)
-    as_shown = AGENT.replace(init_std="demonstrated").begun(state, means, shown).actor
+    as_shown = jax.jit(lambda state: AGENT.replace(init_std="demonstrated").begun(state, means, shown).actor)(state)
     np.testing.assert_allclose(jnp.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
 
 

@@ -1,5 +1,6 @@
 """The Decision Transformer: attention against numpy, who sees what, acting as trained, and the return that is asked for."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,12 +49,12 @@ def test_a_block_against_numpy():
             found[b, :, h] = weight @ value
     expected = x + numpy_mlp(block.merge, found.reshape(2, 3, 6))
     expected = expected + numpy_mlp(block.feed, standard(expected))
-    got = block(jnp.asarray(x), jnp.broadcast_to(seen, (2, 3, 3)), lambda part, _: part)
+    got = jax.jit(lambda x, seen: block(x, seen, lambda part, _: part))(x, np.tile(seen, (2, 1, 1)))
     np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
 def test_no_token_looks_ahead_or_at_what_is_not_there():
-    net = Transformer.create(2, 8, 2, jax.random.key(1))
+    net = eqx.filter_jit(Transformer.create(2, 8, 2, jax.random.key(1)))
     x = jax.random.normal(KEY, (1, 5, 8))
     there = jnp.asarray([[True, True, True, False, True]])
     out = net(x, there)
@@ -81,7 +82,7 @@ def test_gradients_are_made_shorter_together():
 def test_an_action_sees_its_return_and_observation_and_all_before_but_not_itself():
     _, state = made()
     wanted, observation, action, time = windows()
-    net = lambda w, o, a: state.net(w, o, a, time, jnp.ones((2, 4)))[:, 2]  # noqa: E731
+    net = jax.jit(lambda w, o, a: state.net(w, o, a, time, jnp.ones((2, 4)))[:, 2])
     out = net(wanted, observation, action)
     assert (np.abs(out) < 1).all()
     for changed in (net(wanted.at[:, 3].add(1.0), observation, action), net(wanted, observation, action.at[:, 2:].add(0.5))):
@@ -97,9 +98,10 @@ def test_the_loss_is_of_the_steps_that_are_there():
     wanted, observation, action, time = windows()
     mask = jnp.asarray([[1.0, 1, 0, 0], [1, 1, 1, 1]])
     batch = Batch(observation=observation, action=action, return_to_go=5.0 * wanted, time=time, mask=mask)
-    found = np.asarray(state.net(wanted, observation, action, time, mask))
+    found = np.asarray(eqx.filter_jit(state.net)(wanted, observation, action, time, mask))
     expected = np.square(found - np.asarray(action))[np.asarray(mask, bool)].mean()
-    np.testing.assert_allclose(agent.loss(state.net, jnp.asarray(5.0), batch, KEY), expected, rtol=1e-4)
+    loss = eqx.filter_jit(agent.loss)(state.net, jnp.asarray(5.0), batch, KEY)
+    np.testing.assert_allclose(loss, expected, rtol=1e-4)
 
 
 def test_it_acts_as_it_was_trained_with_what_is_left_of_the_return():
@@ -111,9 +113,10 @@ def test_it_acts_as_it_was_trained_with_what_is_left_of_the_return():
     first = np.zeros((6, 2), bool)
     first[0] = first[3, 1] = True
     carry, done = policy.start(2), []
+    act = jax.jit(lambda step, carry: policy.act(step, carry, KEY, greedy=True))
     for t in range(6):
         step = Step(jnp.asarray(seen[t]), jnp.asarray(reward[t]), jnp.asarray(first[t]))
-        action, carry = policy.act(step, carry, KEY, greedy=True)
+        action, carry = act(step, carry)
         done.append(np.asarray(action))
     for env, begin in ((0, 0), (1, 3)):
         left = (10.0 - np.concatenate([[0.0], np.cumsum(reward[begin + 1 :, env])])) / 4.0
@@ -121,7 +124,7 @@ def test_it_acts_as_it_was_trained_with_what_is_left_of_the_return():
         last = slice(6 - k, 6)
         acted = np.stack([d[env] for d in done])[last]
         time = np.arange(6 - begin)[-k:]
-        alone = state.net(
+        alone = eqx.filter_jit(state.net)(
             jnp.asarray(left[-k:])[None], jnp.asarray(seen[last, env])[None], jnp.asarray(acted)[None], jnp.asarray(time)[None],
             jnp.ones((1, k)),
         )  # fmt: skip

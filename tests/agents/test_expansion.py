@@ -65,7 +65,7 @@ def flat(critics, values):
 def test_mve_is_the_sum_by_hand():
     agent, state, batch = made(MVE, horizon=3)
     state = state._replace(target_critics=flat(state.target_critics, [VALUE, VALUE + 1.0]))
-    found = agent.target(state, batch, KEY)
+    found = jax.jit(agent.target)(state, batch, KEY)
     assert found.target.shape == (4, 4)
     goes_on = lambda steps: sum(DISCOUNT**k for k in range(steps)) + DISCOUNT**steps * VALUE  # noqa: E731
     np.testing.assert_allclose(found.target[0], [1 + 0.9 * goes_on(3), 2 + 0.9 * goes_on(3), 3 + 0.9, 4.0], rtol=1e-5)
@@ -108,13 +108,13 @@ def test_mve_pays_the_entropy_of_every_action_to_come_but_the_first():
 def test_steps_of_the_model_whose_numbers_go_bad_are_none():
     agent, state, batch = made(MVE, pays=(np.nan, np.nan), horizon=2)
     state = state._replace(target_critics=flat(state.target_critics, [VALUE, VALUE]))
-    found = agent.target(state, batch, KEY)
+    found = jax.jit(agent.target)(state, batch, KEY)
     np.testing.assert_allclose(found.target[0], [1 + 0.9 * VALUE, 2 + 0.9 * VALUE, 3 + 0.9 * VALUE, 4.0], rtol=1e-6)
     np.testing.assert_array_equal(found.weight, [[1] * 4, [0] * 4, [0] * 4])
     assert np.isfinite(found.target).all()
     agent, state, batch = made(STEVE, pays=(np.nan, 1.0), horizon=1)
     state = state._replace(target_critics=flat(state.target_critics, np.full(4, VALUE, np.float32)))
-    targets = np.asarray(agent.targets(state, batch, KEY))
+    targets = np.asarray(jax.jit(agent.targets)(state, batch, KEY))
     np.testing.assert_allclose(targets[1, :, 0, 0], [1 + 0.9 * VALUE, 1 + 0.9 + 0.81 * VALUE], rtol=1e-6)
 
 
@@ -122,7 +122,7 @@ def test_steve_weighs_horizons_by_their_certainty():
     agent, state, batch = made(STEVE, pays=(1.0, 3.0), horizon=2, critics=3)
     values = np.array([5.0, 7.0, 12.0], np.float32)
     state = state._replace(target_critics=flat(state.target_critics, values))
-    targets = np.asarray(agent.targets(state, batch, KEY))
+    targets = np.asarray(jax.jit(agent.targets)(state, batch, KEY))
     assert targets.shape == (3, 2, 3, 4)
     by_hand = np.stack([
         np.broadcast_to(1 + 0.9 * values, (2, 3)),

@@ -17,6 +17,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, ensemble, minimum
 from deadreckon.policies.kinds import TanhMeanGaussian
 from deadreckon.randomness import key_for, keys
+from tests.agents.compiled import Compiled
 from tests.agents.test_actor_critics import log_prob, q, transitions
 from tests.agents.test_bear import lane, numpy_gaussian
 from tests.agents.worlds import corridor
@@ -35,7 +36,7 @@ def batch():
 
 def made(agent):
     agent = agent.resolve(SPEC, 10)
-    return agent, agent.init(SPEC, jax.random.key(0))
+    return Compiled(agent), agent.init(SPEC, jax.random.key(0))
 
 
 def updated(agent, state, batch):
@@ -215,7 +216,7 @@ def test_xql_loss_by_hand():
 def test_xql_loss_is_finite_however_wrong_a_value_is(batch):
     agent, state = made(XQL(**SMALL))
     far = jnp.full(6, 1e6)
-    loss, slope = jax.value_and_grad(agent.value_loss)(state.value, batch, far)
+    loss, slope = jax.jit(jax.value_and_grad(agent.value_loss))(state.value, batch, far)
     assert np.isfinite(loss)
     assert all((np.asarray(leaf) == 0).all() for leaf in jax.tree.leaves(slope))
 
@@ -415,9 +416,10 @@ def test_edac_likeness_by_hand_and_by_pairs():
             slopes[j, :, k] = (joined[0] - joined[1]) / (2 * step)
     unit = slopes / np.linalg.norm(slopes, axis=-1, keepdims=True)
     pairs = sum((unit[i] * unit[j]).sum(-1) for i in range(4) for j in range(4) if i != j)
-    np.testing.assert_allclose(likeness(critics, batch), pairs.mean() / 3, atol=0.03)
+    alike = jax.jit(likeness)
+    np.testing.assert_allclose(alike(critics, batch), pairs.mean() / 3, atol=0.03)
     same = jax.tree.map(lambda w: jnp.stack([w[0]] * 4), critics)
-    np.testing.assert_allclose(likeness(same, batch), 4.0, rtol=1e-4)  # 4 x 3 pairs of 1, over 3
+    np.testing.assert_allclose(alike(same, batch), 4.0, rtol=1e-4)  # 4 x 3 pairs of 1, over 3
 
 
 def test_edac_adds_it_to_the_critics_loss(batch):

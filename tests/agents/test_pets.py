@@ -1,5 +1,6 @@
 """PETS in a world whose best plan is known, what it carries from step to step, and a run that goes on where it stopped."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,7 +43,7 @@ def planner(gain=(0.5, 0.5), tolls=(0.0, 0.0), **fields):
 def test_returns_are_the_sums_by_hand():
     policy = planner(gain=(0.5, 1.0), horizon=3, population=2, cem_elites=1)
     actions = jnp.asarray([[0.2, -0.4, 0.9], [1.0, 1.0, -1.0]])[..., None]
-    found = policy.returns(jnp.asarray([2.0, 0.0]), actions, jax.random.key(0))
+    found = eqx.filter_jit(policy.returns)(jnp.asarray([2.0, 0.0]), actions, jax.random.key(0))
     # s before each step: 2, 2 + g a0, 2 + g (a0 + a1).
     by_hand = [np.mean([6 + 2 * g * a[0] + g * a[1] for g in (0.5, 1.0)]) for a in np.asarray(actions)[..., 0]]
     np.testing.assert_allclose(found, by_hand, rtol=1e-4)
@@ -65,10 +66,11 @@ def test_a_plan_is_gone_on_with_and_forgotten_when_an_episode_begins():
     before = policy.start(2) + jnp.asarray([0.1, 0.2, 0.3, 0.4])[:, None]
     step = Step(jnp.zeros((2, 2)), jnp.zeros(2), jnp.asarray([False, True]))
     drawn = jax.random.split(jax.random.key(5), 2)
+    planned = eqx.filter_jit(policy.plan)
     for greedy, keys in ((False, drawn), (True, [jax.random.key(0)] * 2)):  # greedy plans all draw the same
         actions, after = policy.act(step, before, jax.random.key(5), greedy=greedy)
         for i, begin in enumerate((before[0], jnp.zeros((4, 1)))):
-            plan = policy.plan(jnp.zeros(2), begin, keys[i])
+            plan = planned(jnp.zeros(2), begin, keys[i])
             np.testing.assert_allclose(actions[i], plan[0], rtol=1e-4, atol=1e-5)
             np.testing.assert_allclose(after[i], jnp.concatenate([plan[1:], jnp.zeros((1, 1))]), rtol=1e-4, atol=1e-5)
         assert (jnp.abs(actions) <= 1.0).all()

@@ -58,7 +58,7 @@ def test_advantages_are_the_sums_by_hand():
             error = rows["reward"][t, copy] + (0.0 if end else 0.9 * following[t, copy]) - now[t, copy]
             later = error + (0.0 if end or cut else 0.9 * 0.8 * later)
             wanted[t, copy] = later
-    new, columns = AGENT.digest(state, {name: jnp.asarray(column) for name, column in rows.items()})
+    new, columns = jax.jit(AGENT.digest)(state, {name: jnp.asarray(column) for name, column in rows.items()})
     np.testing.assert_allclose(columns["advantage"], wanted, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(columns["return_to_go"], wanted + now, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(new.returns.mean, (wanted + now).mean(), rtol=1e-4)

@@ -1,5 +1,7 @@
 """Rewards in other units: resolved from the log, applied to every batch, and gone where values are told."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,13 +9,13 @@ import optax
 import pytest
 
 from deadreckon.agents import AWAC, CQL, FQL, IQL, ReBRAC
-from deadreckon.data.batch import Batch, TransitionSource
+from deadreckon.data.batch import Batch
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import cosine_decay
 from deadreckon.training.fit import fit
-from tests.agents.test_offline import SMALL
+from tests.agents import tiny
 
 AGENTS = [IQL, AWAC, CQL, FQL, ReBRAC]
 
@@ -49,24 +51,34 @@ def test_what_cannot_be_is_refused_in_one_line():
         IQL(normalized_return_range=5.0).resolve(same.spec, 10)
 
 
-@pytest.mark.parametrize("kind", AGENTS)
-def test_training_on_scaled_rewards_is_training_on_a_log_that_has_them(kind):
-    """The same log in two units: agents that scale the one learn the same networks as those that are given the other."""
-    scaled = log_of(10.0 * np.asarray(LOG.rewards, np.float32) - 5.0, np.asarray(LOG.terminals))
-    small = {name: (8, 8) if name == "hidden" else value for name, value in SMALL.items()} | {"batch_size": 4}
+@pytest.mark.parametrize("name", ["iql", "awac", "cql", "fql", "rebrac"])
+def test_training_on_scaled_rewards_is_training_on_a_log_that_has_them(name):
+    """The same log in two units: agents that scale the one learn the same networks as those that are given the other.
+
+    The programs are those of the conformance tests.
+    """
+    scaled = dataclasses.replace(tiny.LOG, rewards=10.0 * np.asarray(tiny.LOG.rewards, np.float32) - 5.0, part_of=None)
 
     def learned(log, **fields):
-        agent = kind(**small, **fields).resolve(log.spec, 6)
-        return fit([agent], TransitionSource(log, agent.needs(log.spec)), [0], 6, chunk=3).lane(0), agent
+        agent = tiny.small(name, **fields)
+        return fit([agent, agent], tiny.rows_of(agent, log), [0, 1], 6, chunk=3).states
 
-    ours, agent = learned(LOG, reward_scale=10.0, reward_shift=-5.0)
-    theirs, other = learned(scaled)
+    ours, theirs = learned(tiny.LOG, reward_scale=10.0, reward_shift=-5.0), learned(scaled)
     for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
-    seen, done = jnp.zeros((3, 1)), jnp.zeros((3, 1))
-    assert np.isnan(agent.q_value(ours, seen, done)).all()  # a shift counts by how long episodes last
-    half = other.replace(reward_scale=0.5)
-    np.testing.assert_allclose(half.q_value(ours, seen, done), 2.0 * other.q_value(ours, seen, done), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", AGENTS)
+def test_values_are_told_in_the_logs_units(kind):
+    plain = kind(hidden=(8, 8)).resolve(LOG.spec, 6)
+    state = jax.jit(lambda key: plain.init(LOG.spec, key))(jax.random.key(0))
+    value = jax.jit(lambda agent, state: agent.q_value(state, jnp.ones((3, 1)), jnp.zeros((3, 1))))
+    told = value(plain, state)
+    assert np.isfinite(told).all()
+    assert np.abs(told).max() > 0
+    shifted = plain.replace(reward_scale=10.0, reward_shift=-5.0)
+    assert np.isnan(value(shifted, state)).all()  # a shift counts by how long episodes last
+    np.testing.assert_allclose(value(plain.replace(reward_scale=0.5), state), 2.0 * told, rtol=1e-6)
 
 
 def test_a_learning_rate_falls_along_a_cosine_as_optax_has_it():
@@ -80,9 +92,8 @@ def test_iqls_actor_rests_when_its_learning_rate_has_fallen():
     agent = IQL(hidden=(8, 8), batch_size=4).resolve(LOG.spec, 6)
     assert agent.actor_decay_steps == 6.0
     assert IQL(actor_decay_steps=0.0).resolve(LOG.spec, 6).actor_decay_steps == 0.0
-    rows = TransitionSource(LOG, agent.needs(LOG.spec))
-    at_the_end = fit([agent], rows, [0], 6, chunk=6).lane(0)
-    later = fit([agent], rows, [0], 12, chunk=6).lane(0)
+    small = tiny.small("iql", actor_decay_steps=6.0)
+    at_the_end, later = (fit([small, small], tiny.rows_of(small), [0, 1], steps, chunk=6).states for steps in (6, 12))
     for a, b in zip(jax.tree.leaves(at_the_end.actor), jax.tree.leaves(later.actor), strict=True):
         np.testing.assert_array_equal(a, b)
     assert any(map(lambda a, b: bool((a != b).any()), jax.tree.leaves(at_the_end.value), jax.tree.leaves(later.value)))

@@ -26,7 +26,7 @@ from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
-STUDY = '''
+STUDY = """
 about = "A study."
 kind = "study"
 ledger = "ledger"
@@ -42,9 +42,9 @@ value = { words = "a value", digits = 2 }
 
 [full]
 seeds = 6
-'''
+"""
 
-CODE = '''
+CODE = """
 import os, time
 
 def measure(case, *, seed, size):
@@ -52,7 +52,7 @@ def measure(case, *, seed, size):
     with open(os.environ["STUDY_DONE"], "a") as file:
         file.write(f"{case} {size} {seed}\\n")
     return {"value": size + seed / 100 + (case == "b")}
-'''
+"""
 
 
 @pytest.fixture
@@ -221,8 +221,8 @@ def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):
     suite = read("study.toml")
     jobs, store = plan(suite, 1), store_of([suite], folder / "runs")
     began = time.monotonic()
-    run(jobs, store, lambda event: None, Local(store.path, workers=1), seconds=4.0)
-    assert time.monotonic() - began < 7.0
+    run(jobs, store, lambda event: None, Local(store.path, workers=1), seconds=2.0)
+    assert time.monotonic() - began < 5.0
     assert store.undone(jobs)
     monkeypatch.setenv("STUDY_SECONDS", "0")
     run(jobs, store, lambda event: None, Local(store.path, workers=1))
@@ -235,7 +235,7 @@ def state(pid: int) -> str:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc, and priorities, are Linux's")
 def test_idle_work_has_the_lowest_priority_and_stands_still_while_times_are_measured(folder, monkeypatch):
-    monkeypatch.setenv("STUDY_SECONDS", "0.2")
+    monkeypatch.setenv("STUDY_SECONDS", "0.05")
     suite = read("study.toml")
     store, team, seen = store_of([suite], folder / "runs"), [], []
     executor = Local(store.path, workers=1, idle=True)

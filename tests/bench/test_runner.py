@@ -213,7 +213,7 @@ def test_a_design_suite_runs_through(tmp_path):
 
 def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
     path = tmp_path / "o.toml"
-    path.write_text('kind = "ope"\nseeds = 2\nlogs = ["hopper-random-v2"]\nrows = 2000\n[methods]\nIS = { agent = "is" }\n'
+    path.write_text('kind = "ope"\nseeds = 2\nlogs = ["hopper-random-v2"]\nrows = 400\n[methods]\nIS = { agent = "is" }\n'
                     'PDIS = { agent = "pdis" }\n')  # fmt: skip
     store = Store(tmp_path / "out")
     jobs = plan(read(path))

@@ -148,6 +148,7 @@ def test_what_a_choice_by_estimates_loses_is_told():
     assert text.startswith("* alpha = 1.0")
 
 
+@pytest.mark.slow  # a log of one's own is chosen from in the same way below
 def test_estimates_choose_from_the_log_alone(tmp_path, capsys):
     small = ["--fixed", "hidden=[8]", "batch_size=16", "--rows", "600", "--steps", "20", "--seeds", "2", "--workers", "1"]
     small += ["--out", str(tmp_path)]
@@ -167,6 +168,12 @@ def test_estimates_choose_from_the_log_alone(tmp_path, capsys):
         own = [i for i, each in enumerate(estimates["policies"]) if runs[each["run"]] == trial["fields"]["alpha"]]
         assert trial["values"] == [estimates["results"][0]["value"][i] for i in own]
     assert tuned["best"] == max(tuned["trials"], key=lambda trial: np.mean(trial["values"]))["fields"]
+
+
+def test_the_command_counts_cells_and_refuses(tmp_path, capsys):
+    words = ["tune", "--agent", "td3_bc", "--data", UMAZE, "--values", "alpha=1.0,5.0", "--rows", "600", "--steps", "20"]
+    assert main([*words, "--seeds", "2", "--out", str(tmp_path), "--dry-run"]) == 0
+    assert "4 cells, 0 of them done" in capsys.readouterr().out
     assert main(["tune", "--agent", "td3_bc", "--data", UMAZE, "--workers", "-1", "--dry-run"]) == 2
     assert "workers must be 1 or more, got -1" in capsys.readouterr().err
     lists = ["--values", "hidden=[8],[8,8]", "--dry-run", "--out", str(tmp_path / "lists"), "--seeds", "1"]
@@ -190,6 +197,14 @@ def test_of_a_log_of_ones_own_what_is_held_out_is_looked_at_by_nobody(tmp_path, 
              "--fit.steps", "10", "--fit.members", "2", "--fit.hidden", "8"]  # fmt: skip
     assert main(words) == 0
     assert "chosen: --agent.alpha" in capsys.readouterr().out
+    # Estimates are those of the settings that they are told for.
+    tuned = json.loads((tmp_path / "tune" / "tuned.json").read_text())
+    estimates = json.loads((tmp_path / "tune" / "estimates" / "estimates.json").read_text())
+    tried = {row["job"]: json.loads(row["settings"])["alpha"] for row in Store(tmp_path / "tune").results().to_pylist()}
+    for trial in tuned["trials"]:
+        own = [i for i, each in enumerate(estimates["policies"]) if tried[each["run"]] == trial["fields"]["alpha"]]
+        assert trial["values"] == [estimates["results"][0]["value"][i] for i in own]
+    assert tuned["best"] == max(tuned["trials"], key=lambda trial: np.mean(trial["values"]))["fields"]
     held = set(log.episode_ids[Holdout().parts(log).held].tolist())
     estimated = set(judged[0].episode_ids.tolist())
     runs = [load(path.parent) for path in (tmp_path / "tune").rglob("run.json")]

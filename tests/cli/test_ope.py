@@ -9,6 +9,7 @@ from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
 from deadreckon.cli.ope import use
 from deadreckon.data.formats.hdf5 import write_hdf5
+from deadreckon.ope import ESTIMATORS, LinearFQE
 from deadreckon.runs.train import train
 from tests.ope.test_case import lqr
 
@@ -51,8 +52,10 @@ def test_from_files_to_a_decision(made, capsys):
     assert again == out
 
 
-def test_options_of_what_is_estimated(made, capsys):
+def test_options_of_what_is_estimated(made, capsys, monkeypatch):
     """A horizon, clusters that are no column, and who says that the policies are new to the log."""
+    words = ESTIMATORS["fqe-linear"][1]
+    monkeypatch.setitem(ESTIMATORS, "fqe-linear", (lambda: LinearFQE(fourier_features=16, n_bootstrap=20), words))
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe-linear"]
     common += ["--steps", "50", "--hidden", "8"]
     assert main([*common, "--horizon", "5", "--discount", "1", "--unseen", "--accept-model-based"]) == 0

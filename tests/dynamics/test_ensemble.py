@@ -35,6 +35,11 @@ def linear(n, seed=0):
     return {name: column.astype(np.float32) for name, column in columns.items()} | {"terminal": np.zeros(n, np.float32)}
 
 
+def created(model):
+    """A model's first parameters, by one program: one operation at a time, each would be compiled alone."""
+    return jax.jit(lambda key: model.create(SPEC, key))(jax.random.key(0))
+
+
 def test_likelihoods_equal_numpy():
     rng = np.random.default_rng(0)
     mean, target, log_variance = rng.standard_normal((3, 5)).astype(np.float32)
@@ -63,14 +68,14 @@ def test_gradients_equal_differences():
     rng = np.random.default_rng(0)
     with jax.enable_x64(True):
         model = Gaussian(members=2, hidden=(4,))
-        params = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.create(SPEC, jax.random.key(0)))
+        params = jax.tree.map(lambda leaf: np.asarray(leaf, float), created(model))
         inputs, target = (jnp.asarray(rng.standard_normal((2, 5, 3))) for _ in range(2))
         terminal = jnp.asarray(rng.integers(0, 2, (2, 5)), float)
         flat, back = ravel_pytree(params)
         loss = jax.jit(lambda flat: model.losses(back(flat), inputs, target, terminal, None).mean(-1).sum())
         moved = np.eye(len(flat)) * 1e-6
         differences = [(loss(flat + step) - loss(flat - step)) / 2e-6 for step in moved]
-        found = jax.grad(loss)(flat)
+        found = jax.jit(jax.grad(loss))(flat)
         assert found.dtype == np.float64
         np.testing.assert_allclose(found, differences, atol=1e-8)
         assert np.abs(found).max() > 0.1
@@ -79,7 +84,7 @@ def test_gradients_equal_differences():
 def test_losses_equal_numpy_for_each_member_on_its_own_rows():
     rng = np.random.default_rng(0)
     model = Gaussian(members=3, hidden=(8,))
-    params = model.create(SPEC, jax.random.key(0))
+    params = created(model)
     inputs, target = (rng.standard_normal((3, 4, k)).astype(np.float32) for k in (3, 3))
     terminal = rng.integers(0, 2, (3, 4)).astype(np.float32)
     found = model.losses(params, *map(jnp.asarray, (inputs, target, terminal)), jax.random.key(1))
@@ -101,6 +106,13 @@ def test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations(mo
     """Two rows by hand: (inputs, target, terminal) as every member is given them."""
     told, losses = [], Gaussian.losses
 
+    @jax.jit
+    def given(state, batch):
+        """What a traced update gives to `losses`."""
+        model.update(state, batch, step=jnp.int32(0), key=jax.random.key(0))
+        (one,) = told
+        return one
+
     def spy(self, params, inputs, target, terminal, key):
         told.append((inputs, target, terminal))
         return losses(self, params, inputs, target, terminal, key)
@@ -108,13 +120,12 @@ def test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations(mo
     monkeypatch.setattr(Gaussian, "losses", spy)
     monkeypatch.setattr(models, "stacks", lambda: 1)
     model = Gaussian(members=2, hidden=())
-    params = model.create(SPEC, jax.random.key(0))
+    params = created(model)
     batch = Batch(
         observation=jnp.array([[1.0, 2.0], [3.0, 4.0]]), action=jnp.array([[0.5], [-0.5]]), reward=jnp.array([6.0, -3.0]),
         next_observation=jnp.array([[1.5, 2.0], [3.0, 3.0]]), terminal=jnp.array([0.0, 1.0]),
     )  # fmt: skip
-    model.update((params, init_opt(params), jnp.float32(3.0)), batch, step=jnp.int32(0), key=jax.random.key(0))
-    ((inputs, target, terminal),) = told
+    inputs, target, terminal = given((params, init_opt(params), jnp.float32(3.0)), batch)
     np.testing.assert_allclose(inputs, [[[1.0, 2.0, 0.5], [3.0, 4.0, -0.5]]] * 2)
     np.testing.assert_allclose(target, [[[0.5, 0.0, 2.0], [0.0, -1.0, -1.0]]] * 2)
     np.testing.assert_allclose(terminal, [[0.0, 1.0]] * 2)
@@ -124,13 +135,13 @@ def test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations(mo
 def test_stacks_of_members_learn_what_one_stack_does(parts, monkeypatch):
     """Each member from its own rows, with its own weights of them."""
     net = Gaussian(members=3, hidden=(8,), layer_decay=(0.1, 0.2))
-    params, rng = net.create(SPEC, jax.random.key(0)), np.random.default_rng(0)
+    params, rng = created(net), np.random.default_rng(0)
     rows, target = rng.standard_normal((3, 16, 3)), rng.standard_normal((3, 16, 3))
     given = params, init_opt(params), rows, target, rng.random((3, 16)), rng.random((3, 16)), jax.random.key(0)
     monkeypatch.setattr(models, "stacks", lambda: 1)
-    new, _, told = net.step(*given)
+    new, _, told = jax.jit(lambda *given: net.step(*given))(*given)
     monkeypatch.setattr(models, "stacks", lambda: parts)
-    same, _, also = net.step(*given)
+    same, _, also = jax.jit(lambda *given: net.step(*given))(*given)
     np.testing.assert_allclose(ravel_pytree(same)[0], ravel_pytree(new)[0], rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(also["model_nll"], told["model_nll"], rtol=1e-6)
 
@@ -138,11 +149,11 @@ def test_stacks_of_members_learn_what_one_stack_does(parts, monkeypatch):
 def test_decay_of_layers_by_hand():
     """On rows that are predicted already only the decay has a gradient, whose sign is all of Adam's first step."""
     model = Gaussian(members=2, hidden=(4,), deterministic=True, layer_decay=(0.5, 0.25), weight_decay=0.0, lr=1e-3)
-    params = model.create(SPEC, jax.random.key(0))
+    params = created(model)
     rows = jnp.ones((2, 3, 3))
-    target, logit = model.sample(params, rows, None)
+    target, logit = jax.jit(lambda params: model.sample(params, rows, None))(params)
     chance = jax.nn.sigmoid(logit)  # a terminal of this much has no gradient either
-    new, _, _ = model.step(params, init_opt(params), rows, target, chance, 1.0, jax.random.key(0))
+    new, _, _ = jax.jit(model.step)(params, init_opt(params), rows, target, chance, 1.0, jax.random.key(0))
     for before, after in zip(params["nets"].weights, new["nets"].weights):
         np.testing.assert_allclose(after - before, -1e-3 * np.sign(before), rtol=1e-2)
 
@@ -158,26 +169,26 @@ def test_a_linear_world_is_found(fitted):
     assert report.rows == 3200
     inputs = np.concatenate([np.eye(3), np.zeros((1, 3))]).astype(np.float32)
     seen = jnp.broadcast_to(ensemble.standardise(inputs), (3, 4, 3))
-    mean, _ = model.sample(ensemble.best(), seen, None)
-    slopes = np.asarray(mean[:, :3] - mean[:, 3:]).mean(0).T  # (outputs, inputs)
+    mean = np.asarray(jax.jit(lambda params, seen: model.sample(params, seen, None)[0])(ensemble.best(), seen))
+    slopes = (mean[:, :3] - mean[:, 3:]).mean(0).T  # (outputs, inputs)
     np.testing.assert_allclose(slopes[:2, :2], A, atol=0.04)
     np.testing.assert_allclose(slopes[:2, 2:], B, atol=0.04)
     np.testing.assert_allclose(slopes[2], [1.0, 0.0, -1.0], atol=0.05)
     # The noise where the data is: at its edge, where few rows are, networks differ from machine to machine.
     fresh = linear(500, seed=1)
     inputs = ensemble.standardise(np.concatenate([fresh["observation"], fresh["action"]], 1))
-    _, log_variance, _ = model.heads(ensemble.best(), jnp.broadcast_to(inputs, (3, 500, 3)))
-    np.testing.assert_allclose(np.exp(0.5 * log_variance).mean((0, 1))[:2], NOISE, rtol=0.2)
+    spread = jax.jit(lambda params, seen: model.heads(params, seen)[1])
+    log_variance = spread(ensemble.best(), np.broadcast_to(inputs, (3, 500, 3)))
+    np.testing.assert_allclose(np.exp(0.5 * np.asarray(log_variance)).mean((0, 1))[:2], NOISE, rtol=0.2)
 
 
 def test_intervals_are_calibrated_on_rows_held_out(fitted):
     model, ensemble, _ = fitted
     fresh = linear(2000, seed=1)
     inputs = ensemble.standardise(np.concatenate([fresh["observation"], fresh["action"]], 1))
-    drawn = [
-        np.asarray(model.sample(ensemble.best(), jnp.broadcast_to(inputs, (3, 2000, 3)), jax.random.key(i))[0])
-        for i in range(100)
-    ]
+    params, inputs = ensemble.best(), np.broadcast_to(inputs, (3, 2000, 3))
+    draw = jax.jit(lambda seed: model.sample(params, inputs, jax.random.key(seed))[0])
+    drawn = [np.asarray(draw(i)) for i in range(100)]
     low, high = np.percentile(np.concatenate(drawn), [5.0, 95.0], 0)
     change = fresh["next_observation"] - fresh["observation"]
     inside = ((low[:, :2] <= change) & (change <= high[:, :2])).mean(0)
@@ -229,6 +240,7 @@ def test_refusals():
         Trainer().fit(Gaussian(members=2, hidden=(4,), lr=1e30), SPEC, linear(100), 0)
 
 
+@pytest.mark.slow  # a matter of learning; its numbers are golden
 def test_the_autoregressive_model_knows_what_numbers_have_to_do_with_each_other():
     """Both numbers become one draw, which no diagonal model can say."""
     rng = np.random.default_rng(0)
@@ -241,7 +253,7 @@ def test_the_autoregressive_model_knows_what_numbers_have_to_do_with_each_other(
     for kind in (AutoRegressive, Gaussian):
         model = kind(members=1, hidden=(16,), lr=1e-2)
         params, _, _ = fit([model], TransitionSource(log, model.needs(log.spec)), [0], 600).lane(0)
-        change = model.draw(params, jnp.asarray(seen[None], jnp.float32), jnp.zeros((1, 2000, 1)), jax.random.key(1))
+        change = jax.jit(model.draw)(params, jnp.asarray(seen[None], jnp.float32), jnp.zeros((1, 2000, 1)), jax.random.key(1))
         correlation[kind] = np.corrcoef(np.asarray(change.observation[0]).T)[0, 1]
     assert correlation[AutoRegressive] > 0.9
     assert abs(correlation[Gaussian]) < 0.1

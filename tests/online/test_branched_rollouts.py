@@ -114,10 +114,15 @@ def test_several_seeds_are_what_each_is_alone():
     np.testing.assert_allclose(experience._buffer[1], single._buffer[0], atol=1e-3)
 
 
+@pytest.fixture(scope="module")
+def whole():
+    fit, _ = job()
+    walk(fit)
+    return fit
+
+
 @pytest.mark.parametrize("killed", [15, 25])  # where a fit of the model is due, and between two
-def test_a_run_goes_on_where_it_stopped(tmp_path, killed):
-    whole, _ = job()
-    walk(whole)
+def test_a_run_goes_on_where_it_stopped(whole, tmp_path, killed):
     paths = [tmp_path / "replay" / "seed0.bin"]
     first, _ = job(paths=paths, folder=tmp_path / "c")
     walk(first, killed)

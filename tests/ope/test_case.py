@@ -60,6 +60,7 @@ def riccati(gain: float, noise: float, discount: float) -> float:
     return -(p + c)
 
 
+@pytest.mark.slow  # in tables it is exact, see test_exact.py; its numbers here are golden
 def test_fqe_on_lqr_has_the_riccati_value():
     log = lqr(-0.5, 0.5, 300, 40)
     policies = [linear(-0.5, 0.5), linear(-1.0, 0.2), linear(0.0, 0.3)]

@@ -60,7 +60,11 @@ def test_values_are_true_within_their_intervals(world, name):
     assert found.diagnostics.get("pareto k", np.zeros(3))[2] <= 0.0
 
 
-@pytest.mark.parametrize("name", NEW)
+# Switching has a file of its own, and shrinking is the same code with another weight.
+SLOW = ("switch", "dros")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in NEW])
 def test_the_truth_lies_within_as_often_as_promised(name):
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]

@@ -143,7 +143,8 @@ def test_a_linear_quadratic_problem_is_solved_by_products_of_features():
     )  # fmt: skip
     draw = lambda seen, rng: -0.5 * seen + 0.3 * rng.standard_normal(seen.shape)  # noqa: E731
     density = lambda seen, a: stats.norm.logpdf(a, -0.5 * seen, 0.3)[:, 0]  # noqa: E731
-    found = DRL.on(OPEInput(log, BlackBoxPolicy(draw, density), discount=1.0, horizon=steps, logged=True))
+    few = DoublyRobust(kind="marginal", fqe=LinearFQE(fourier_features=16))  # the products are all that it needs
+    found = few.on(OPEInput(log, BlackBoxPolicy(draw, density), discount=1.0, horizon=steps, logged=True))
     mean, variance, exact = 1.0, 0.0, 0.0
     for _ in range(steps):
         second = mean**2 + variance
@@ -189,10 +190,11 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     log = bandit(np.random.default_rng(0))
     part, held = log.split(0.8)
     policy = memory(part)
-    own = decide(OPEInput(part, policy, discount=0.0, logged=True, noise=None), model=QUICK)
+    case = OPEInput(part, policy, discount=0.0, logged=True, noise=None)
+    own = decide(case, [DR], model=QUICK)
     assert own.choice.low > 0.2  # which is why it must be told
     known = ["it has learned from these episodes"]
-    told = decide(OPEInput(part, policy, discount=0.0, logged=True, noise=None), seen=known, model=QUICK)
+    told = decide(case, [DR], seen=known, model=QUICK)
     assert not told.choice.deploy
     assert "it has learned from these episodes" in told.choice.reason
     fresh = np.isin(log.episode_ids, held.episode_ids)
@@ -445,6 +447,7 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
     assert stats.binom.cdf(hits, 30, 0.95) > 0.01, hits
 
 
+@pytest.mark.slow  # one such log is looked at above
 def test_pure_noise_is_never_praised():
     """Policies that memorised the learning part, on 12 logs of noise: none is deployed (2.5 % of looks may be, in theory)."""
     deployed = 0

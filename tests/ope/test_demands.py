@@ -201,6 +201,7 @@ def test_gains_by_group():
         decide(case_of(log), [LINEAR], tail=2.0)
 
 
+@pytest.mark.slow  # simultaneous intervals are looked at in test_decide.py, on which these rest
 def test_intervals_of_groups_hold_at_once():
     rng, missed = np.random.default_rng(0), []
     for _ in range(60):

@@ -292,11 +292,11 @@ def test_what_does_not_fit_is_told_before_anything_is_written(agent, change, wor
 
 
 def test_a_run_is_opened_again_to_look_into(run, tmp_path):
-    lanes = [dr.agents.SAC(hidden=(8,), batch_size=16, actor_lr=lr) for lr in (1e-3, 1e-4)]
+    lanes = [Little(lr=lr) for lr in (1e-3, 1e-2)]
     trained = train(tmp_path / "run", lanes, seeds=2)
     job = module.reopened(trained.path)
     assert job.step == UPDATES
-    assert [(agent.actor_lr, agent.hidden) for agent in job.learners] == [(1e-3, (8,)), (1e-4, (8,))]
+    assert [(agent.lr, agent.hidden) for agent in job.learners] == [(1e-3, (4,)), (1e-2, (4,))]
     seen = np.random.default_rng(0).normal(size=(5, 11)).astype(np.float32)
     for lane, policy in enumerate(trained.policies):
         state = jax.tree.map(lambda leaf, lane=lane: leaf[lane], job.states)

@@ -29,7 +29,7 @@ from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import RecommendSettings
 
 
-def a_log(episodes=40, length=10, seed=0):
+def a_log(episodes=60, length=10, seed=0):
     """The reward is how near the action is to the observation's first entry; the log acts at random."""
     rng = np.random.default_rng(seed)
     observations = rng.uniform(-0.8, 0.8, (episodes * length, 2)).astype(np.float32)
@@ -85,8 +85,15 @@ STATES = textwrap.dedent("""
 """)
 
 
-@pytest.mark.parametrize("budget", [1.0, 3.0])
-@pytest.mark.parametrize("what", ["hangs", "ignores signals", "talks for ever", "has ended but lives on"])
+# One of them has no mercy in the fast tests too, which wait for every second of it.
+HANG = [pytest.param(3.0, "ignores signals")] + [
+    pytest.param(budget, what, marks=pytest.mark.slow if budget > 1.0 else ())
+    for what in ("hangs", "ignores signals", "talks for ever", "has ended but lives on")
+    for budget in (1.0, 3.0) if (budget, what) != (3.0, "ignores signals")
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("budget", "what"), HANG)
 def test_there_is_a_card_in_time_whatever_the_work_does(doing, tmp_path, budget, what):
     doing({
         "hangs": "time.sleep(600)",
@@ -283,12 +290,12 @@ def test_policies_learn_from_one_part_and_are_judged_by_the_other(small, tmp_pat
     runs = [dr.load_run(out / name) for name in ("bc", "bold")]
     assert runs[1].config["agent"]["fields"]["lr"] == 1e-3
     held = runs[0].held
-    assert len(held) == 8
+    assert len(held) == 12
     for part in (*seen, *(run.taught for run in runs)):  # pilots have not seen the rest either
-        assert len(part) == 32
+        assert len(part) == 48
         assert not np.isin(part, held).any()
     told = read_json(out / "estimates.json")
-    assert told["judged"]["episodes"] == 8
+    assert told["judged"]["episodes"] == 12
     assert told["judged"]["fresh"]
     assert not told["estimand"]["greedy"]
     assert told["truth"] is None
@@ -340,7 +347,7 @@ def test_a_fit_that_has_not_settled_does_not_deploy(small, tmp_path, monkeypatch
 
     real = Fit.critic
     monkeypatch.setattr(Fit, "critic", lambda self, *given: real(self, *given)._replace(settled=False))
-    sent, out = attempt(tmp_path, a_log(200))
+    sent, out = attempt(tmp_path, a_log())
     assert of(sent, "done") == [True]
     choice = read_json(out / "estimates.json")["choice"]
     assert not choice["deploy"]
@@ -401,8 +408,9 @@ def test_what_does_not_fit_is_refused_before_anything_is_learned(small, tmp_path
     assert not [state for state in of(sent, "state") if "candidates" in state]
 
 
+@pytest.mark.slow  # holding out by clusters is looked at in test_holdout.py, and judging by them in test_offline.py
 def test_clusters_are_held_out_whole(small, tmp_path):
-    log = a_log(60)
+    log = a_log()
     user = np.repeat(np.arange(20), 3)[log.episode_of]
     log = dr.Dataset.from_arrays(
         observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts, name="near",
@@ -417,7 +425,7 @@ def test_clusters_are_held_out_whole(small, tmp_path):
 
 
 def test_what_leaves_no_episode_for_the_card_is_refused(tmp_path):
-    log = a_log(60)
+    log = a_log()
     site = dr.Dataset.from_arrays(
         observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=log.timeouts, name="near",
         site=log.episode_of % 2,
@@ -433,13 +441,14 @@ def test_a_run_may_be_ended_early(tmp_path):
             raise StopTraining
 
     asked = {"steps": 100, "chunk": 20, "evaluate_every": 100}
-    run = dr.train("bc", a_log(), out=tmp_path / "run", watch=watch, **asked)
+    agent = dr.agents.BC(hidden=(8,), batch_size=16)
+    run = dr.train(agent, a_log(), out=tmp_path / "run", watch=watch, **asked)
     assert run.metrics["step"].to_pylist() == [20, 40]
     assert run.evaluations["step"].to_pylist() == [40]
     assert run.config["steps"] == 40
     # It can be gone on with, and then is what it would have been without the break.
-    resumed = dr.train("bc", a_log(), out=tmp_path / "run", resume=True, **asked)
-    whole = dr.train("bc", a_log(), out=tmp_path / "whole", **asked)
+    resumed = dr.train(agent, a_log(), out=tmp_path / "run", resume=True, **asked)
+    whole = dr.train(agent, a_log(), out=tmp_path / "whole", **asked)
     x = np.linspace(-0.5, 0.5, 8, dtype=np.float32).reshape(4, 2)
     assert resumed.config["steps"] == 100
     assert np.array_equal(resumed.policy(x), whole.policy(x))
@@ -452,7 +461,7 @@ def test_a_run_may_be_ended_early(tmp_path):
 def test_the_command_gives_a_card_where_there_is_no_time_to_speak_of(tmp_path, capsys):
     table = tmp_path / "log.csv"
     log = a_log()
-    rows = np.column_stack([np.repeat(np.arange(40), 10), log.observations, log.actions, log.rewards])
+    rows = np.column_stack([np.repeat(np.arange(60), 10), log.observations, log.actions, log.rewards])
     np.savetxt(table, rows, delimiter=",", header="day,x,y,dose,gain", comments="", fmt="%.6g")
     options = ["--action", "dose", "--reward", "gain", "--episode", "day", "--budget", "2s", "--holdout-by", "time"]
     assert main(["recommend", str(table), *options, "--out", str(tmp_path / "out")]) == 0

@@ -18,7 +18,7 @@ from deadreckon.tasks import task
 
 @pytest.fixture(scope="module")
 def log():
-    return generate("maze2d-umaze-v1", steps=6000, seed=0)
+    return generate("maze2d-umaze-v1", steps=2000, seed=0)
 
 
 def agent(**fields):

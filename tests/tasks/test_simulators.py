@@ -12,7 +12,11 @@ from deadreckon import tasks
 HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7, "pen": 22, "antmaze-umaze": 8,
             "ant-reach": 13, "relocate": 11}  # fmt: skip
 WORLDS = {name: replace(tasks.task(name), horizon=horizon) for name, horizon in HORIZONS.items()}
-every = pytest.mark.parametrize("task", WORLDS.values(), ids=WORLDS)
+# Slow are those that differ from a fast one in nothing but the body and the reward.
+SLOW = ("humanoid", "ant-reach", "relocate")
+every = pytest.mark.parametrize(
+    "task", [pytest.param(task, id=name, marks=pytest.mark.slow if name in SLOW else ()) for name, task in WORLDS.items()]
+)
 COPIES, STEPS = 40, 30  # enough copies for threads to be worth waking
 
 

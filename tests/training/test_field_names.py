@@ -101,7 +101,8 @@ def test_the_agents_of_the_packages_policies_are_known():
 def test_the_command_line_takes_other_names(tmp_path, capsys):
     log = str(tmp_path / "log.hdf5")
     write_hdf5(corridor(200), log)
-    words = ["train", "--agent", "iql", "--data", log, "--steps", "2", "--agent.hidden", "8", "--out", str(tmp_path / "run")]
+    words = ["train", "--agent", "iql", "--data", log, "--steps", "2", "--agent.hidden", "8", "--agent.batch-size", "8",
+             "--out", str(tmp_path / "run")]  # fmt: skip
     assert main([*words, "--agent.gamma", "0.9", "--agent.sharpness=2", "--agent.polyak", "0.1"]) == 0
     made = dr.load_run(tmp_path / "run").config["agent"]["fields"]
     np.testing.assert_allclose((made["discount"], made["beta"], made["tau"]), (0.9, 2.0, 0.1))

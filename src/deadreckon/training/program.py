@@ -169,7 +169,10 @@ def advance(
 def begin(learner: Any, spec: Spec, roots: Key[Array, "lanes"]) -> Any:
     """(lanes, ...) first states."""
     one = lambda learner, root: learner.init(spec, key_for(root, "init"))  # noqa: E731
-    return jax.vmap(one)(learner, roots)
+    # Arrays of Python's numbers are weakly typed and become strongly typed when they are updated: `advance` would be compiled
+    # for the first chunk and then once more, for the same numbers.
+    return jax.tree.map(lambda leaf: leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf,
+                        jax.vmap(one)(learner, roots))  # fmt: skip
 
 
 def shape_of(spec: Spec) -> Spec:
