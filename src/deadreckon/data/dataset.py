@@ -147,10 +147,9 @@ class Dataset:
             UserError: one line with the column and the row (counted from 0, as in the table given).
         """
         from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
-
         columns, extra, warnings, space = frame_columns(frame, name=name, **mapping)
-        about = {"name": name, "provenance": Provenance(source=source, extra=extra), "strict": strict}
-        log = cls.from_arrays(**columns, action_space=space, **about)
+        made = Provenance(source=source, extra=extra)
+        log = cls.from_arrays(**columns, action_space=space, name=name, provenance=made, strict=strict)
         return replace(log, warnings=(*warnings, *log.warnings))
 
     def __len__(self) -> int:
