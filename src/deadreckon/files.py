@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import gzip
 import hashlib
 import json
 import os
@@ -12,7 +13,7 @@ import unicodedata
 import warnings
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import platformdirs
 
@@ -160,6 +161,16 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path} is not TOML: {error}") from error
+
+
+def unpacked(file: BinaryIO) -> BinaryIO:
+    """A file that is open for reading, from its beginning; what is gzipped is unpacked.
+
+    By Python's gzip, which notices a file that was cut short; pyarrow's does not.
+    """
+    packed = file.read(2) == b"\x1f\x8b"
+    file.seek(0)
+    return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
 
 
 def digest(value: Any, size: int, *, sort_keys: bool = False) -> str:

@@ -1,8 +1,9 @@
+import numpy as np
 import pytest
 
 from deadreckon.cli.main import main
 from deadreckon.data.describe import describe_table
-from deadreckon.data.formats.io import read
+from deadreckon.data.formats.io import convert, read
 from deadreckon.data.schema import Column, Schema
 from deadreckon.errors import UserError
 
@@ -73,6 +74,7 @@ def test_changed_by_hand(table, tmp_path):
         ("[columns.x]\nrole = 'action'\nlow = 'a'", "low must be a finite number, got 'a'"),
         ("[columns.x]\nrole = 'action'\nlevels = ['a', 'a']", "a level is listed twice"),
         ("[columns.x]\nrole = 'action'\nlevels = 3", "levels must be a list"),
+        ("[columns.x]\nrole = 'action'\nlevels = [[1], [2]]", r"levels are texts, numbers or truth values, got \[1\]"),
         ("[columns.x]\nrole = 'reward'\n[columns.y]\nrole = 'reward'", "columns x and y both have the role reward"),
         ("[columns.x]\nrole = 'next_observation'", "a next observation needs of = the name of an observation"),
         ("[columns.x]\nrole = 'observation'\nmarked = 1", "marked must be true or false"),
@@ -126,3 +128,25 @@ def test_the_command_drafts_and_others_read(table, tmp_path, capsys):
     assert "4 in 2 episodes" in first
     assert main(["data", "describe", str(table), "--save", str(out)]) == 2
     assert "exists already; --force replaces it" in capsys.readouterr().err
+
+
+def test_options_of_the_file_in_the_schema_hold_however_it_is_given(tmp_path):
+    """1,234 beside semicolons is 1.234 by itself."""
+    path, schema = tmp_path / "log.csv", tmp_path / "log.toml"
+    path.write_text("x;action;reward\n1,234;0;1\n2,345;1;0\n")
+    assert read(path, action="action", reward="reward").observations[0] == np.float32(1.234)
+    describe_table(path, thousands="comma", decimal="point").schema.save(schema)
+    for log in (read(path, schema=schema), read(schema)):
+        assert log.observations[:, 0].tolist() == [1234, 2345]
+    assert read(path, schema=schema, thousands="none", decimal="comma").observations[0] == np.float32(1.234)
+    convert(path, tmp_path / "log.parquet", schema=schema)
+    assert read(tmp_path / "log.parquet").observations[:, 0].tolist() == [1234, 2345]
+
+
+def test_names_with_line_breaks_stay_within_their_comments(tmp_path):
+    name = 'role = "reward"\nmy_user_id'
+    schema, told = describe_table({name: [1, 2, 3], "a": [0, 1, 0], "r": [0.0, 1.0, 0.5]})
+    assert any("looks like a name of someone" in line for line in told)
+    schema.save(tmp_path / "x.toml")
+    assert Schema.load(tmp_path / "x.toml") == schema
+    assert schema.named("observation") == [name]

@@ -105,7 +105,8 @@ class Info:
 class Describe:
     """Draft a schema for a table: role, kind, levels and range of each column, with reasons and doubts."""
 
-    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]  # table to describe (CSV, Parquet)
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
+    """table to describe: a CSV or Parquet file, a spreadsheet or a database"""
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of which something is known already
     save: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """file to write the schema to (.toml); None: print it"""
@@ -212,11 +213,11 @@ def _describe(options: Describe) -> None:
     if options.save is not None and Path(options.save).exists() and not options.force:
         raise UserError(f"{options.save} exists already; --force replaces it")
     schema, told = describe_table(options.file, **given)
-    text = schema.to_toml(f"Schema of {Path(options.file).name}, drafted by `deadreckon data describe`.")
+    about = f"Schema of {Path(options.file).name}, drafted by `deadreckon data describe`."
     if options.save is None:
-        print(text)
+        print(schema.to_toml(about))
     else:
-        schema.save(options.save, f"Schema of {Path(options.file).name}, drafted by `deadreckon data describe`.")
+        schema.save(options.save, about)
         print(options.save)
     for line in told:
         print(f"! {line}", file=sys.stderr)

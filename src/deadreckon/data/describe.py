@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing
 from deadreckon.data.asked import Asked
-from deadreckon.data.cells import as_dates, compute, distinct, flat
 from deadreckon.data.draft import Drafted, draft
 from deadreckon.data.frame import frame_columns, to_arrow
 from deadreckon.data.schema import Column, Schema
@@ -63,7 +63,7 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
 def _about(column: Column, table: pa.Table) -> str:
     """Why a column has its role and kind, and what it holds."""
     values = flat(table, column.name)
-    absent = int(values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False).sum())
+    absent = int(is_missing(values).sum())
     holds = []
     dates = as_dates(values) if column.kind == "date" else None
     if dates is not None:

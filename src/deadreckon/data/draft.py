@@ -11,8 +11,8 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from deadreckon.data import roles
+from deadreckon.data.arrow import as_dates, decoded, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
 from deadreckon.data.asked import Asked, listed
-from deadreckon.data.cells import as_dates, decoded, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
 from deadreckon.data.kinds import FEW, asked_kinds, check_column, columns_like, kind_of
 from deadreckon.data.likeness import likeness
 from deadreckon.data.schema import ONE, Column, Role, Schema

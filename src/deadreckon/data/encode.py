@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.cells import (
+from deadreckon.data.arrow import (
     MOST_LEVELS,
     as_dates,
     category_codes,
@@ -16,6 +16,7 @@ from deadreckon.data.cells import (
     flags,
     flat,
     is_category,
+    is_missing,
     levels_of_whole_numbers,
     numbers,
     some_numbers,
@@ -96,18 +97,16 @@ class Encoder:
         by = {column.of: column.name for column in columns}
         unknown = np.ones(self.table.num_rows, bool)  # all of a row is missing
         for column in columns:
-            values = flat(self.table, column.name)
-            unknown &= values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False)
+            unknown &= is_missing(flat(self.table, column.name))
         parts: dict[str, np.ndarray] = {}
         for column in observed:
             like = self.resolved[column.name]
             source = by.get(column.name)
             if source is None:
                 raise UserError(f"{self.name}: observation {column.name} has no next observation; name it, or leave both out")
-            found, absent, _ = self._observed(replace(like, name=source, of=None))
-            found = {key.replace(source, column.name, 1): value for key, value in found.items()}
+            found, absent, _ = self._observed(replace(like, name=source))
             if like.marked:
-                found[f"{column.name}_missing"] = absent
+                found[f"{source}_missing"] = absent
             elif (absent & ~unknown).any():
                 row = int(np.argmax(absent & ~unknown))
                 raise UserError(f"{self.name}: column {source} is empty in row {row}, whose other next observations are known")
@@ -123,7 +122,7 @@ class Encoder:
         if column.kind == "category":
             codes, column = self._codes(column, values)
             found = {f"{name}={level}": codes == code for code, level in enumerate(column.levels or ())}
-            return found, values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False), column
+            return found, is_missing(values), column
         number, absent = some_numbers(self.name, name, values)
         if column.kind == "flag" and not np.isin(number[~absent], (0, 1)).all():
             row = int(np.argmax(~absent & ~np.isin(number, (0, 1))))
@@ -263,9 +262,8 @@ class Encoder:
     def complete(self, column: str) -> Any:
         """The column as one pyarrow array, refused if a value is missing."""
         values = flat(self.table, column)
-        absent = values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False)
-        if absent.any():
-            raise UserError(f"{self.name}: column {column} is empty in row {int(np.argmax(absent))}")
+        if (gone := is_missing(values)).any():
+            raise UserError(f"{self.name}: column {column} is empty in row {int(np.argmax(gone))}")
         if pa.types.is_nested(values.type):
             raise UserError(f"{self.name}: column {column} holds {values.type}, one plain value a row is needed")
         return values

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.data.arrow import log_probabilities, numbers
 from deadreckon.data.asked import Asked
-from deadreckon.data.cells import log_probabilities, numbers
 from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
 from deadreckon.data.kinds import check_column
-from deadreckon.data.schema import Column, Schema, given
+from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -87,8 +87,8 @@ def frame_columns(
         given_too = ", ".join(sorted(asked))
         raise UserError(f"{name}: the schema says what each column is; leave {given_too} out, or change the schema")
     else:
-        found, warnings = given(schema), []
-        warnings += _checked(table, found, name)
+        found = as_schema(schema)
+        warnings = _checked(table, found, name)
     return _log_columns(table, found, warnings, name)
 
 
@@ -176,7 +176,7 @@ def _ends_known(name: str, columns: dict[str, Any], unknown: np.ndarray, ends: n
     if not cut:
         breaks = (columns["observations"][1:] != columns["next_observations"][:-1]).any(1)
         timeouts[:-1] |= breaks & ~terminals[:-1]
-    timeouts |= unknown & ~terminals & ~timeouts if not cut else False
+        timeouts |= unknown & ~terminals
     stops = terminals | timeouts
     if (inside := unknown & ~stops).any():
         row = int(np.argmax(inside))

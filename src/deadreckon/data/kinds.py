@@ -6,7 +6,7 @@ from typing import Any
 import pyarrow as pa
 
 from deadreckon.data import roles
-from deadreckon.data.cells import as_dates, distinct, is_category, levels_of_whole_numbers, says_numbers
+from deadreckon.data.arrow import as_dates, distinct, is_category, levels_of_whole_numbers, says_numbers
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 

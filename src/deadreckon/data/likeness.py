@@ -3,11 +3,11 @@
 from typing import Any, NamedTuple
 
 import pyarrow as pa
-import pyarrow.compute
 
+from deadreckon.data.arrow import compute as _compute
+from deadreckon.data.arrow import is_string
 from deadreckon.errors import UserError
 
-_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 # Numbers with any marks, currencies and units of per cent; dates with any marks. RE2 knows no look-around.
 _NUMBER = r"^[+\-−]?[$€£]?\s?[.,]?\d[\d.,'’ \x{a0}\x{202f}]*(?:[eE][+-]?\d+)?\s?[%€$£\-]?$"
 _DATE = r"^(?:\d{1,4}[./-]\d{1,2}[./-]\d{1,4})(?:[ T].*)?$"
@@ -70,7 +70,7 @@ def refuse_mistaken(name: str, column: str, values: Any) -> None:
     Raises:
         UserError: naming the row of the first that is no number.
     """
-    if not (pa.types.is_string(values.type) or pa.types.is_large_string(values.type)):
+    if not is_string(values.type):
         return
     found = likeness(values)
     if found.mistaken:

@@ -1,14 +1,13 @@
 """What each column of a table is: its role, kind, levels, unit, range, and how missing values are filled; also as TOML."""
 
 import json
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import replacing
+from deadreckon.files import read_toml, replacing
 
 Role = Literal[
     "observation", "action", "reward", "next_observation", "episode", "time", "group", "terminal", "timeout", "propensity",
@@ -79,6 +78,8 @@ class Column:
         if self.levels is not None:
             if not isinstance(self.levels, list | tuple) or not self.levels:
                 raise UserError(f"{where}: levels must be a list of the values that the column may have, got {self.levels!r}")
+            if wrong := [level for level in self.levels if not isinstance(level, str | int | float | bool)]:
+                raise UserError(f"{where}: levels are texts, numbers or truth values, got {wrong[0]!r}")
             if len(set(map(repr, self.levels))) < len(self.levels):
                 raise UserError(f"{where}: a level is listed twice: {', '.join(map(str, self.levels))}")
             object.__setattr__(self, "levels", tuple(self.levels))
@@ -201,8 +202,9 @@ class Schema:
             lines += ["[table]", *(f"{key} = {_value(value)}" for key, value in self.table.items()), ""]
         for column in self.columns:
             lines.append(f"[columns.{json.dumps(column.name, ensure_ascii=False)}]")
-            lines += [f"# ? {column.doubt}"] if column.doubt else []
-            lines += [f"# {column.reason}"] if column.reason else []
+            # On one line whatever they quote, since what follows a line break would be no comment.
+            lines += [f"# ? {' '.join(column.doubt.split())}"] if column.doubt else []
+            lines += [f"# {' '.join(column.reason.split())}"] if column.reason else []
             lines += [*(f"{key} = {_value(value)}" for key, value in column.told().items()), ""]
         return "\n".join(lines)
 
@@ -218,20 +220,12 @@ class Schema:
         Raises:
             UserError: one line with the file and what is wrong in it.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except FileNotFoundError as error:
-            raise UserError(f"no file {path}; `deadreckon data describe TABLE --save {path}` drafts a schema") from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
-        try:
-            value = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise UserError(f"{path}: not TOML ({error})") from error
-        return cls.from_json(value, str(path))
+        if not Path(path).exists():
+            raise UserError(f"no file {path}; `deadreckon data describe TABLE --save {path}` drafts a schema")
+        return cls.from_json(read_toml(path), str(path))
 
 
-def given(schema: "Schema | Mapping[str, Any] | Path | str") -> Schema:
+def as_schema(schema: "Schema | Mapping[str, Any] | Path | str") -> Schema:
     """A schema as users may give it: the object, its JSON values, or the path of its TOML file."""
     if isinstance(schema, Schema):
         return schema

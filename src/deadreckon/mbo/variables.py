@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.cells import category_codes, is_category, is_number, numbers
+from deadreckon.data.arrow import category_codes, is_category, is_number, numbers
 from deadreckon.errors import UserError, unknown
 
 KINDS = ("continuous", "integer", "categorical")

@@ -5,13 +5,13 @@ from dataclasses import replace
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute
 
+from deadreckon.data.arrow import all_match, is_string
+from deadreckon.data.arrow import compute as _compute
 from deadreckon.data.formats.dates import dates_of
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.likeness import likeness
 
-_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 # Texts that stand for a missing value among numbers, dates and flags.
 MISSING = ("", "NA", "N/A", "n/a", "NaN", "nan", "NULL", "Null", "null", "None", "none", "#N/A", "#NV", "#NA")
 DASH = "-"  # among numbers only
@@ -44,7 +44,7 @@ def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str 
     flags: list[str] = []
     grouped: list[str] = []
     for name, values in zip(table.column_names, table.columns, strict=True):
-        if not (pa.types.is_string(values.type) or pa.types.is_large_string(values.type)):
+        if not is_string(values.type):
             continue
         trimmed = _compute.utf8_trim_whitespace(values)
         present = _without(trimmed, MISSING)
@@ -73,7 +73,7 @@ def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str 
     for name, values in zip(table.column_names, table.columns, strict=True):
         if name in done:
             values = done[name]
-        elif pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
+        elif is_string(values.type):
             values = _without(values, ("",))
             lines += _of_texts(f"column {name}", values)
         columns.append(values)
@@ -116,7 +116,7 @@ def _numbers(texts: Any, dialect: Dialect) -> tuple[Any, list[str], bool] | None
     # A sign stands before a number or, in exports of accounting, behind it, and not at both ends.
     forms = [rf"^(?:[+\-−]?{body}(?:[eE][+-]?\d+)?|{body}-)$" for body in bodies]
     for marked, form in enumerate(forms):
-        if _all(texts, form):
+        if all_match(texts, form):
             return *_parsed(texts, dialect), bool(marked)
     return None
 
@@ -134,13 +134,6 @@ def _parsed(texts: Any, dialect: Dialect) -> tuple[Any, list[str]]:
         example = texts.filter(_compute.fill_null(behind, False))[0].as_py()
         return _compute.cast(plain, kind), [f"a minus sign behind a number is one before it ({example!r})"]
     return _compute.cast(plain, kind), []
-
-
-def _all(texts: Any, pattern: str) -> bool:
-    for some in (texts[:_SAMPLE], texts):
-        if _compute.all(_compute.match_substring_regex(some, pattern)).as_py() is False:
-            return False
-    return texts.null_count < len(texts)
 
 
 def _any(texts: Any, pattern: str) -> bool:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute
 
-_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
+from deadreckon.data.arrow import all_match
+from deadreckon.data.arrow import compute as _compute
+
 _TIME = (
     r"(?:(?:,? +|T)(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,6}))?)?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?)?"
@@ -16,7 +17,6 @@ _LAST = rf"^(?P<first>\d{{1,2}})(?P<mark>[./-])(?P<second_>\d{{1,2}})[./-](?P<ye
 _FIRST = rf"^(?P<year>\d{{4}})(?P<mark>[./-])(?P<first>\d{{1,2}})[./-](?P<second_>\d{{1,2}}){_TIME}$"
 _ZONED = r"^\d{4}-\d{2}-\d{2}[ T]\d{2}:\d{2}(?::\d{2}(?:\.\d{1,6})?)?(?:Z|[+-]\d{2}:?\d{2})$"
 _ORDERS = {"day-first": "day{0}month{0}year", "month-first": "month{0}day{0}year"}
-_SAMPLE = 1_000  # rows that are looked at before all are
 
 
 @dataclass
@@ -48,10 +48,10 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
     found: dict[str, _Dates] = {}
     told: list[str] = []
     for name, texts in columns.items():
-        if _all(texts, _ZONED):
+        if all_match(texts, _ZONED):
             zoned = _cast(texts, pa.timestamp("us", "UTC"))
             done |= {} if zoned is None else {name: zoned}
-        elif _all(texts, _FIRST):
+        elif all_match(texts, _FIRST):
             parts = _parts(texts, _FIRST)
             moments = _moments(parts, "first", "second_")
             if moments is not None:
@@ -59,7 +59,7 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
                 if (mark := parts["mark"].drop_null()[0].as_py()) != "-":
                     text = f"{texts.drop_null()[0].as_py()!r} are read as year{mark}month{mark}day"
                     told.append(f"dates such as {text}: column {name}")
-        elif asked != "iso" and _all(texts, _LAST):
+        elif asked != "iso" and all_match(texts, _LAST):
             found[name] = _looked(texts)
     evident = {each.order for each in found.values() if each.order}
     common = evident.pop() if len(evident) == 1 else None
@@ -92,14 +92,6 @@ def _words(order: str, mark: str) -> str:
 
 def _listed(names: list[str]) -> str:
     return f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
-
-
-def _all(texts: Any, pattern: str) -> bool:
-    """Whether all that are not missing match, and one does; a few are tried first."""
-    for some in (texts[:_SAMPLE], texts):
-        if _compute.all(_compute.match_substring_regex(some, pattern)).as_py() is False:
-            return False
-    return texts.null_count < len(texts)
 
 
 def _parts(texts: Any, pattern: str) -> dict[str, Any]:

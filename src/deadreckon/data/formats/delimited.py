@@ -1,21 +1,20 @@
 """Text files of tables (CSV and its dialects, plain or gzipped) as pyarrow tables."""
 
 import csv
-import gzip
 import io
 import zlib
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import pyarrow as pa
-import pyarrow.compute
 from pyarrow import csv as arrow
 
+from deadreckon.data.arrow import compute as _compute
 from deadreckon.data.formats.cells import MISSING, converted, with_dates
 from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
 from deadreckon.errors import UserError, reading
+from deadreckon.files import unpacked
 
-_compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
 _NULLS = (*MISSING, "-nan", "-NaN", "#N/A N/A", "1.#QNAN", "-1.#IND")
 
@@ -36,7 +35,7 @@ def read_delimited(path: Path | str, asked: Dialect) -> tuple[pa.Table, Dialect,
         UserError: one line with the file and the line or the column.
     """
     with reading(path, "CSV", pa.ArrowException, EOFError, zlib.error), open(path, "rb") as file:
-        source = _unpacked(file)
+        source = unpacked(file)
         head, whole = _head(source)
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
@@ -52,13 +51,6 @@ def read_delimited(path: Path | str, asked: Dialect) -> tuple[pa.Table, Dialect,
             raise UserError(f"{path}: the log has no rows, only a line of names")
     table, order, lines = converted(table, dialect)
     return table, with_dates(dialect, order), told + lines
-
-
-def _unpacked(file: BinaryIO) -> BinaryIO:
-    packed = file.read(2) == b"\x1f\x8b"
-    file.seek(0)
-    # Through Python's gzip, which notices a file that was cut short; pyarrow's does not.
-    return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
 
 
 def _head(source: BinaryIO) -> tuple[bytes, bool]:
@@ -96,7 +88,7 @@ def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect) -> pa.Table:
 def _diagnose(path: Path | str, dialect: Dialect) -> None:
     """Refuses the first row that cannot be read, by its line; does nothing if there is none."""
     with open(path, "rb") as file:  # anew: threads of pyarrow may still be reading from the other
-        _refuse_rows(path, io.TextIOWrapper(_unpacked(file), dialect.encoding or "utf-8", newline=""), dialect)
+        _refuse_rows(path, io.TextIOWrapper(unpacked(file), dialect.encoding or "utf-8", newline=""), dialect)
 
 
 def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) -> None:

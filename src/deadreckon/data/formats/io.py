@@ -12,7 +12,7 @@ from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
 from deadreckon.data.formats.kind import TABLES, no_options, sniff
 from deadreckon.data.formats.open_bandit import open_bandit
-from deadreckon.data.schema import Schema
+from deadreckon.data.schema import Schema, as_schema
 from deadreckon.errors import UserError
 
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
@@ -46,11 +46,15 @@ def read(
     Raises:
         UserError: one line with the file, and column and row where they apply.
     """
+    mapping = {key: value for key, value in mapping.items() if value is not None}
     if _is_schema(path):
-        if mapping.get("schema") is not None:
+        if "schema" in mapping:
             raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
-        schema = Schema.load(path)
-        path, mapping = schema.file_beside(path), schema.options() | mapping | {"schema": schema}
+        mapping["schema"] = schema = Schema.load(path)
+        path = schema.file_beside(path)
+    if "schema" in mapping:
+        mapping["schema"] = schema = as_schema(mapping["schema"])
+        mapping = schema.options() | mapping
     kind = sniff(path, mapping.get("separator"))
     mapping, told = open_bandit(path, kind, mapping)
     options = _options(path, kind, mmap, horizon, mapping)
@@ -92,10 +96,8 @@ def _reader(kind: str) -> Callable[..., Dataset]:
         from deadreckon.data.formats.rllib import read_rllib as reader
     elif kind == "vw":
         from deadreckon.data.formats.vw import read_vw as reader
-    elif kind == "parquet":
-        from deadreckon.data.formats.tables import read_parquet as reader
     else:
-        from deadreckon.data.formats.tables import read_foreign as reader
+        from deadreckon.data.formats.tables import read_tabular as reader
     return reader
 
 
@@ -131,13 +133,13 @@ def convert(
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
-    kind = "schema" if _is_schema(source) else sniff(source, mapping.get("separator"))
-    if kind != "schema":
-        no_options(source, kind, mapping)
+    by_schema = _is_schema(source) or mapping.get("schema") is not None
+    kind = "table" if by_schema else sniff(source, mapping.get("separator"))
     if kind != "hdf5":
         log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)
         write(log, target, force)
         return log
+    no_options(source, kind, mapping)
     from deadreckon.data.formats.hdf5 import read_hdf5
 
     # A file larger than memory can be converted: its columns go through copies on disk, beside the target because the

@@ -1,10 +1,12 @@
 """The Open Bandit Dataset's tables: which column is what, told by their names."""
 
 import csv
-import gzip
+import io
 import re
 from pathlib import Path
 from typing import Any
+
+from deadreckon.files import unpacked
 
 _NEEDED = ("item_id", "position", "click", "propensity_score")
 _CONTEXT = re.compile(r"user_feature_\d+|user-item_affinity_\d+")
@@ -24,8 +26,7 @@ def open_bandit(path: Path | str, kind: str, mapping: dict[str, Any]) -> tuple[d
     if kind != "csv" or any(value is not None for value in mapping.values()):
         return mapping, []
     with open(path, "rb") as file:
-        packed = file.read(2) == b"\x1f\x8b"
-    with (gzip.open if packed else open)(path, "rt", encoding="utf-8", errors="replace", newline="") as lines:
+        lines = io.TextIOWrapper(unpacked(file), encoding="utf-8", errors="replace", newline="")
         names = next(csv.reader([lines.readline()]), [])
     context = [name for name in names if _CONTEXT.fullmatch(name)]
     if not context or not all(name in names for name in _NEEDED):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from deadreckon.data.arrow import log_probabilities, numbers
 from deadreckon.data.asked import Asked
-from deadreckon.data.cells import log_probabilities, numbers
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import columns_of

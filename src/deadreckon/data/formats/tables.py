@@ -1,4 +1,4 @@
-"""Logs as Parquet and CSV files. CSV keeps neither action bounds nor name; Parquet gives a log back exactly."""
+"""Logs from files of tables, and as CSV and Parquet. CSV keeps neither action bounds nor name; Parquet keeps all."""
 
 import json
 from pathlib import Path
@@ -18,41 +18,12 @@ from deadreckon.files import replacing
 _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header as JSON
 
 
-def read_parquet(
+def read_tabular(
     path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
 ) -> Dataset:
-    """Reads a Parquet file: one that `write_parquet` wrote, one with our column names, or any, given a mapping.
+    """Reads a file of a table: CSV in any dialect, Parquet, a spreadsheet, SQLite or DuckDB.
 
-    Args:
-        path: of the file.
-        strict: refuse actions out of bounds.
-        name: of the log; the file's if absent.
-        horizon: steps after which an episode is cut by a timeout, for files of our names that mark no time limits.
-        **mapping: which column is what, as for `from_frame`.
-
-    Raises:
-        UserError: one line with file, column and row.
-    """
-    ways = {key: mapping.pop(key) for key in READING if key in mapping}
-    table, _, told = read_table(path, **ways)
-    text = (table.schema.metadata or {}).get(_HEADER)
-    if text is None or any(value is not None for value in mapping.values()):
-        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
-        header = None
-    else:
-        header = Header.parse(path, text)
-        columns, extra, warnings, space = from_table(path, table, told_shapes(path, header)), {}, [], None
-    warnings = [*told, *warnings]
-    return build(
-        path, columns, header, source="parquet", extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
-        action_space=space,
-    )  # fmt: skip
-
-
-def read_foreign(
-    path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
-) -> Dataset:
-    """Reads a table that is not Parquet: CSV in any dialect, plain or gzipped, a spreadsheet, SQLite or DuckDB.
+    Parquet that `write_parquet` wrote gives the log back exactly, unless a mapping is given.
 
     Args:
         path: of the file.
@@ -65,20 +36,23 @@ def read_foreign(
         UserError: one line with file, column and row or line.
     """
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
+    kind = sniff(path, ways.get("separator"))
     table, _, told = read_table(path, **ways)
-    columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
-    kind, warnings = sniff(path, ways.get("separator")), [*told, *warnings]
+    text = (table.schema.metadata or {}).get(_HEADER) if kind == "parquet" else None
+    if text is None or any(value is not None for value in mapping.values()):
+        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
+        header = None
+    else:
+        header = Header.parse(path, text)
+        columns, extra, warnings, space = from_table(path, table, told_shapes(path, header)), {}, [], None
     return build(
-        path, columns, source=kind, extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
+        path, columns, header, source=kind, extra=extra, warnings=[*told, *warnings], strict=strict, name=name, horizon=horizon,
         action_space=space,
     )  # fmt: skip
 
 
-read_csv = read_foreign
-
-
 def write_parquet(log: Dataset, path: Path | str) -> None:
-    """Writes `log` as Parquet that `read_parquet` gives back exactly. Atomic."""
+    """Writes `log` as Parquet that `read_tabular` gives back exactly. Atomic."""
     table = to_table(log)
     header = Header.of(log, columns=shapes_of(log))
     with replacing(path) as temporary:
@@ -86,7 +60,7 @@ def write_parquet(log: Dataset, path: Path | str) -> None:
 
 
 def write_csv(log: Dataset, path: Path | str) -> None:
-    """Writes `log` as CSV; `read_csv` gives the values back as float32, without the action bounds. Atomic.
+    """Writes `log` as CSV; `read_tabular` gives the values back as float32, without the action bounds. Atomic.
 
     Raises:
         UserError: a column has more than one dimension a row, or the file cannot be written.

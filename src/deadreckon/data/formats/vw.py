@@ -1,6 +1,5 @@
 """Vowpal Wabbit's text format for contextual bandits: `action:cost:probability | features`, and its form of several lines."""
 
-import gzip
 import io
 import re
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError, naming, reading
+from deadreckon.files import unpacked
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LABEL = re.compile(rf"(\d+):({_NUMBER}):({_NUMBER})")
@@ -53,9 +53,7 @@ def read_vw(path: Path | str, *, strict: bool = False, name: str | None = None, 
     if horizon is not None:
         raise UserError(f"{path}: each example is an episode of one step; a horizon is for files that do not say")
     with reading(path, "VW's text", UnicodeDecodeError, EOFError), naming(path, ""), open(path, "rb") as file:
-        packed = file.read(2) == b"\x1f\x8b"
-        file.seek(0)
-        lines = io.TextIOWrapper(gzip.GzipFile(fileobj=file) if packed else file, encoding="utf-8")
+        lines = io.TextIOWrapper(unpacked(file), encoding="utf-8")
         examples, unlabelled, several = _examples(lines)
         columns, names, actions = _columns(examples)
     told = ["read as VW's layout: each example is an episode of one terminal step, the reward is minus the cost"]

@@ -1,4 +1,4 @@
-"""The values of a table's columns: what they hold, and as numbers, flags and levels."""
+"""Columns of tables as pyarrow arrays: what they hold, and as numbers, flags and levels."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,6 +10,7 @@ import pyarrow.compute
 from deadreckon.errors import UserError
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
+_SAMPLE = 1_000  # rows that are looked at before all are
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
 
@@ -23,16 +24,33 @@ def flat(table: pa.Table, column: str) -> Any:
     return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
 
 
+def is_string(kind: pa.DataType) -> bool:
+    """Whether a column holds plain texts, on which all functions of pyarrow work."""
+    return pa.types.is_string(kind) or pa.types.is_large_string(kind)
+
+
 def is_text(kind: pa.DataType) -> bool:
     """Whether a column holds texts, also as a dictionary of them."""
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    return any(test(kind) for test in (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view))
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return is_string(kind) or pa.types.is_string_view(kind)
 
 
 def is_category(kind: pa.DataType) -> bool:
     """Whether a column's values are levels: texts, categories, truth values."""
     return pa.types.is_dictionary(kind) or pa.types.is_boolean(kind) or is_text(kind)
+
+
+def is_missing(values: Any) -> np.ndarray:
+    """(rows,) bool, where a value is missing; NaN is."""
+    return values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False)
+
+
+def all_match(texts: Any, pattern: str) -> bool:
+    """Whether all texts that are not missing match a pattern of RE2, and one does; a few are tried first."""
+    for some in (texts[:_SAMPLE], texts):
+        if compute.all(compute.match_substring_regex(some, pattern)).as_py() is False:
+            return False
+    return texts.null_count < len(texts)
 
 
 def distinct(values: Any) -> int:
