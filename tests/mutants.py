@@ -1055,6 +1055,57 @@ MUTANTS = (
         'np.ravel_multi_index(tuple(index.T), tuple(counts.tolist()), order="F")',
         "joined actions stand for other combinations than their levels say", ("data/formats/test_minari.py",),
     ),
+    # ---- legal actions
+    Mutant(
+        "legal-net", "nets/mlp.py", "jnp.where(x[..., None, -self.mask :] > 0.5, parts, ILLEGAL)",
+        "jnp.where(x[..., None, -self.mask :] > -0.5, parts, ILLEGAL)", "networks give illegal actions values",
+        ("agents/test_legal.py",),
+    ),
+    Mutant(
+        "legal-heads", "nets/mlp.py", "out.reshape(*out.shape[:-1], -1, self.mask)",
+        "out.reshape(*out.shape[:-1], self.mask, -1).swapaxes(-1, -2)", "heads are masked in another order than they are read",
+        ("agents/test_legal.py::test_targets_look_at_legal_actions_alone",),
+    ),
+    Mutant(
+        "legal-standardised", "data/normalizer.py", "mean[-spec.mask_size :], std[-spec.mask_size :] = 0.0, 1.0",
+        "pass", "masks are standardised, so that what is rarely legal never is", ("agents/test_legal.py", "data/test_legal.py"),
+    ),
+    Mutant(
+        "legal-portable", "policies/portable.py", "np.where(seen[..., -mask:] > 0.5, x, _ILLEGAL) if mask else x",
+        "x", "the NumPy player takes illegal actions", ("agents/test_legal.py::test_no_draw_of_any_agent_is_illegal",),
+    ),
+    Mutant(
+        "legal-entropy", "agents/sac.py", "if spec.mask_size and spec.rows:", "if False:",
+        "the target entropy is of actions that are not legal, too", ("agents/test_legal.py",),
+    ),
+    Mutant(
+        "legal-next", "data/legal.py", "mask[:-1][~ends[:-1]] = legal[1:][~ends[:-1]]", "mask[~ends] = legal[~ends]",
+        "what is legal next is what was legal before", ("data/test_legal.py",),
+    ),
+    Mutant(
+        "legal-last", "data/legal.py", '"final_known": known & terminals[ends]}', '"final_known": known}',
+        "after the end of a recording everything is legal", ("data/test_legal.py",),
+    ),
+    Mutant(
+        "legal-logged", "data/legal.py", "count += int(illegal.sum())", "count += 0",
+        "logged actions may be illegal", ("data/test_legal.py",),
+    ),
+    Mutant(
+        "legal-renormalised", "ope/tables.py", "return chances * mask / kept", "return chances * mask",
+        "probabilities of legal actions do not sum to one", ("ope/test_legal.py",),
+    ),
+    Mutant(
+        "legal-told", "ope/tables.py", "mass + float(lost.sum()), rows + len(lost)", "float(lost.sum()), rows + len(lost)",
+        "illegal mass of earlier blocks is forgotten", ("ope/test_legal.py::test_how_much_is_illegal_is_told_exactly",),
+    ),
+    Mutant(
+        "legal-behaviour", "ope/behavior.py", "chances = chances * mask\n", "chances = chances * 1.0\n",
+        "the behaviour policy is believed to take illegal actions", ("ope/test_legal.py",),
+    ),
+    Mutant(
+        "legal-by-name", "data/legal_columns.py", "if own and any(len(cell)", "if any(len(cell)",
+        "a column is believed by its name alone", ("data/test_legal.py",),
+    ),
 )
 
 

@@ -94,8 +94,8 @@ def create_critics(
     """`count` Q-networks of (observation, action), stacked; of discrete actions they have an output each."""
     inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
     outputs = spec.action_size if spec.discrete else 1
-    make = lambda k: MLP.create(inputs, hidden, outputs, k, activation=activation, normalise=normalise, init=init)  # noqa: E731
-    return ensemble(make, count, key)
+    options: Any = {"activation": activation, "normalise": normalise, "init": init, "mask": spec.mask_size}
+    return ensemble(lambda k: MLP.create(inputs, hidden, outputs, k, **options), count, key)
 
 
 def bellman_loss(

@@ -8,6 +8,7 @@ Of continuous actions a' and the actor are TD3's, as in D4RL's table, and the ac
 actions a' maximises the same mixture, as published, and the policy takes the best action by the mean.
 """
 
+import dataclasses
 from typing import Any, ClassVar
 
 import jax
@@ -41,7 +42,8 @@ class REM(TD3):
         ka, kc = keys(key, "actor", "critics")
         inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
         outputs = self.heads * (spec.action_size if spec.discrete else 1)
-        critic = MLP.create(inputs, self.hidden, outputs, kc, normalise=self.layer_norm, init=self.critic_init)
+        options: Any = {"normalise": self.layer_norm, "init": self.critic_init, "mask": spec.mask_size}
+        critic = MLP.create(inputs, self.hidden, outputs, kc, **options)
         actor: Any = ()
         if not spec.discrete:
             actor = MLP.create(spec.observation_size, self.hidden, spec.action_size, ka, init=self.actor_init)
@@ -91,7 +93,8 @@ def averaged(critic: MLP, heads: int) -> MLP:
     """The network whose outputs are means over the heads: of its last layer's, which are heads times actions."""
     weights, bias = critic.weights[-1], critic.biases[-1]
     last = weights.reshape(len(weights), heads, -1).mean(1), bias.reshape(heads, -1).mean(0)
-    return MLP((*critic.weights[:-1], last[0]), (*critic.biases[:-1], last[1]), critic.activation, critic.normalise)
+    weights, biases = (*critic.weights[:-1], last[0]), (*critic.biases[:-1], last[1])
+    return dataclasses.replace(critic, weights=weights, biases=biases)
 
 
 def mixture(weights: Float[Array, "k"], values: Float[Array, "b k *n"]) -> Float[Array, "b *n"]:

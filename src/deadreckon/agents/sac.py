@@ -58,8 +58,14 @@ class SAC(Agent):
         agent = super().resolve(spec, steps)
         if self.target_entropy is not None:
             return agent
-        # For discrete actions a tenth of the maximum entropy, so that the policy is nearly greedy.
-        return agent.replace(target_entropy=0.1 * math.log(spec.action_size) if spec.discrete else -float(spec.action_size))
+        if not spec.discrete:
+            return agent.replace(target_entropy=-float(spec.action_size))
+        # A tenth of the maximum entropy, so that the policy is nearly greedy; of legal actions a bound from below of its mean,
+        # E[log k] >= (E[k] - 1) / (n - 1) log n, since the logarithm is concave: a target above it could not be reached.
+        most = math.log(spec.action_size)
+        if spec.mask_size and spec.rows:
+            most *= (float(spec.observation.mean[-spec.mask_size :].sum()) - 1.0) / max(spec.action_size - 1, 1)
+        return agent.replace(target_entropy=0.1 * most)
 
     def needs(self, spec):
         """Transitions."""

@@ -74,6 +74,9 @@ class Mapping:
     """columns to keep that are not observations, such as a user to hold out by"""
     group: Annotated[str | None, _COLUMN] = None  # column, such as a user, whose episodes are held out together
     cost: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns of costs, which are neither observation nor reward
+    legal: Annotated[tuple[str, ...] | None, _COLUMNS] = None
+    """column that lists the legal actions (a|b), or one 0/1 column per action: `legal` stands for legal_a, legal_b and so on"""
+    next_legal: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # likewise for the next observations
     weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are kept beside the log
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
     """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""

@@ -20,6 +20,8 @@ class Asked(NamedTuple):
     keep: str | Sequence[str] = ()
     group: str | None = None
     cost: str | Sequence[str] = ()
+    legal: str | Sequence[str] | None = None
+    next_legal: str | Sequence[str] | None = None
     weight: str | None = None
     kinds: Mapping[str, str] | Sequence[str] = ()
 

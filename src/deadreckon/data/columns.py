@@ -10,8 +10,9 @@ from deadreckon.errors import UserError
 
 NEEDED = ("observations", "actions", "rewards")
 COLUMNS = (*NEEDED, "terminals", "timeouts", "next_observations", "final_observations", "final_known")
+MASKS = ("legal", "next_legal", "final_legal")  # become part of the observations
 # Names that a further column cannot have, because they are arguments of `Dataset.from_arrays`.
-RESERVED = frozenset({*COLUMNS, "action_space", "name", "provenance", "strict", "cls"})
+RESERVED = frozenset({*COLUMNS, *MASKS, "action_space", "name", "provenance", "strict", "cls"})
 _ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 LOG_PROBS = "behavior_log_probs"  # the further column of the logging policy's log-probabilities
 
@@ -60,11 +61,18 @@ def renamed(source: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:
     """
     given: dict[str, Any] = {}
     for key, column in columns.items():
-        key = f"infos_{key}" if key in RESERVED and key not in COLUMNS else key
+        key = f"infos_{key}" if key in RESERVED and key not in (*COLUMNS, *MASKS) else key
         if key in given:
             raise UserError(f"{source}: two columns would be called {key}; rename one")
         given[key] = column
     return given
+
+
+def in_memory(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of a log's fields that hold memory-mapped columns, read into memory."""
+    read = lambda column: np.array(column) if isinstance(column, np.memmap) else column  # noqa: E731
+    found = {name: read(value) for name, value in columns.items() if isinstance(value, np.memmap)}
+    return found | {"extras": {key: read(value) for key, value in columns["extras"].items()}}
 
 
 def unmarked(given: Mapping[str, Any], lengths: np.ndarray) -> list[str]:

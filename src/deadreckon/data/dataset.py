@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.checks import bounds_warnings, checked_columns, if_needed
-from deadreckon.data.columns import given_columns, unmarked
+from deadreckon.data.columns import given_columns, in_memory, unmarked
 from deadreckon.data.episodes import content_ids, fingerprint, returns_to_go, rows_of
+from deadreckon.data.legal import check_masks, joined_masks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
 from deadreckon.data.split import Holdout
@@ -67,6 +68,9 @@ class Dataset:
         next_observations: np.ndarray | None = None,
         final_observations: np.ndarray | None = None,
         final_known: np.ndarray | None = None,
+        legal: np.ndarray | Callable[[np.ndarray], np.ndarray] | None = None,
+        next_legal: np.ndarray | None = None,
+        final_legal: np.ndarray | None = None,
         action_space: Box | Discrete | None = None,
         name: str = "arrays",
         provenance: Provenance | None = None,
@@ -82,10 +86,12 @@ class Dataset:
             terminals: (rows,) truth values; all false if absent.
             timeouts: (rows,) truth values. If absent, an episode ends at a terminal, at the last row and, where
                 `next_observations` is given, wherever the next row does not continue it.
-            next_observations: (rows, *shape); kept as a column only if it differs from the following row inside an
-                episode, else reduced to the final observation of each episode.
+            next_observations: (rows, *shape); kept only where they differ from the following row inside an episode.
             final_observations: (episodes, *shape), instead of `next_observations`.
             final_known: (episodes,) truth values, false where the log does not say; all true if absent.
+            legal: (rows, n) truth values, which discrete actions could be taken, or a function that gives them for observations
+                (rows, numbers). They become the last n numbers of the observations, which all methods and policies obey.
+            next_legal, final_legal: (rows, n), (episodes, n) likewise of next or final observations (`legal.joined_masks`).
             action_space: bounds of the actions; the range of the data if absent.
             name: of the log.
             provenance: where the columns come from.
@@ -99,10 +105,12 @@ class Dataset:
         columns = {
             "observations": observations, "actions": actions, "rewards": rewards, **extras, "terminals": terminals,
             "timeouts": timeouts, "next_observations": next_observations, "final_observations": final_observations,
-            "final_known": final_known,
+            "final_known": final_known, "legal": legal, "next_legal": next_legal, "final_legal": final_legal,
         }  # fmt: skip
         given = {key: column for key, column in columns.items() if column is not None or key in extras}
+        given, action_space = joined_masks(name, given, action_space)
         log = cls(**checked_columns(name, given, action_space), name=name, provenance=provenance or Provenance())
+        check_masks(name, log.observations, log.actions, log.action_space)
         warnings = bounds_warnings(name, log.actions, log.action_space, strict)
         if lost := log.dropped:
             warnings += [f"{lost} of {len(log)} rows have no known successor (the log ends there without a terminal), left out"]
@@ -199,10 +207,7 @@ class Dataset:
 
     @cached_property
     def episode_ids(self) -> np.ndarray:
-        """(episodes,) uint64 that tell episodes apart and know them again; see `data.episodes.content_ids`.
-
-        The same content gives the same numbers whatever file it is read from. A part has those of the log it was taken from.
-        """
+        """(episodes,) uint64 that tell episodes apart and know them again, in any file and part, `episodes.content_ids`."""
         if self.part_of is not None and len(ids := self.part_of()) == self.episodes:
             return ids
         return content_ids(self)
@@ -243,14 +248,8 @@ class Dataset:
 
     def loaded(self) -> "Dataset":
         """The same log with its memory-mapped columns read into memory, so that their files may go."""
-        read = lambda column: np.array(column) if isinstance(column, np.memmap) else column  # noqa: E731
-        fields = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations", "final_known")
-        return replace(
-            self,
-            **{name: read(getattr(self, name)) for name in (*fields, "successors")},
-            extras={key: read(value) for key, value in self.extras.items()},
-            part_of=None if self.part_of is None else lambda ids=self.episode_ids: ids,
-        )
+        ids = self.episode_ids if self.part_of is not None else None
+        return replace(self, **in_memory(vars(self)), part_of=None if ids is None else lambda: ids)
 
     def select(self, episodes: Sequence[int] | np.ndarray, name: str | None = None) -> "Dataset":
         """The log with only these episodes, in this order."""

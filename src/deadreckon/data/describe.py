@@ -73,7 +73,7 @@ def _about(column: Column, table: pa.Table) -> str:
         known = values.filter(compute.is_valid(values)).to_numpy(zero_copy_only=False)
         known = known[np.isfinite(known)]
         holds += [f"{known.min():g} .. {known.max():g}"] if len(known) else []
-    if column.kind in ("integer", "category"):
+    if column.kind in ("integer", "category") and not pa.types.is_nested(values.type):
         holds.append(f"{distinct(values):,} different values")
     if absent:
         holds.append(f"{absent:,} missing")

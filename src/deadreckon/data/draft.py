@@ -14,11 +14,13 @@ from deadreckon.data import roles
 from deadreckon.data.arrow import as_dates, decoded, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
 from deadreckon.data.asked import Asked, listed
 from deadreckon.data.kinds import FEW, asked_kinds, check_column, columns_like, kind_of
+from deadreckon.data.legal_columns import find_legal
 from deadreckon.data.likeness import likeness
 from deadreckon.data.schema import ONE, Column, Role, Schema
 from deadreckon.errors import UserError
 
 FREE_TEXT = 50  # different texts beyond which a column may be comments or identifiers: if there are fewer than ten rows of each
+_LEGAL: tuple[Role, ...] = ("legal", "next_legal")
 _CODED = re.compile(r"(code|type|class|kind|category|cat|group|region|zone|zip|postcode|status)$", re.IGNORECASE)
 
 
@@ -61,7 +63,7 @@ class _Maker:
         self.table, self.asked, self.name = table, asked, name
         self.names = table.column_names
         self.roles: dict[str, tuple[Role, str]] = {}  # and why
-        self.of: dict[str, str] = {}  # next observations
+        self.of: dict[str, str] = {}  # of next observations, or of columns of legal actions
         self.kept: set[str] = set()  # beside the log, whatever their role
         self.doubts: dict[str, str] = {}
         self.told: list[str] = []
@@ -78,7 +80,7 @@ class _Maker:
             before = self.roles.setdefault(column, (role, why))[0]
             if before != role:
                 how = "ignore it, or name other observations" if role == "observation" else "one column has one role"
-                raise UserError(f"{self.name}: column {column} is {_a(before)} and {_a(role)}; {how}")
+                raise UserError(f"{self.name}: column {column} is {roles.named(before)} and {roles.named(role)}; {how}")
 
     def doubt(self, column: str, text: str) -> None:
         """What should be checked; told, and noted at the column."""
@@ -108,7 +110,7 @@ class _Maker:
         """Next observations that are asked for: by their names, or by their places."""
         following = self.several(self.asked.next_observations)
         named = self.asked.observations is not None
-        rest = [column for column in self.rest_but(following) if not self.left(column)]
+        rest = [column for column in self.rest_but(following) if not roles.not_observed(column)]
         observed = self.having("observation") if named else rest
         pairs = {c: o for c, o in roles.next_of(self.names).items() if c in following and o in observed}
         if len(pairs) < len(following):
@@ -131,6 +133,7 @@ class _Maker:
     def by_name(self) -> None:
         """Roles for what was not asked for."""
         self.needed_by_name()
+        self.legal()
         if index := [column for column in roles.row_numbers(self.names) if column not in self.roles]:
             self.give(index, "ignore", "looks like a row number")
             self.told.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
@@ -172,13 +175,24 @@ class _Maker:
                 text = f"column {columns[0]} is" if len(columns) == 1 else f"columns {', '.join(columns)} are"
                 self.told.append(f"{text} read as the action (--action)")
 
+    def legal(self) -> None:
+        """Columns that say which actions are legal, those asked for or those whose names and values leave no doubt."""
+        for role in _LEGAL:
+            asked = getattr(self.asked, role)
+            free = [c for c in self.names if c not in self.roles]
+            found = find_legal(self.name, self.table, role, asked, self.having("action"), free)
+            self.give(list(found), role, "by its name" if asked is None else "asked for")
+            self.of |= {column: of for column, of in found.items() if of is not None}
+            shown = listed(list(found)) if found and asked is None else ""
+            self.told += [f"{shown} say which actions are legal (--{role.replace('_', '-')})"] if shown else []
+
     def free(self, role: str) -> list[str]:
         """Columns whose names suggest the role and that have none."""
         return [column for column in self.names if column not in self.roles and roles.like(role, column)]
 
     def following_by_name(self) -> None:
         """Next observations whose names say whose."""
-        if self.of:
+        if self.having("next_observation"):
             return
         named = self.asked.observations is not None
         observed = self.having("observation") if named else self.rest_but(())
@@ -188,7 +202,7 @@ class _Maker:
             return
         found = ", ".join(list(pairs)[:4]) + (", ..." if len(pairs) > 4 else "")
         paired = {*pairs, *pairs.values()}
-        lacking = [column for column in observed if column not in paired and not self.left(column)]
+        lacking = [column for column in observed if column not in paired and not roles.not_observed(column)]
         if lacking:
             self.give(list(pairs), "ignore", "looks like a next observation")
             shown = ", ".join(lacking[:4])
@@ -197,11 +211,6 @@ class _Maker:
             self.give(list(pairs), "next_observation", "by its name")
             self.of |= pairs
             self.told.append(f"columns {found} are read as next observations (--next-observations)")
-
-    def left(self, column: str) -> bool:
-        """Whether a column will have another role by its name, so that it needs no next observation."""
-        others = (r for r in ("terminal", "timeout", "propensity", "cost", "episode", "time") if roles.like(r, column))
-        return next(others, None) is not None or roles.DONE.fullmatch(column.lower()) is not None
 
     def ends_by_name(self) -> None:
         """Flags of ends, episodes and times, where names and values agree."""
@@ -275,24 +284,15 @@ class _Maker:
         columns = []
         # Dimensions are in the order in which they were asked for.
         asked = [*self.several(self.asked.observations), *self.several(self.asked.action)]
+        alone = len(self.having("action")) == 1
         for name in dict.fromkeys([*(name for name in asked if name in self.roles), *self.names]):
             role, why = self.roles[name]
-            kind, reason, doubt = kind_of(
-                name, flat(self.table, name), role, alone=len(self.having("action")) == 1, asked=self.kinds.get(name)
-            )
+            kind, reason, doubt = kind_of(name, flat(self.table, name), role, alone=alone, asked=self.kinds.get(name))
             if doubt:
                 self.doubt(name, doubt)
             why, keep = ", ".join(filter(None, (why, reason))), name in self.kept and role != "keep"
-            column = Column(name, role, kind, keep=keep, of=self.of.get(name), reason=why, doubt=self.doubts.get(name, ""))
-            columns.append(column)
+            of, doubt = self.of.get(name), self.doubts.get(name, "")
+            columns.append(Column(name, role, kind, keep=keep, of=of, reason=why, doubt=doubt))
         kinds = {column.name: column.kind for column in columns}
-        columns = [column if column.of is None else replace(column, kind=kinds[column.of]) for column in columns]
+        columns = [replace(c, kind=kinds[str(c.of)]) if c.role == "next_observation" else c for c in columns]
         return Drafted(Schema(tuple(columns)), self.told)
-
-
-def _a(role: str) -> str:
-    """A role with its article."""
-    words = role.replace("_", " ")
-    one = f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
-    special = {"reward": "the reward", "propensity": "the propensity", "ignore": "left out", "keep": "a column to keep"}
-    return special.get(role, role if role in ("terminal", "timeout") else one)

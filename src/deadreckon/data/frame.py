@@ -14,6 +14,7 @@ from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
 from deadreckon.data.kinds import check_column
+from deadreckon.data.legal_columns import listed_levels, masks, with_levels
 from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
@@ -71,6 +72,10 @@ def frame_columns(
               as extras. Texts and times become integer codes, up to 1,000 levels of each in `provenance.extra`.
             - group: column, such as a user or a site, that is kept and by whose values episodes are held out together.
             - cost: columns of numbers that are neither observation nor reward, kept as extras.
+            - legal: which discrete actions could be taken: a column of lists or of texts such as a|b, a 0/1 column for each
+              action (or their beginning: legal for legal_a, legal_b), or, in `Dataset.from_frame`, a function of the
+              observations (rows, numbers) that gives (rows, actions) truth values in the order of the actions' levels.
+            - next_legal: likewise in the next observations; without it, as the following row has it.
             - weight: column of numbers that is kept as an extra.
             - kinds: {column: "number", "integer", "category" or "flag"} where the kind by the values is wrong.
 
@@ -80,6 +85,7 @@ def frame_columns(
     table = to_arrow(frame, name)
     if table.num_rows == 0:
         raise UserError(f"{name}: the table has no rows")
+    function = asked.pop("legal") if callable(asked.get("legal")) else None
     asked = {key: value for key, value in asked.items() if value is not None and value != ()}
     if schema is None:
         found, warnings = draft(table, Asked(**asked), name)
@@ -89,7 +95,8 @@ def frame_columns(
     else:
         found = as_schema(schema)
         warnings = _checked(table, found, name)
-    return _log_columns(table, found, warnings, name)
+    read = _log_columns(table, found, warnings, name)
+    return read if function is None else read._replace(columns={**read.columns, "legal": function})
 
 
 def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
@@ -109,6 +116,9 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     """The columns of a log that a table holds by its schema."""
     encoder = Encoder(name, table)
     observed, actions, following = (schema.having(role) for role in ("observation", "action", "next_observation"))
+    allowed = schema.having("legal", "next_legal")
+    if allowed:
+        actions = (with_levels(name, table, actions, listed_levels(name, table, allowed)),)
     reward, episode, time = (schema.one(role) for role in ("reward", "episode", "time"))
     terminal, timeout, propensity = (schema.one(role) for role in ("terminal", "timeout", "propensity"))
     assert reward is not None  # a schema without one is refused before
@@ -116,6 +126,9 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         "observations": encoder.observations(observed), "rewards": numbers(name, table, reward.name),
         "actions": encoder.actions(actions), "terminals": encoder.flags(terminal), "timeouts": encoder.flags(timeout),
     }  # fmt: skip
+    if allowed:
+        columns |= masks(name, table, allowed, levels := actions[0].levels or ())
+        encoder.extra["observation_names"] += [f"legal={level}" for level in levels]
     unknown = np.zeros(table.num_rows, bool)  # rows without a next observation
     if following:
         columns["next_observations"], unknown = encoder.next_observations(following, observed)

@@ -254,7 +254,7 @@ def _quantiles(values: np.ndarray) -> tuple[float, ...]:
 def _action_words(log: Dataset) -> str:
     space = log.action_space
     if not isinstance(space, Box):
-        return f"{space.n} discrete"
+        return f"{space.n} discrete{', not all of them legal everywhere' if space.masked else ''}"
     low, high = min(space.low), max(space.high)
     return f"{space.size} continuous within {low:g} .. {high:g}"
 

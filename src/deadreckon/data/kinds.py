@@ -7,6 +7,7 @@ import pyarrow as pa
 
 from deadreckon.data import roles
 from deadreckon.data.arrow import as_dates, distinct, is_category, levels_of_whole_numbers, says_numbers
+from deadreckon.data.legal_columns import is_list
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
@@ -46,6 +47,8 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
     """
     if asked is not None:
         return asked, "asked for", ""
+    if role in ("legal", "next_legal"):
+        return ("category", "lists actions", "") if is_list(values) else ("flag", "truth values of one action", "")
     kind, reason = _stored(values)
     if kind == "category" and role not in ("action", "observation", "next_observation") and as_dates(values) is not None:
         kind, reason = "date", "texts that are dates"

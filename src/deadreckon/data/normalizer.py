@@ -36,6 +36,8 @@ class Normalizer:
         if standardise and spec.observation_dtype != "uint8":
             mean = np.asarray(spec.observation.mean, np.float32)
             std = np.asarray(spec.observation.std + STD_FLOOR, np.float32)
+            if spec.mask_size:  # which actions are legal must be read in these coordinates too
+                mean[-spec.mask_size :], std[-spec.mask_size :] = 0.0, 1.0
         if not isinstance(spec.action, Discrete):
             low, high = np.asarray(spec.action.low, np.float32), np.asarray(spec.action.high, np.float32)
         return cls(mean, std, low, high)

@@ -15,6 +15,8 @@ NAMES = {
         r"propensit(y|ies)(_scores?)?|p_?scores?|(action_|behaviou?r_|logging_)?prob(s|ability|abilities)?|action_prob"
     ),
     "cost": re.compile(r"costs?"),
+    "legal": re.compile(r"((legal|valid|available|allowed|feasible|possible)(_?actions?)?|action_?masks?)"),
+    "next_legal": re.compile(r"next_((legal|valid|available|allowed|feasible|possible)(_?actions?)?|action_?masks?)"),
 }
 DONE = re.compile(r"dones?|is_done|ended|end_of_episode|is_last|is_first|last_step")  # says that, and not why, an episode ended
 IDENTITY = re.compile(r"(^|_)(u?u?id|user|customer|patient|session|site)(_?id)?$")
@@ -29,6 +31,12 @@ _NEXT = (
 def like(role: str, name: str) -> bool:
     """Whether a column of that name may have the role."""
     return NAMES[role].fullmatch(name.lower()) is not None
+
+
+def not_observed(name: str) -> bool:
+    """Whether a column will have another role than that of an observation by its name, so that it needs no next observation."""
+    others = ("terminal", "timeout", "propensity", "cost", "episode", "time", "legal", "next_legal")
+    return any(like(role, name) for role in others) or DONE.fullmatch(name.lower()) is not None
 
 
 def row_numbers(names: Sequence[str]) -> list[str]:
@@ -54,3 +62,11 @@ def next_of(names: Sequence[str]) -> dict[str, str]:
                     pairs[name] = found
                     break
     return pairs
+
+
+def named(role: str) -> str:
+    """A role with its article."""
+    words = role.replace("_", " ")
+    one = f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
+    special = {"reward": "the reward", "propensity": "the propensity", "ignore": "left out", "keep": "a column to keep"}
+    return special.get(role, role if role in ("terminal", "timeout") else one)

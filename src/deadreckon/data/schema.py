@@ -11,7 +11,7 @@ from deadreckon.files import read_toml, replacing
 
 Role = Literal[
     "observation", "action", "reward", "next_observation", "episode", "time", "group", "terminal", "timeout", "propensity",
-    "cost", "weight", "keep", "ignore",
+    "legal", "next_legal", "cost", "weight", "keep", "ignore",
 ]  # fmt: skip
 Kind = Literal["number", "integer", "category", "flag", "date"]
 ROLES, KINDS = get_args(Role), get_args(Kind)
@@ -23,6 +23,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "time": ("number", "integer", "date"), "terminal": ("flag", "integer", "number"),
     "timeout": ("flag", "integer", "number"), "propensity": ("number", "integer"),
     "cost": ("number", "integer", "flag"), "weight": ("number", "integer"),
+    "legal": ("category", "flag"), "next_legal": ("category", "flag"),
 }  # fmt: skip
 
 
@@ -42,7 +43,8 @@ class Column:
         fill: number that stands for missing values; None: the mean of the table.
         marked: whether a further 0/1 number says where the value was missing; None: where the table misses some.
         keep: whether it is kept beside the log as an extra, too; columns of the role keep, group, cost and weight always are.
-        of: of a next observation, the name of the observation that it is the next value of.
+        of: of a next observation, the name of the observation that it is the next value of; of a flag of the role legal (or
+            next_legal), the action that it is for. A category of that role lists actions: a list, or a text such as a|b.
         reason: why the column was given this role and kind.
         doubt: what should be checked by somebody who knows the table; empty where nothing.
     """

@@ -31,11 +31,21 @@ class Box:
         return len(self.low)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Discrete:
-    """Actions 0 .. n-1."""
+    """Actions 0 .. n-1.
+
+    Attributes:
+        n: how many there are.
+        masked: whether not all of them are legal everywhere: the last `n` numbers of every observation are then 1 for those
+            that are and 0 for the others (see `data.legal`).
+    """
 
     n: int
+    masked: bool = False
+
+    def __repr__(self) -> str:
+        return f"Discrete(n={self.n}{', masked=True' if self.masked else ''})"
 
     @property
     def size(self) -> int:
@@ -123,6 +133,11 @@ class Spec:
         """Whether actions are indices."""
         return isinstance(self.action, Discrete)
 
+    @property
+    def mask_size(self) -> int:
+        """How many of an observation's last numbers say which actions are legal; 0 where all are."""
+        return self.action.n if isinstance(self.action, Discrete) and self.action.masked else 0
+
 
 def spec_of(log: "Dataset") -> Spec:
     """The shape, bounds and statistics of a log."""
@@ -145,11 +160,13 @@ def spec_of(log: "Dataset") -> Spec:
 def action_space_to_json(space: Box | Discrete) -> dict[str, Any]:
     """An action space as plain JSON values; `action_space_from_json` reads it back."""
     fields = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(space).items()}
+    if fields.get("masked") is False:  # as it was written before there were masks
+        del fields["masked"]
     return {"kind": type(space).__name__, **fields}
 
 
 def action_space_from_json(value: dict[str, Any]) -> Box | Discrete:
     """The inverse of `action_space_to_json`."""
     if value["kind"] == "Discrete":
-        return Discrete(int(value["n"]))
+        return Discrete(int(value["n"]), bool(value.get("masked", False)))
     return Box(tuple(map(float, value["low"])), tuple(map(float, value["high"])))

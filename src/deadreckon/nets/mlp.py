@@ -48,6 +48,8 @@ class Init(NamedTuple):
     last: float | None = None
 
 
+# The value or logit of an illegal action: no maximum, softmax or draw takes it, and times a probability of zero it is zero.
+ILLEGAL = -1e9
 UNIFORM, ORTHOGONAL, GLOROT = Init(), Init("orthogonal", 0.0), Init("glorot", 0.0)
 
 
@@ -60,17 +62,20 @@ class MLP(eqx.Module):
         activation: between the layers, a name of `ACTIVATIONS`.
         normalise: whether the units behind each activation are standardised in every row (layer normalisation, whose own
             scale and shift the next layer has already).
+        mask: how many of the last inputs are 0 where an output is of an illegal action, whose value or logit is then `ILLEGAL`;
+            0: all outputs are free. A multiple of as many outputs is masked part by part.
     """
 
     weights: tuple[Float[Array, "*stack _ _"], ...]
     biases: tuple[Float[Array, "*stack _"], ...]
     activation: str = eqx.field(static=True, default="relu")
     normalise: bool = eqx.field(static=True, default=False)
+    mask: int = eqx.field(static=True, default=0)
 
     @classmethod
     def create(
         cls, inputs: int, hidden: Sequence[int], outputs: int, key: PRNGKeyArray, *, activation: str = "relu",
-        normalise: bool = False, init: Init = UNIFORM,
+        normalise: bool = False, init: Init = UNIFORM, mask: int = 0,
     ) -> "MLP":  # fmt: skip
         """A fresh network; weights and biases are uniform in +-1/sqrt(inputs) unless an agent's authors have it otherwise."""
         sizes = (inputs, *hidden, outputs)
@@ -85,11 +90,15 @@ class MLP(eqx.Module):
                 biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))
             else:
                 biases.append(jnp.full(o, init.bias))
-        return cls(tuple(weights), tuple(biases), activation, normalise)
+        return cls(tuple(weights), tuple(biases), activation, normalise, mask)
 
     def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
         """The network's output."""
-        return self.after_first(x @ self.weights[0] + self.biases[0])
+        out = self.after_first(x @ self.weights[0] + self.biases[0])
+        if not self.mask:
+            return out
+        parts = out.reshape(*out.shape[:-1], -1, self.mask)
+        return jnp.where(x[..., None, -self.mask :] > 0.5, parts, ILLEGAL).reshape(out.shape)
 
     def beside(self, row: Float[Array, "*#n i1"], many: Float[Array, "*#n i2"]) -> Float[Array, "*#n o"]:
         """The output for each of `many`, joined behind its row."""

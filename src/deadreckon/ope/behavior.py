@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import softmax
 
 from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
+from deadreckon.data.legal import legal_at
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.behavior_model import BehaviorModel
@@ -152,6 +153,9 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
         mixed[of_row == k] = (SHARES * shares + 1.0 / actions) / (n + SHARES + 1.0)
         kept[of_row == k] = n / (n + SHARES + 1.0)
     chances = kept[:, None] * softmax(logits, axis=1) + mixed
+    if (mask := legal_at(own.observations, data.action_space)) is not None:  # shares are of all rows, whatever was legal there
+        chances = chances * mask
+        chances /= chances.sum(1, keepdims=True)
     return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances)
 
 

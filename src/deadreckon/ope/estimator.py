@@ -52,7 +52,7 @@ class Estimator(eqx.Module):
             raise UserError(f"{self.label} {APART}")
         begun = time.perf_counter()
         found = self.solve(case)
-        warnings = found.warnings
+        warnings = (*found.warnings, *case.actor.warnings())
         if getattr(self, "members", None) == 1:
             warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
         if case.crossed or found.inflation is not None:

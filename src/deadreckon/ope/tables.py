@@ -5,7 +5,7 @@ So policies of different kinds share one compiled program, and any Python functi
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from deadreckon.data.legal import legal_at
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
@@ -41,6 +42,8 @@ class Actor:
         noise: standard deviation, on the scale where actions are in [-1, 1], that deterministic policies of continuous actions
             are given where weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have
             those of policies that do not tell how likely their actions are.
+        illegal: (probability of illegal actions, rows) so far of each policy that gives them any; it is judged as if it drew
+            again until an action is legal.
     """
 
     policies: Sequence[Any]
@@ -49,6 +52,7 @@ class Actor:
     greedy: bool
     seed: int
     noise: float | None = NOISE
+    illegal: dict[int, tuple[float, int]] = field(default_factory=dict, init=False, compare=False)
 
     def __post_init__(self):
         for policy, name in zip(self.policies, self.names):
@@ -93,10 +97,10 @@ class Actor:
         out = _room((rows, len(self.policies) + more, *inner))
         for start in range(0, rows, BLOCK):
             part = np.asarray(observations[start : start + BLOCK])
-            for i, (policy, name) in enumerate(zip(self.policies, self.names)):
+            for i, name in enumerate(self.names):
                 entropy = sequence(self.seed, f"actions, {purpose}", start, i)
                 if self.spec.discrete:
-                    found = self._probabilities(policy, part, entropy)
+                    found = self._probabilities(i, part, entropy)
                 else:
                     found = self._actions(i, part, entropy, inner[0])
                 if not np.isfinite(found).all():
@@ -121,7 +125,7 @@ class Actor:
         entropy = sequence(self.seed, "actions, made up", t, which)
         if not self.spec.discrete:
             return self._actions(which, observations, entropy, 1)[:, 0]
-        chances = self._probabilities(self.policies[which], observations, entropy).cumsum(1)
+        chances = self._probabilities(which, observations, entropy).cumsum(1)
         drawn = generator(self.seed, "choices, made up", t, which).random(len(observations)) * chances[:, -1]
         return (drawn[:, None] >= chances[:, :-1]).sum(1)
 
@@ -140,7 +144,7 @@ class Actor:
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):
                 entropy = sequence(self.seed, "probabilities", start, i)
                 if self.spec.discrete:
-                    chosen = self._probabilities(policy, seen, entropy)[np.arange(len(taken)), taken]
+                    chosen = self._probabilities(i, seen, entropy)[np.arange(len(taken)), taken]
                     with np.errstate(divide="ignore"):
                         found = np.log(chosen)
                 elif self.noise is None and self.degenerate[i]:
@@ -179,28 +183,55 @@ class Actor:
             self._fits(self.names[which], drawn.shape[2:])
         return np.asarray(Normalizer.of(self.spec).to_unit(np.asarray(drawn, np.float32)))
 
-    def _probabilities(self, policy: Any, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
-        """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased."""
-        tells = getattr(policy, "action_probs", None)
+    def _probabilities(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
+        """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased; of legal actions alone."""
+        tells = getattr(self.policies[which], "action_probs", None)
         shape = len(observations), self.spec.action_size
-        if tells is not None:
+        if tells is None:
+            found = self._legal(which, self._counted(which, observations, entropy), observations)
+        else:
             told = np.asarray(tells(observations), np.float64)
             if told.shape != shape or not (told >= 0).all() or np.abs(told.sum(1) - 1).max(initial=0) > 1e-3:
                 sums = f" and sums from {told.sum(1).min():.4g} to {told.sum(1).max():.4g}" if told.shape == shape else ""
                 raise UserError(
                     f"action_probs must give {shape} probabilities that sum to 1 in each row, got shape {told.shape}{sums}"
                 )
-            return np.eye(shape[1], dtype=np.float32)[told.argmax(1)] if self.greedy else told.astype(np.float32)
-        rng = np.random.default_rng(entropy)
-        rows = np.arange(len(observations))
-        counts = np.zeros(shape, np.float32)
+            found = self._legal(which, told, observations)
+        return np.eye(shape[1], dtype=np.float32)[found.argmax(1)] if self.greedy else found.astype(np.float32)
+
+    def _counted(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
+        """(rows, n) shares of `DRAWS` actions of a policy that does not tell its probabilities."""
+        policy, rng, rows = self.policies[which], np.random.default_rng(entropy), np.arange(len(observations))
+        counts = np.zeros((len(rows), self.spec.action_size), np.float32)
         step = Step(observations, np.zeros(len(rows)), np.ones(len(rows), bool))
         for _ in range(DRAWS):
             chosen = np.asarray(policy.act(step, (), rng, greedy=self.greedy)[0])
             if chosen.shape != rows.shape or chosen.min(initial=0) < 0 or chosen.max(initial=0) >= self.spec.action_size:
                 raise UserError(f"a policy of this log gives one of 0 .. {self.spec.action_size - 1} a row")
             counts[rows, chosen.astype(int)] += 1.0 / DRAWS
-        return np.eye(shape[1], dtype=np.float32)[counts.argmax(1)] if self.greedy else counts
+        return counts
+
+    def _legal(self, which: int, chances: np.ndarray, observations: np.ndarray) -> np.ndarray:
+        """Probabilities (rows, n) without those of illegal actions, which are noted, so that each row sums to one again."""
+        if (mask := legal_at(observations, self.spec.action)) is None:
+            return chances
+        lost, kept = (chances * ~mask).sum(1), (chances * mask).sum(1, keepdims=True)
+        if not kept.all():
+            row = int(np.argmin(kept[:, 0]))
+            only = ", ".join(map(str, np.flatnonzero(mask[row])))
+            raise UserError(f"{self.names[which]} gives only illegal actions at an observation where the legal ones are {only}")
+        if lost.any():
+            mass, rows = self.illegal.get(which, (0.0, 0))
+            self.illegal[which] = mass + float(lost.sum()), rows + len(lost)
+        return chances * mask / kept
+
+    def warnings(self) -> list[str]:
+        """What to say of policies that give probability to illegal actions."""
+        return [
+            f"{self.names[i]} gives {mass / rows:.2%} of its probability to illegal actions: it is estimated as if it drew "
+            "again until an action is legal"
+            for i, (mass, rows) in sorted(self.illegal.items())
+        ]
 
 
 def _observation_size(policy: Any) -> int | None:

@@ -89,9 +89,15 @@ class EnvPolicy(eqx.Module):
             return None
         return lambda observations: np.asarray(_probs(self, jnp.asarray(observations)))
 
-    def __call__(self, observations: Any) -> np.ndarray:
-        """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded."""
+    def __call__(self, observations: Any, legal: Any = None) -> np.ndarray:
+        """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded.
+
+        Args:
+            observations: (size,) or (n, size), raw.
+            legal: (actions,) or (n, actions) truth values, which are legal: the end of the observations, where these lack it.
+        """
         x = np.asarray(observations, np.float32)
+        x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         single = x.ndim == 1
         actions = first_actions(self, jnp.asarray(x[None] if single else x), jax.random.key(0), True)
         return np.asarray(actions[0] if single else actions)

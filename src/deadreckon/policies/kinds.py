@@ -182,7 +182,7 @@ class Categorical(NormalizedPolicy):
     @classmethod
     def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> "Categorical":
         """A fresh network."""
-        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key))
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key, mask=spec.mask_size))
 
     def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
         """The probability of every action."""

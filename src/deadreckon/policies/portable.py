@@ -23,6 +23,7 @@ _ACTIVATIONS = {
 }
 _LOG_STD = (-5.0, 2.0)
 _LATENT_CLIP = 0.5
+_ILLEGAL = np.float32(-1e9)
 # Kinds of policy and their fields as older files name them: kind -> (kind, {field: field}).
 RENAMED = {
     "Deployed": ("EnvPolicy", {}),
@@ -108,14 +109,16 @@ class NumpyPolicy:
         self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner["members"]] if several else []
         self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
 
-    def __call__(self, observations, rng=None, greedy=True, first=None):
+    def __call__(self, observations, rng=None, greedy=True, first=None, legal=None):
         """Actions in the environment's bounds, if the policy knows these.
 
         `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed. `first`: whether an episode begins, for one
         observation, or (n,) for a batch. A mixture needs it: then it draws who acts, and keeps to it. Without it, an episode
-        begins with the first call and wherever a batch has another size.
+        begins with the first call and wherever a batch has another size. `legal`: (actions,) or (n, actions) truth values, the
+        end of the observations, where these lack it.
         """
         x = np.asarray(observations, np.float32)
+        x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         if self.members:
             return self._mixed(x, rng, greedy, first)
         rng = rng or np.random.default_rng(0)
@@ -154,7 +157,7 @@ class NumpyPolicy:
         return self.arrays[reference[1:]]
 
     def _net(self, net, x):
-        last = len(net["weights"]) - 1
+        seen, last, mask = x, len(net["weights"]) - 1, net.get("mask", 0)
         for i, (w, b) in enumerate(zip(net["weights"], net["biases"])):
             x = x @ self._array(w) + self._array(b)
             if i < last:
@@ -162,7 +165,7 @@ class NumpyPolicy:
                 if net.get("normalise", False):
                     x = x - x.mean(-1, keepdims=True)
                     x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-6)
-        return x
+        return np.where(seen[..., -mask:] > 0.5, x, _ILLEGAL) if mask else x
 
     def _chosen(self, node, x, rng, greedy):
         """Indices of discrete actions, (n,)."""

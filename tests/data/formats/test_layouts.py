@@ -1,4 +1,5 @@
 import pickle
+from dataclasses import replace
 
 import h5py
 import layout_files as files
@@ -200,18 +201,23 @@ def test_names_of_our_own_stay_as_they_are():
     assert log.fingerprint == Dataset.from_arrays(**columns).fingerprint
 
 
-def test_action_masks_and_costs_are_kept(tmp_path):
+def test_action_masks_are_obeyed_and_costs_are_kept(tmp_path):
     legal = np.eye(ACTIONS, dtype=bool)[stacked(WORLD, "actions")] | (np.arange(ACTIONS) == 1)
     columns = flat_file({**TIANSHOU, "terminated": "terminated", "truncated": "truncated"})
     columns["obs"] = {"obs": columns["obs"], "mask": legal, "agent_id": np.zeros(14)}
-    columns["obs_next"] = {"obs": columns["obs_next"], "mask": legal}
+    following = np.roll(legal, -1, 0)
+    columns["obs_next"] = {"obs": columns["obs_next"], "mask": following}
     seen = {"observations": stacked(WORLD, "observations"), "action_mask": legal}
     theirs = flat_file({"actions": "actions", "rewards": "rewards", "terminated": "terminateds", "truncated": "truncateds"})
-    after = {"observations": stacked(WORLD, "next_observations"), "action_mask": legal}
+    after = {"observations": stacked(WORLD, "next_observations"), "action_mask": following}
     for log in (Dataset.from_dict(columns), Dataset.from_dict({**theirs, "obs": seen, "new_obs": after})):
-        check(log, WORLD)
-        np.testing.assert_array_equal(log.extras["legal"], legal)
-        assert any("extra `legal` (rows, actions), which no method uses yet" in line for line in log.warnings)
+        final = log.final_observations[:, :-ACTIONS]
+        plain = replace(log, observations=log.observations[:, :-ACTIONS], final_observations=final)
+        check(replace(plain, action_space=Discrete(ACTIONS)), WORLD)
+        np.testing.assert_array_equal(log.observations[:, -ACTIONS:], legal)
+        np.testing.assert_array_equal(log.final_observations[:, -ACTIONS:], following[log.ends])
+        assert log.action_space == Discrete(ACTIONS, masked=True)
+        assert any("says which actions are legal and becomes the end of the observations" in line for line in log.warnings)
     costs = read(files.by_dsrl(WORLD, tmp_path))
     assert costs.extras["costs"].tolist() == list(range(14))
     assert Dataset.from_dict(files.by_open_bandit(BANDIT, None)).extras["position"].tolist() == [0, 1, 2, 0, 1, 2]

@@ -41,7 +41,6 @@ def test_examples_of_one_line_each(log_of, tmp_path):
     np.testing.assert_allclose(np.exp(log.extras["behavior_log_probs"]), [0.4, 0.2, 0.5, 0.3, 0.7], rtol=1e-6)
     assert log.terminals.all()
     assert log.action_space == Discrete(4)
-    assert "legal" not in log.extras
     (tmp_path / "log.vw.gz").write_bytes(gzip.compress(LINES.encode()))
     packed = read(tmp_path / "log.vw.gz")
     assert (packed.name, packed.fingerprint) == ("log", log.fingerprint)
@@ -51,11 +50,13 @@ def test_decisions_of_several_lines(log_of):
     for text in (BLOCKS, BLOCKS.replace("0:-1.5", "7:-1.5") + "\n\n"):
         log = log_of(text)
         names = ["user^age", "user^city=rome", "0:item^a", "1:item^a", "2:item^a", "2:item^b"]
+        names += ["legal=1", "legal=2", "legal=3"]
         assert log.provenance.extra["observation_names"] == names
-        np.testing.assert_array_equal(log.observations, [[0.5, 1, 1, 2, 0, 0], [1, 0, 3, 4, 5, 1]])
+        np.testing.assert_array_equal(log.observations[:, :-3], [[0.5, 1, 1, 2, 0, 0], [1, 0, 3, 4, 5, 1]])
         assert log.actions.tolist() == [1, 0]
         assert log.rewards.tolist() == [1.5, -2]
-        assert log.extras["legal"].tolist() == [[True, True, False], [True, True, True]]
+        assert log.observations[:, -3:].tolist() == [[1, 1, 0], [1, 1, 1]]
+        assert log.action_space == Discrete(3, masked=True)
         assert any("those of each of 3 actions, are one observation" in line for line in log.warnings)
     without = log_of("\n".join(line for line in BLOCKS.split("\n") if not line.startswith("shared")))
     assert without.provenance.extra["observation_names"] == names[2:]
@@ -63,9 +64,11 @@ def test_decisions_of_several_lines(log_of):
 
 def test_namespaces_values_tags_and_possible_actions(log_of):
     log = log_of("1 3:1:0.5 'tag|user:2 age:3 age:1 vip |item :0.5 x:1e-1\n2:0:1 other|user age\n| a\n3:1:1 |item y:-2\n")
-    assert log.provenance.extra["observation_names"] == ["user^age", "user^vip", "item^0", "item^x", "item^y"]
-    np.testing.assert_allclose(log.observations, [[8, 2, 0.5, 0.1, 0], [1, 0, 0, 0, 0], [0, 0, 0, 0, -2]], rtol=1e-6)
-    assert log.extras["legal"].tolist() == [[True, False, True], [True] * 3, [True] * 3]
+    assert log.provenance.extra["observation_names"] == [
+        "user^age", "user^vip", "item^0", "item^x", "item^y", "legal=1", "legal=2", "legal=3",
+    ]  # fmt: skip
+    np.testing.assert_allclose(log.observations[:, :-3], [[8, 2, 0.5, 0.1, 0], [1, 0, 0, 0, 0], [0, 0, 0, 0, -2]], rtol=1e-6)
+    assert log.observations[:, -3:].tolist() == [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
     assert "1 examples without action:cost:probability are left out" in log.warnings
 
 

@@ -124,8 +124,8 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
         _forget(columns, roles["unknown"])
     columns |= _log_probs(roles, names)
     if "legal" in roles:
-        columns["legal"] = roles["legal"].reshape(rows, -1) != 0
-        lines.append(f"{names['legal']} is kept as the extra `legal` (rows, actions), which no method uses yet")
+        columns |= {key: roles[key].reshape(rows, -1) != 0 for key in ("legal", "next_legal") if key in roles}
+        lines.append(f"{names['legal']} says which actions are legal and becomes the end of the observations")
     for key in sorted(_ENDS & further.keys()):
         have = ", ".join(names[role] for role in _FLAGS if role in names) or "none"
         raise UserError(f"column {key} says how episodes end, beside {have} of {layout.library}'s layout; leave one out")

@@ -132,6 +132,9 @@ def tianshou(parts: Parts) -> None:
     mask = next((key for key in ("obs/mask", "obs/action_mask") if key in parts.arrays), None)
     if mask is not None:
         parts.arrays["legal"] = parts.arrays.pop(mask)
+    for key in ("obs_next/mask", "obs_next/action_mask"):
+        if key in parts.arrays:
+            parts.arrays["next_legal"] = parts.arrays.pop(key)
     rows = len(parts.arrays["rew"])
     size, index = parts.number("_size"), parts.number("_insertion_idx", "_index")
     offsets, lengths, last = (parts.arrays.get(key) for key in ("_offset", "_lengths", "last_index"))
@@ -161,11 +164,11 @@ def _ring(start: int, length: int, size: int, following: int) -> np.ndarray:
 
 
 def rllib(parts: Parts) -> None:
-    """Takes the action mask out of observations that hold one."""
-    for key in ("obs/action_mask", "new_obs/action_mask"):
+    """Takes the action masks out of observations that hold them."""
+    for key, role in (("obs/action_mask", "legal"), ("new_obs/action_mask", "next_legal")):
         column = parts.arrays.pop(key, None)
-        if column is not None and key.startswith("obs"):
-            parts.arrays["legal"] = column
+        if column is not None:
+            parts.arrays[role] = column
 
 
 def torchrl(parts: Parts) -> None:

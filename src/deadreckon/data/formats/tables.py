@@ -12,6 +12,7 @@ from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
+from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 
@@ -66,6 +67,8 @@ def write_csv(log: Dataset, path: Path | str) -> None:
         UserError: a column has more than one dimension a row, or the file cannot be written.
     """
     for key, column in columns_of(log).items():
+        if isinstance(log.action_space, Discrete) and log.action_space.masked:
+            raise UserError(f"{path}: CSV does not keep which actions are legal; write .hdf5 or .parquet")
         if column.ndim > 2:
             raise UserError(f"{path}: {key} of shape {column.shape[1:]} do not fit into CSV; write .hdf5 or .parquet")
     with replacing(path) as temporary:

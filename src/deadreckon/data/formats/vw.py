@@ -39,7 +39,7 @@ def read_vw(path: Path | str, *, strict: bool = False, name: str | None = None, 
     Features become dimensions of the observation, 0 where they are absent, called `namespace^feature` as in VW's audit. Actions
     are counted from 0. Where actions have features of their own (a decision of several lines), the observation holds those of
     the shared line and then those of each action, `0:namespace^feature` for the first. Which actions could be taken is the
-    extra `legal`, (rows, actions) bool, if it differs between examples.
+    mask of legal actions at their end, if it differs between examples.
 
     Args:
         path: of the file, which may be gzipped.
@@ -62,7 +62,8 @@ def read_vw(path: Path | str, *, strict: bool = False, name: str | None = None, 
     if unlabelled:
         told.append(f"{unlabelled} examples without action:cost:probability are left out")
     if "legal" in columns:
-        told.append("which actions could be taken is kept as the extra `legal` (rows, actions), which no method uses yet")
+        names += [f"legal={action}" for action in range(1, actions + 1)]
+        told.append("which actions could be taken differs between examples, and becomes the end of the observations")
     extra = {"layout": "VW", "observation_names": names}
     space = Discrete(max(actions, 2))
     return build(path, columns, source="vw", name=name, action_space=space, extra=extra, strict=strict, warnings=told)
