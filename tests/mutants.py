@@ -1106,6 +1106,20 @@ MUTANTS = (
         "legal-by-name", "data/legal_columns.py", "if own and any(len(cell)", "if any(len(cell)",
         "a column is believed by its name alone", ("data/test_legal.py",),
     ),
+    # ---- costs
+    Mutant(
+        "cost-upper", "ope/costs.py", "if self.limit is None or high <= self.limit:",
+        "if self.limit is None or value <= self.limit:",
+        "a limit is held by the estimate instead of its upper end", ("ope/test_costs.py",),
+    ),
+    Mutant(
+        "cost-reward", "ope/case.py", "log = dataclasses.replace(self.given, rewards=rewards)", "log = self.given",
+        "the cost of a policy is its value", ("ope/test_costs.py",),
+    ),
+    Mutant(
+        "cost-against", "ope/select.py", "own += [] if against is None else against[i]", "own += []",
+        "policies that cost too much are deployed", ("ope/test_costs.py",),
+    ),
 )
 
 

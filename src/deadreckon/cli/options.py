@@ -13,6 +13,8 @@ from deadreckon.cli.data import Mapping
 from deadreckon.cli.fits import NAMES, Fits
 from deadreckon.runs.settings import JudgeSettings, OnlineSettings, RecommendSettings, TrainSettings
 
+_LIMITS = tyro.conf.arg(metavar="[COLUMN=]LIMIT [COLUMN=LIMIT ...]")
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Online(OnlineSettings):
@@ -71,6 +73,8 @@ class Train:
 
 @dataclass(frozen=True, kw_only=True)
 class _Judge(JudgeSettings):
+    cost_limit: Annotated[tuple[str, ...] | None, _LIMITS] = None
+    """largest total cost of a policy, of one cost or COLUMN=LIMIT of each; deploy only if its interval is within"""
     out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints, to continue from
     model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
     counted: tyro.conf.Suppress[bool] = True
@@ -104,6 +108,8 @@ class _Recommend(RecommendSettings):
     """share of the episodes that is held out for the decision; None: 0.2"""
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
     """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
+    cost_limit: Annotated[tuple[str, ...] | None, _LIMITS] = None
+    """largest total cost of a policy, of one cost or COLUMN=LIMIT of each; deploy only if its interval is within"""
     columns: tyro.conf.Suppress[Any] = None
 
 

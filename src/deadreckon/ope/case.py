@@ -97,7 +97,7 @@ class OPEInput(Fits):
         self.held = np.arange(data.episodes) if held is None else _different(held, data.episodes)
         if clusters is not None and np.shape(clusters) != (data.episodes,):
             raise UserError(f"clusters must be one number per episode, ({data.episodes},), got {np.shape(clusters)}")
-        self._given = data
+        self.given = data
         self.log = self.estimand.cut(data)
         self.data = self.log if held is None else self.log.select(self.held)
         self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
@@ -189,7 +189,7 @@ class OPEInput(Fits):
     def _uncut(self) -> tuple[np.ndarray, np.ndarray]:
         if self.estimand.horizon is None:
             return np.asarray(self.data.terminals), self.data.usable
-        whole = self._given.select(self.held)
+        whole = self.given.select(self.held)
         time = np.arange(len(whole)) - np.repeat(whole.starts, whole.lengths)
         kept = time < self.estimand.horizon
         return np.asarray(whole.terminals)[kept], whole.usable[kept]
@@ -209,8 +209,8 @@ class OPEInput(Fits):
         Args:
             rows: of them; where there are more, a random part of the episodes with about so many. None: all.
         """
-        others = np.setdiff1d(np.arange(self._given.episodes), self.held)
-        if rows is not None and (lengths := self._given.lengths[others]).sum() > rows:
+        others = np.setdiff1d(np.arange(self.given.episodes), self.held)
+        if rows is not None and (lengths := self.given.lengths[others]).sum() > rows:
             drawn = generator(self.seed, "teaching").permutation(len(others))
             others = np.sort(others[drawn[: max(int(np.searchsorted(np.cumsum(lengths[drawn]), rows)), 1)]])
             return self.once(("teaching", rows), lambda: self._teaching(others))
@@ -225,7 +225,7 @@ class OPEInput(Fits):
 
     def whole(self) -> "OPEInput":
         """All episodes of the log, as a case with the same policies."""
-        if len(self.held) == self._given.episodes and (np.diff(self.held) > 0).all():
+        if len(self.held) == self.given.episodes and (np.diff(self.held) > 0).all():
             return self
         return self.once("whole", lambda: self._beside(None))
 
@@ -236,10 +236,25 @@ class OPEInput(Fits):
             if isinstance(p, CrossFitted) else p
             for p in self.policies
         ]  # fmt: skip
+        return self._again(self.given, policies, held)
+
+    def _again(self, log: Dataset, policies: Sequence[Any], held: np.ndarray | None) -> "OPEInput":
         return OPEInput(
-            self._given, policies, names=self.names[: len(self.policies)], logged=self.logged, held=held,
+            log, policies, names=self.names[: len(self.policies)], logged=self.logged, held=held,
             clusters=self.clusters, noise=self.actor.noise, **vars(self.settings),
         )  # fmt: skip
+
+    def of_rewards(self, rewards: np.ndarray, shared: Sequence[str]) -> "OPEInput":
+        """The case with other rewards.
+
+        Args:
+            rewards: (rows of the whole log,).
+            shared: names of what was made `once` and does not depend on rewards.
+        """
+        log = dataclasses.replace(self.given, rewards=rewards)
+        found = self._again(log, self.policies, self.held)
+        found._kept |= {key: own for key, own in self._kept.items() if (key[0] if isinstance(key, tuple) else key) in shared}
+        return found
 
     @cached_property
     def span(self) -> float:

@@ -10,6 +10,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
+from deadreckon.ope.costs import as_json, costs_of, limits_of
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
@@ -39,7 +40,8 @@ class Decision(NamedTuple):
         estimates: one per estimator.
         support: of the policies in the log.
         choice: by the first of the estimates.
-        more: of the chosen policy, as JSON values: `confounding`, and where asked for `guarantee`, `groups` and `tail`.
+        more: of the chosen policy, as JSON values: `confounding`, and where asked for `guarantee`, `groups` and `tail`; of all
+            policies `costs`, where the log has some.
     """
 
     estimates: list[Estimates]
@@ -65,8 +67,8 @@ def decide(
         seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
         alpha: share of logs for which one of the intervals may miss.
         groups: tell the gain in each of these groups of episodes.
-        **options: `accept_model_based`, `model`, `guarantee` (see `ope.guarantee`), `return_range`, `confounding` and `tail`;
-            see `ope.settings.DecisionSettings`.
+        **options: `accept_model_based`, `cost_limit` (see `ope.costs`), `model`, `guarantee` (see `ope.guarantee`),
+            `return_range`, `confounding` and `tail`; see `ope.settings.DecisionSettings`.
 
     Raises:
         UserError: input that does not fit, or that what is asked for cannot be known from.
@@ -81,8 +83,13 @@ def decide(
     asked = automatic(case, model, accept_model_based) if auto else as_estimators(estimators)
     checked = support(case, model)
     estimates = [each.on(case) for each in asked]
-    choice = select(estimates, checked, seen=seen, accept_model_based=accept_model_based, alpha=alpha)
-    which, more = case.names.index(choice.name), {}
+    costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha)
+    against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
+    choice = select(estimates, checked, seen=seen, against=against, accept_model_based=accept_model_based, alpha=alpha)
+    which = case.names.index(choice.name)
+    more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}
+    for each in costs:
+        choice = replace(choice, evidence=(*choice.evidence, each.words(which, 1 - alpha)))
     if settings.guarantee:
         more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
@@ -108,6 +115,7 @@ def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> 
         UserError: in one line.
     """
     settings.check_values()
+    limits_of(settings.cost_limit, case.given)
     if settings.guarantee:
         refuse(case, settings.return_range)
     elif settings.return_range is not None:

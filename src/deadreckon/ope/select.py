@@ -118,6 +118,7 @@ def select(
     support: Support | None = None,
     *,
     seen: Sequence[str | None] | None = None,
+    against: Sequence[Sequence[str]] | None = None,
     accept_model_based: bool = False,
     alpha: float = ALPHA,
 ) -> Choice:
@@ -129,6 +130,7 @@ def select(
         estimates: of the same policies, with the behaviour policy.
         support: of the policies in the log; None: not known.
         seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
+        against: for each policy what else speaks against it, such as its costs, a phrase each; None: nothing.
         accept_model_based: deploy also by estimates that no logged reward corrects.
         alpha: share of logs for which one of the intervals may miss.
 
@@ -159,6 +161,7 @@ def select(
         own += unknown[i] + _model_based(first, i, accept_model_based, support)
         others = zip(estimates[1:], found[1:])
         own += [f"{each.method} finds it worse" for each, told in others if _speaks(each, i) and told[i, 2] < 0]
+        own += [] if against is None else against[i]
         objections.append(tuple(own))
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]

@@ -3,6 +3,7 @@
 Functions take them as keywords; `FitOptions`, `EstimateOptions` and `DecisionOptions` are these keywords for type checkers.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict
@@ -51,9 +52,11 @@ class EstimateSettings(FitSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceSettings(Settings):
-    """Of which estimates may decide."""
+    """Of which estimates may decide, and what must hold beside a gain."""
 
     accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
+    cost_limit: float | Mapping[str, float] | Sequence[str] | None = None
+    """largest total cost of a policy, a number or COLUMN=NUMBER for each; deploy only if its interval is within"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +110,7 @@ class DecisionOptions(TypedDict, total=False):
     """Keywords of `DecisionSettings`."""
 
     accept_model_based: bool
+    cost_limit: float | Mapping[str, float] | Sequence[str] | None
     model: BehaviorModel
     guarantee: bool
     return_range: tuple[float, float] | None

@@ -43,7 +43,7 @@ def card(page: Page) -> Markup | None:
         tag("strong", "DEPLOY" if choice["deploy"] else "DO NOT DEPLOY", class_=f"stamp {kind}"),
         tag("span", candidate, class_="which" if choice["deploy"] else "which lesser"),
     )
-    facts = [*grounds(told), ("support", _support(told, chosen))]
+    facts = [*grounds(told), ("support", _support(told, chosen)), *_costs(told, chosen)]
     if choice["deploy"] and (file := told["policies"][chosen].get("file")):
         how = "" if told["estimand"].get("greedy") else ", with sampled actions, which are what was judged"
         facts.append(("its file", f"{file}{how}"))
@@ -84,6 +84,17 @@ def _support(told: dict[str, Any], chosen: int) -> str:
     missing, ratio = told["support"]["missing"][chosen], told["support"]["ratio"][chosen]
     said = "not known" if missing is None else f"{percent(missing)} of its actions have no support in the log"
     return said if ratio is None else f"{said}; its weights average {ratio:.2f} per step (1 with full support)"
+
+
+def _costs(told: dict[str, Any], chosen: int) -> list[tuple[str, str]]:
+    """The totals of the log's costs."""
+    lines = []
+    for each in told["choice"].get("costs", ()):
+        (value, low, high), logged = (tuple(map(_number, ends)) for ends in (each["ends"][chosen], each["ends"][-1]))
+        limit = "" if each["limit"] is None else f", limit {number(each['limit'])}"
+        between = f"{number(value)} [{number(low)}, {number(high)}]{limit}"
+        lines.append((each["column"], f"{between}; behaviour policy {number(logged[0])}"))
+    return lines
 
 
 def _against(told: dict[str, Any], chosen: int) -> Markup:

@@ -31,9 +31,11 @@ from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import PROPENSITIES
+from deadreckon.ope.costs import limits_of
 from deadreckon.ope.features import Features
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
+from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, too_few, usual
@@ -189,6 +191,7 @@ class Attempt:
     def _log(self) -> tuple[Dataset, Task | None, Holdout]:
         self._stage("reading the log")
         log = catalogue.load(self.job.data, **(self.settings.columns or {}))
+        limits_of(self.settings.cost_limit, log)
         judge_in = judge_of(log, self.settings.task)
         log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
         if len(log.spec.observation_shape) != 1:
@@ -381,7 +384,7 @@ class Attempt:
             estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, tau=0.02)]
         settings = JudgeSettings(
             out=self.out, discount=self.settings.discount, seed=self.settings.seed, model=model,
-            accept_model_based=self.settings.accept_model_based,
+            **self.settings.only(EvidenceSettings),
             watch=lambda what, step, steps: self.send("watch", [what, step, steps]),
         )  # fmt: skip
         judged = offline.judge_alone(runs, log, estimators, None, settings)  # the process that asked for it holds the lock

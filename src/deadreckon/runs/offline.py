@@ -64,9 +64,10 @@ def judge(
         data: a log, the name of a known one, or a file: what they learned from, with the episodes that were held out, or new.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
         task: simulator in which the estimates are checked; None checks nothing.
-        **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `guarantee`,
-            `return_range`, `confounding`, `tail`, `by_group`, `model`; on which episodes: `cluster`, `unseen`, `counted`; and
-            `seed`, `episodes` (of a policy in the simulator), `out` and `watch`. See `runs.settings.JudgeSettings`.
+        **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `cost_limit`,
+            `guarantee`, `return_range`, `confounding`, `tail`, `by_group`, `model`; on which episodes: `cluster`, `unseen`,
+            `counted`; and `seed`, `episodes` (of a policy in the simulator), `out` and `watch`. See
+            `runs.settings.JudgeSettings`.
 
     Raises:
         BusyError: another process writes to `out`.

@@ -4,7 +4,7 @@ Functions take these settings as keywords, `train(agent, log, chunk=500)`, and p
 named `...Options` are the same keywords for type checkers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypedDict
@@ -204,4 +204,5 @@ class RecommendOptions(TypedDict, total=False):
     seed: int
     holdout: Holdout | float | None
     accept_model_based: bool
+    cost_limit: float | Mapping[str, float] | Sequence[str] | None
     columns: dict[str, Any] | None

@@ -1,0 +1,153 @@
+"""What policies cost: totals of columns that are no reward, estimated and bounded beside the value, and limits of these.
+
+The total of a cost is a value like any other, with the cost in place of the reward: sum_t discount^t c_t by the same estimand
+and estimator, on the same episodes. What does not depend on rewards, such as propensities, is fitted once for both.
+
+Intervals hold for all policies and all costs at once (Bonferroni over costs), at the level of the decision. A policy whose
+upper end is above a limit is not deployed. So the chance to deploy one that costs more than its limit is at most alpha / 2,
+beside the chance alpha / 2 of deploying one that is no gain.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError, unknown
+from deadreckon.ope.case import OPEInput
+from deadreckon.ope.estimates import LOGGED, Estimates
+from deadreckon.ope.estimator import Estimator
+from deadreckon.ope.select import gains, supported
+from deadreckon.ope.support import Support
+from deadreckon.stats.interval import level_in_words
+
+NAMES = ("cost", "costs")  # further columns of logs that are costs by their names alone, as DSRL has them
+_SHARED = ("propensities", "behavior", "behavior policy", "coverage", "features", "next", "initial", "current", "final")
+
+
+class Cost(NamedTuple):
+    """The total of one cost.
+
+    Attributes:
+        column: of the log.
+        limit: that it must not exceed; None: there is none.
+        ends: (policies, 3) totals with lower and upper ends, of the behaviour policy last.
+        warnings: of the estimate, one line each.
+    """
+
+    column: str
+    limit: float | None
+    ends: np.ndarray
+    warnings: tuple[str, ...]
+
+    def words(self, which: int, level: float) -> str:
+        """The total of a policy, beside that of the behaviour policy, in a line."""
+        (value, low, high), logged = self.ends[which], self.ends[-1][0]
+        within = "" if self.limit is None else f", limit {self.limit:g}"
+        between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)}, for all policies at once{within})"
+        return f"its {self.column} is {between}; that of the behaviour policy is {logged:.4g}"
+
+    def objection(self, which: int, level: float) -> str | None:
+        """Why a policy may cost too much; None where it does not, or there is no limit."""
+        value, low, high = self.ends[which]
+        if self.limit is None or high <= self.limit:
+            return None
+        if not np.isfinite(high):
+            return f"nobody knows whether its {self.column} stays within {self.limit:g}"
+        between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)})"
+        return f"its {self.column} is {between}, which is not surely within {self.limit:g}"
+
+
+def cost_columns(log: Dataset) -> tuple[str, ...]:
+    """The further columns of a log that are costs: by its schema, or called cost or costs."""
+    schema = log.provenance.extra.get("schema", {}).get("columns", {})
+    named = [name for name, told in schema.items() if told.get("role") == "cost"]
+    return tuple(name for name in log.extras if name in named or name in NAMES)
+
+
+def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Dataset) -> dict[str, float | None]:
+    """{column: limit, or None} of all costs of a log.
+
+    Args:
+        given: one limit, where there is one cost; {column: limit}; or texts such as energy=25, or 25 alone.
+        log: whose costs are meant.
+
+    Raises:
+        UserError: a column that is no cost, or a limit that is no number.
+    """
+    columns = cost_columns(log)
+    found: dict[str, float | None] = dict.fromkeys(columns)
+    pairs: list[tuple[str, Any]] = []
+    if isinstance(given, Mapping):
+        pairs = list(given.items())
+    elif isinstance(given, str | int | float):
+        pairs = [("", given)]
+    elif given is not None:
+        pairs = [(column, limit) for column, _, limit in (str(each).rpartition("=") for each in given)]
+    for column, limit in pairs:
+        if not columns:
+            text = "a cost limit needs a column of costs, which the log does not have; name it when it is read (--cost COLUMN)"
+            raise UserError(f"{log.name}: {text}")
+        first = next(iter(columns))
+        if not column and len(columns) > 1:
+            raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {first}={limit}")
+        column = column or first
+        if column not in found:
+            raise UserError(f"{log.name}: {unknown('cost', column, columns)}")
+        try:
+            number = float(limit)
+        except (TypeError, ValueError):
+            number = np.nan
+        if isinstance(limit, bool) or not np.isfinite(number):
+            raise UserError(f"--cost-limit {column}: a limit is a finite number, got {limit!r}")
+        found[column] = number
+    return found
+
+
+def costs_of(
+    case: OPEInput, estimator: Estimator, support: Support, limits: Mapping[str, float | None], alpha: float
+) -> list[Cost]:
+    """The totals of costs of a case's policies.
+
+    Args:
+        case: log and policies, with the behaviour policy.
+        estimator: that decides about the value, too.
+        support: of the policies in the log.
+        limits: {column: limit, or None}.
+        alpha: share of logs for which one of the intervals may miss.
+    """
+    found = []
+    for column, limit in limits.items():
+        told = estimator.on(_with_cost(case, column))
+        ends = totals(told, alpha / len(limits), supported(told, support))
+        found.append(Cost(column, limit, ends, told.warnings))
+    return found
+
+
+def totals(found: Estimates, alpha: float, known: np.ndarray) -> np.ndarray:
+    """(policies, 3) values with ends that hold for all policies at once: gains over a policy that has nothing, for certain."""
+    zero = lambda part: None if part is None else np.concatenate([part, np.zeros_like(part[..., :1])], -1)  # noqa: E731
+    one = lambda part, last: None if part is None else np.append(part, last)  # noqa: E731
+    value = zero(found.value)
+    assert value is not None
+    beside = replace(
+        found, names=(*map(str, range(len(found.names))), LOGGED), value=value, influence=zero(found.influence),
+        bootstrap=zero(found.bootstrap), nuisance=zero(found.nuisance), ess=one(found.ess, np.inf),
+        inflation=one(found.inflation, 1.0), diagnostics={name: np.append(own, 0.0) for name, own in found.diagnostics.items()},
+    )  # fmt: skip
+    return gains(beside, alpha, np.append(known, True))[:-1]
+
+
+def _with_cost(case: OPEInput, column: str) -> OPEInput:
+    """The case with a cost in place of the reward."""
+    costs = np.asarray(case.given.extras[column], np.float64).reshape(len(case.given), -1)
+    if costs.shape[1] != 1:
+        raise UserError(f"{case.given.name}: cost {column} has {costs.shape[1]} numbers a row, one is needed")
+    return case.of_rewards(costs[:, 0].astype(np.float32), _SHARED)
+
+
+def as_json(costs: Sequence[Cost]) -> list[dict[str, Any]]:
+    """For files: of each cost column, limit, ends (policies, the behaviour policy last) and warnings."""
+    return [each._asdict() | {"ends": each.ends.tolist(), "warnings": list(each.warnings)} for each in costs]
