@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import history_size, stacked
 from deadreckon.errors import UserError
@@ -29,18 +27,21 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
     own = [inner for inner in found if inner is not None]
     if not own:
         return log, None
-    spec, first = log.spec, own[0].member
+    spec = log.spec
     for inner in own:
         sizes = inner.observation_size, inner.action_size, inner.member.low is None
         if sizes != (spec.observation_size, spec.action_size, spec.discrete):
             raise UserError(
-                f"a policy acts on histories of {sizes[0]} numbers and actions of size {sizes[1]}, "
+                f"a policy acts on histories of observations of {sizes[0]} numbers and actions of size {sizes[1]}, "
                 f"{log.name} has {spec.observation_size} and {spec.action_size}"
             )
-        if inner.member.low is not None and not (
-            np.array_equal(inner.member.low, first.low) and np.array_equal(inner.member.high, first.high)
-        ):
+        if _bounds(inner) != _bounds(own[0]):
             raise UserError("policies with histories learned under different bounds of actions; judge them one by one")
     steps = [history_of(p) if inner is not None else 1 for p, inner in zip(policies, found)]
-    view = None if spec.discrete else first.view
-    return stacked(log, max(steps), view), [history_size(spec.observation_size, spec.action_size, k) for k in steps]
+    return stacked(log, max(steps), own[0].member.view), [history_size(spec.observation_size, spec.action_size, k) for k in steps]
+
+
+def _bounds(policy: History) -> tuple[float, ...]:
+    """By which the actions in its histories are scaled; of discrete ones nothing."""
+    low, high = policy.member.low, policy.member.high
+    return () if low is None or high is None else (*map(float, low), *map(float, high))

@@ -99,8 +99,7 @@ class EnvPolicy(eqx.Module):
         """
         if (steps := history_of(self)) > 1:
             raise UserError(
-                f"this policy acts on the last {steps} steps of an episode, not on one observation: use start and act, "
-                "or give histories to memoryless(policy)"
+                f"this policy acts on the last {steps} steps of an episode, not on one observation: use its start and act"
             )
         x = np.asarray(observations, np.float32)
         single = x.ndim == 1
