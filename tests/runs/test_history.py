@@ -85,6 +85,15 @@ def test_estimates_see_the_state_where_policies_remember(log, run):
     assert alone == pytest.approx(DISCOUNT * (0.5 + 0.25), abs=0.05)
 
 
+def test_policies_of_fewer_steps_act_on_the_newest(log, run):
+    """Beside one of two steps, a policy of the observation is shown the second step's zero, and not the cue before it."""
+    shy = lambda seen: np.eye(2, dtype=np.float32)[(np.asarray(seen)[:, 0] != 0).astype(int)]  # noqa: E731
+    memoryless = BlackBoxPolicy(lambda seen, rng: shy(seen).argmax(1), action_probs=shy)
+    case = OPEInput(log, [run.policy, memoryless], discount=DISCOUNT, greedy=True)
+    done = case.actor.table(case.data.observations, 1, "any")[:, 1].argmax(1)
+    np.testing.assert_array_equal(done, np.tile([1, 0], log.episodes))
+
+
 def test_judged_on_held_out_episodes_as_any_other(log, run):
     found = judge(run, log, [LinearFQE()], discount=DISCOUNT, greedy=True, counted=False, accept_model_based=True)
     assert found.estimates[0].value[0] == pytest.approx(BEST, abs=0.05)

@@ -29,16 +29,17 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
         return log, None
     spec = log.spec
     for inner in own:
-        sizes = inner.observation_size, inner.action_size, inner.member.low is None
-        if sizes != (spec.observation_size, spec.action_size, spec.discrete):
+        given = inner.observation_size, inner.action_size, inner.member.low is None
+        if given != (spec.observation_size, spec.action_size, spec.discrete):
             raise UserError(
-                f"a policy acts on histories of observations of {sizes[0]} numbers and actions of size {sizes[1]}, "
+                f"a policy acts on histories of observations of {given[0]} numbers and actions of size {given[1]}, "
                 f"{log.name} has {spec.observation_size} and {spec.action_size}"
             )
         if _bounds(inner) != _bounds(own[0]):
             raise UserError("policies with histories learned under different bounds of actions; judge them one by one")
     steps = [history_of(p) if inner is not None else 1 for p, inner in zip(policies, found)]
-    return stacked(log, max(steps), own[0].member.view), [history_size(spec.observation_size, spec.action_size, k) for k in steps]
+    sizes = [history_size(spec.observation_size, spec.action_size, k) for k in steps]
+    return stacked(log, max(steps), own[0].member.view), sizes
 
 
 def _bounds(policy: History) -> tuple[float, ...]:
