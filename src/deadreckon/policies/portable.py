@@ -119,7 +119,7 @@ class NumpyPolicy:
         """
         x = np.asarray(observations, np.float32)
         if self.member is not None:
-            return self._on_history(x, rng, greedy, first)
+            return self._on_history(self.member, x, rng, greedy, first)
         if self.members:
             return self._mixed(x, rng, greedy, first)
         rng = rng or np.random.default_rng(0)
@@ -154,7 +154,7 @@ class NumpyPolicy:
         actions = np.stack([member(batch, rng, greedy, begins) for member in self.members])[self.which, np.arange(n)]
         return actions if x.ndim > 1 else actions[0]
 
-    def _on_history(self, x, rng, greedy, first):
+    def _on_history(self, member, x, rng, greedy, first):
         """Actions on the last steps: observations with the actions between them, the newest last."""
         if first is None:
             steps = self.tree["inner"]["steps"]
@@ -168,12 +168,12 @@ class NumpyPolicy:
         none = np.zeros((len(batch), inner["action_size"]), np.float32)
         start = np.concatenate([batch, none] * (inner["steps"] - 1), 1)
         history = np.concatenate([np.where(begins[:, None], start, self.past), batch], 1)
-        actions = self.member(history, rng, greedy)
-        low = self.member.tree["low"]
+        actions = member(history, rng, greedy)
+        low = member.tree["low"]
         if low is None:
-            done = np.eye(inner["action_size"], dtype=np.float32)[actions]
+            done = np.eye(inner["action_size"], dtype=np.float32)[np.asarray(actions)]
         else:
-            low, high = self._array(low), self._array(self.member.tree["high"])
+            low, high = self._array(low), self._array(member.tree["high"])
             done = np.clip(2.0 * (actions - low) / (high - low) - 1.0, -_EDGE, _EDGE)
         self.past = np.concatenate([history, done], 1)[:, batch.shape[1] + none.shape[1] :].astype(np.float32)
         return actions if x.ndim > 1 else actions[0]
