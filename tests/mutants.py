@@ -58,6 +58,24 @@ class Mutant(NamedTuple):
 MUTANTS = (
     # ---- targets and losses of agents
     Mutant(
+        "history-crosses-episodes", "data/history.py", "past = np.maximum(rows - back, starts)",
+        "past = np.maximum(rows - back, 0)", "a history begins in the episode before", ("data/test_history.py",),
+    ),
+    Mutant(
+        "history-actions-before-start", "data/history.py", "np.where(there, action, np.float32(0.0))", "action",
+        "a history has actions from before its episode's start", ("data/test_history.py",),
+    ),
+    Mutant(
+        "history-never-reset", "policies/deployed.py",
+        "jnp.where(first, beginning(observation, self.action_size, self.steps), later)", "later",
+        "a policy remembers the episode before", ("policies/test_history.py",),
+    ),
+    Mutant(
+        "history-oldest-part", "ope/tables.py", "observations[:, -self.sizes[which] :]", "observations[:, : self.sizes[which]]",
+        "estimators show a policy of fewer steps the oldest ones",
+        ("runs/test_history.py::test_policies_of_fewer_steps_act_on_the_newest",),
+    ),
+    Mutant(
         "backup-terminal", "agents/agent.py", "batch.reward + discount * (1.0 - batch.terminal) * future",
         "batch.reward + discount * future", "targets look beyond a terminal",
         ("agents/test_actor_critics.py::test_td3_target_is_smoothed_clipped_masked_and_the_smaller",),

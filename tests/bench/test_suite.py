@@ -176,6 +176,22 @@ def test_acting_that_cannot_be_is_refused(written, acting, message):
         plan(read(written(ACTING % acting)))
 
 
+HISTORY = """logs = ["maze2d-umaze-v1"]
+[methods]
+A = { agent = "bc" }
+B = { agent = "bc", history = %s }
+"""
+
+
+def test_histories_of_a_method_make_other_cells(written):
+    own, other = plan(read(written(HISTORY % 4)))
+    assert (other.options.get("history"), "history" in own.options) == (4, False)  # names of cells depend on it
+    assert other.cells != own.cells
+    assert plan(read(written(HISTORY % 1)))[1].cells == own.cells
+    with pytest.raises(UserError, match="history of method 'B' must be a whole number of 1 or more, got 0"):
+        read(written(HISTORY % 0))
+
+
 def test_an_unknown_suite_names_the_nearest():
     with pytest.raises(UserError, match="did you mean quick"):
         read("quik")

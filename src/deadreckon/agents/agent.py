@@ -28,6 +28,8 @@ class Agent(eqx.Module):
             (class attribute). Results of suites are told apart by it (see bench/identity.py).
         supports_discrete: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
         supports_images: whether it takes observations of any shape instead of flat ones (class attribute).
+        supports_history: whether observations may be histories of several steps (`data.history`; class attribute).
+        own_history: why it takes none, where it does not (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
     """
@@ -37,6 +39,8 @@ class Agent(eqx.Module):
     online: ClassVar[bool] = False
     offline: ClassVar[bool] = True
     supports_images: ClassVar[bool] = False
+    supports_history: ClassVar[bool] = True
+    own_history: ClassVar[str] = ""
 
     def needs(self, spec: Spec) -> BatchSpec:
         """What every batch must hold."""

@@ -37,6 +37,8 @@ class DecisionTransformer(Agent):
     """Imitation given returns-to-go."""
 
     revision: ClassVar[int] = 1
+    supports_history: ClassVar[bool] = False
+    own_history: ClassVar[str] = "it sees the last steps already, see context_length"
     other_names: ClassVar[dict[str, str]] = {
         "decay": "weight_decay", "gradient_norm": "max_grad_norm", "ask": "target_return", "warm_up": "warmup_steps",
         "window": "context_length",

@@ -113,8 +113,10 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
 
 def _learn(suite: Suite, method: Method, on: str) -> Job:
     settings, published = _agent(suite, method, on)
-    data = log_identity(on, suite.rows)
-    return Job("learn", method.name, method.agent, settings, published, on, data, _run(suite, on), (0,), suite.rows)
+    data, options = log_identity(on, suite.rows), _run(suite, on)
+    if method.history > 1:  # cells without histories keep their names
+        options["history"] = method.history
+    return Job("learn", method.name, method.agent, settings, published, on, data, options, (0,), suite.rows)
 
 
 def _run(suite: Suite, on: str) -> dict[str, Any]:

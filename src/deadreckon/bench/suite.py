@@ -54,6 +54,7 @@ class Method:
         fields: settings that differ from the defaults, or from the preset.
         preset: whether it begins from the settings published for what it is run on, where there are any.
         acting: online, what differs from how the agent's own acting and learning take turns: fields of `online.Online`.
+        history: of a suite of kind `learn`: last observations that policies act on.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Method:
     fields: dict[str, Any] = field(default_factory=dict)
     preset: bool = False
     acting: dict[str, Any] = field(default_factory=dict)
+    history: int = 1
 
 
 class Metric(NamedTuple):
@@ -258,7 +260,8 @@ def _steps(where: str, steps: Any, on: list[str]) -> dict[str, int]:
 
 
 def _method(where: str, kind: str, name: str, table: Any) -> Method:
-    kinds = {"agent": str, "fields": dict, "preset": bool} | ({"acting": dict} if kind == "online" else {})
+    kinds = {"agent": str, "fields": dict, "preset": bool}
+    kinds |= {"acting": dict} if kind == "online" else {"history": int} if kind == "learn" else {}
     if not isinstance(table, dict) or "agent" not in table:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
     for key in table:
@@ -267,6 +270,7 @@ def _method(where: str, kind: str, name: str, table: Any) -> Method:
     for key, value in table.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
+    _check_count(where, f"history of method {name!r}", table.get("history", 1))
     for key, value in table.get("fields", {}).items():
         if not isinstance(value, bool | int | float | str | list):
             raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")

@@ -114,7 +114,7 @@ def _options(job: Job, watch: Progress) -> dict[str, Any]:
     return {
         "steps": job.options["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
         "episodes": job.options["episodes"], "chunk": min(1000, every), "resume": True,
-        "holdout": 0, "watch": lambda progress, steps: watch(progress.step, steps),
+        "holdout": 0, "history": job.options.get("history", 1), "watch": lambda progress, steps: watch(progress.step, steps),
     }  # fmt: skip
 
 

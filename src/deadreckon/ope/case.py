@@ -18,11 +18,12 @@ from deadreckon.ope.estimand import discounted_steps
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
 from deadreckon.ope.fits import Fits
+from deadreckon.ope.histories import with_histories
 from deadreckon.ope.settings import EstimateOptions, EstimateSettings
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
 from deadreckon.policies import behavior as models
-from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.deployed import EnvPolicy, memoryless
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
 from deadreckon.randomness import generator, sequence
@@ -63,7 +64,7 @@ class OPEInput(Fits):
 
     Attributes:
         settings: the same as one object.
-        log: all episodes, cut to the horizon.
+        log: all episodes, cut to the horizon; its observations are histories where policies act on these (`ope.histories`).
         data: those that are judged, cut to the horizon.
         estimand: what is estimated.
 
@@ -98,6 +99,8 @@ class OPEInput(Fits):
         if clusters is not None and np.shape(clusters) != (data.episodes,):
             raise UserError(f"clusters must be one number per episode, ({data.episodes},), got {np.shape(clusters)}")
         self.given = data
+        flat = [one for p in self.policies for one in (p.policies if isinstance(p, CrossFitted) else (p,))]
+        data, sizes = with_histories(data, flat)
         self.log = self.estimand.cut(data)
         self.data = self.log if held is None else self.log.select(self.held)
         self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
@@ -120,7 +123,9 @@ class OPEInput(Fits):
             np.arange(len(self.policies)),
             [len(p.policies) if isinstance(p, CrossFitted) else 1 for p in self.policies],
         )
-        self.actor = Actor(acting, acting_names, data.spec, self.estimand.greedy, self.seed, noise)
+        self.actor = Actor(
+            [memoryless(p) for p in acting], acting_names, data.spec, self.estimand.greedy, self.seed, noise, sizes
+        )
         self.logged = logged
         if logged:
             self.names = (*self.names, LOGGED)

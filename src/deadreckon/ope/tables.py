@@ -44,6 +44,7 @@ class Actor:
             those of policies that do not tell how likely their actions are.
         illegal: (probability of illegal actions, rows) so far of each policy that gives them any; it is judged as if it drew
             again until an action is legal.
+        sizes: numbers at the end of a row that each policy sees, of histories of fewer steps; None: all.
     """
 
     policies: Sequence[Any]
@@ -53,9 +54,11 @@ class Actor:
     seed: int
     noise: float | None = NOISE
     illegal: dict[int, tuple[float, int]] = field(default_factory=dict, init=False, compare=False)
+    sizes: Sequence[int] | None = None
 
     def __post_init__(self):
-        for policy, name in zip(self.policies, self.names):
+        sizes = self.sizes or [self.spec.observation_size] * len(self.policies)
+        for policy, name, size in zip(self.policies, self.names, sizes):
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
             if self.greedy and not self.spec.discrete and not isinstance(policy, EnvPolicy) and policy.has_log_prob:
@@ -64,12 +67,14 @@ class Actor:
                     "(greedy=False)"
                 )
             wanted = _observation_size(policy)
-            if wanted not in (None, self.spec.observation_size):
-                raise UserError(
-                    f"{name} is made for observations of {wanted} numbers, {self.spec.name} has {self.spec.observation_size}"
-                )
+            if wanted not in (None, size):
+                raise UserError(f"{name} is made for observations of {wanted} numbers, {self.spec.name} has {size}")
             if isinstance(policy, EnvPolicy):
-                self._fits(name, _action_shape(policy, self.spec.observation_size))
+                self._fits(name, _action_shape(policy, size))
+
+    def _seen(self, which: int, observations: np.ndarray) -> np.ndarray:
+        """What one policy sees of rows."""
+        return observations if self.sizes is None else observations[:, -self.sizes[which] :]
 
     def _fits(self, name: str, shape: tuple[int, ...]) -> None:
         """Refuses a policy whose actions, of that shape a row, are not the log's."""
@@ -100,7 +105,7 @@ class Actor:
             for i, name in enumerate(self.names):
                 entropy = sequence(self.seed, f"actions, {purpose}", start, i)
                 if self.spec.discrete:
-                    found = self._probabilities(i, part, entropy)
+                    found = self._probabilities(i, self._seen(i, part), entropy)
                 else:
                     found = self._actions(i, part, entropy, inner[0])
                 if not np.isfinite(found).all():
@@ -125,7 +130,7 @@ class Actor:
         entropy = sequence(self.seed, "actions, made up", t, which)
         if not self.spec.discrete:
             return self._actions(which, observations, entropy, 1)[:, 0]
-        chances = self._probabilities(which, observations, entropy).cumsum(1)
+        chances = self._probabilities(which, self._seen(which, observations), entropy).cumsum(1)
         drawn = generator(self.seed, "choices, made up", t, which).random(len(observations)) * chances[:, -1]
         return (drawn[:, None] >= chances[:, :-1]).sum(1)
 
@@ -140,8 +145,9 @@ class Actor:
         out = np.empty((len(self.policies), len(actions)))
         view = Normalizer.of(self.spec)
         for start in range(0, len(actions), BLOCK):
-            seen, taken = np.asarray(observations[start : start + BLOCK]), np.asarray(actions[start : start + BLOCK])
+            part, taken = np.asarray(observations[start : start + BLOCK]), np.asarray(actions[start : start + BLOCK])
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):
+                seen = self._seen(i, part)
                 entropy = sequence(self.seed, "probabilities", start, i)
                 if self.spec.discrete:
                     chosen = self._probabilities(i, seen, entropy)[np.arange(len(taken)), taken]
@@ -150,7 +156,7 @@ class Actor:
                 elif self.noise is None and self.degenerate[i]:
                     found = -np.inf
                 elif self.greedy or draws_nothing(policy):
-                    unit = self._actions(i, seen, entropy, 1)[:, 0]
+                    unit = self._actions(i, part, entropy, 1)[:, 0]
                     assert self.noise is not None
                     z = (view.to_unit(taken) - unit) / self.noise
                     found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(self.noise * np.sqrt(2 * np.pi)) - view.log_scale
@@ -172,7 +178,7 @@ class Actor:
 
     def _actions(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence, samples: int) -> np.ndarray:
         """(rows, samples, size) in [-1, 1]."""
-        policy = self.policies[which]
+        policy, observations = self.policies[which], self._seen(which, observations)
         if isinstance(policy, EnvPolicy):
             seed = jnp.uint32(entropy.generate_state(1)[0])
             drawn = _padded(_draw, policy, observations, seed=seed, samples=samples, greedy=self.greedy)

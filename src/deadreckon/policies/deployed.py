@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
+from deadreckon.data.history import beginning, history_size
 from deadreckon.data.normalizer import EDGE, Normalizer
+from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.candidates import GreedyActions
@@ -95,7 +97,14 @@ class EnvPolicy(eqx.Module):
         Args:
             observations: (size,) or (n, size), raw.
             legal: (actions,) or (n, actions) truth values, which are legal: the end of the observations, where these lack it.
+
+        Raises:
+            UserError: the policy acts on the last steps of an episode, of which one observation does not tell.
         """
+        if (steps := history_of(self)) > 1:
+            raise UserError(
+                f"this policy acts on the last {steps} steps of an episode, not on one observation: use its start and act"
+            )
         x = np.asarray(observations, np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         single = x.ndim == 1
@@ -134,6 +143,61 @@ class Mixture(NormalizedPolicy):
         acts = [member.act(step, c, k, greedy=greedy) for member, c, k in zip(self.members, carries, own)]
         actions = jnp.stack([action for action, _ in acts])
         return actions[which, jnp.arange(len(which))], (which, tuple(kept for _, kept in acts))
+
+
+class History(NormalizedPolicy):
+    """Acts on the last steps of an episode, which it carries, as a memoryless policy does on rows of `data.history.stacked`.
+
+    As in a mixture the member is a whole policy: this one sees raw observations and gives the environment's actions. It takes
+    what it does for what is done, so it cannot be stepped beside another policy that acts in its place.
+
+    Attributes:
+        member: from histories to actions.
+        steps: observations in a history.
+        observation_size, action_size: numbers in one observation, and in an action as a history has it.
+    """
+
+    member: EnvPolicy
+    steps: int = eqx.field(static=True)
+    observation_size: int = eqx.field(static=True)
+    action_size: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, member: EnvPolicy, steps: int, spec: Spec) -> EnvPolicy:
+        """As what is saved and judged; `member` itself where a history is one observation. `spec` is the unstacked log's."""
+        if steps == 1:
+            return member
+        return EnvPolicy(cls(member, steps, spec.observation_size, spec.action_size), None, None, None, None)
+
+    def start(self, n: int) -> tuple[Array, Array]:
+        """(n, history_size) the histories and (n, action_size) the last actions, which an episode's first step replaces."""
+        size = history_size(self.observation_size, self.action_size, self.steps)
+        return jnp.zeros((n, size)), jnp.zeros((n, self.action_size))
+
+    def act(self, step, carry, key, *, greedy):
+        """See `NormalizedPolicy`; in the environment's bounds."""
+        history, last = carry
+        observation = jnp.asarray(step.observation, jnp.float32)
+        kept = history[:, self.observation_size + self.action_size :]
+        later = jnp.concatenate([kept, last, observation], 1)
+        first = jnp.asarray(step.first, bool)[:, None]
+        history = jnp.where(first, beginning(observation, self.action_size, self.steps), later)
+        action, _ = self.member.act(step._replace(observation=history), (), key, greedy=greedy)
+        done = jax.nn.one_hot(action, self.action_size) if self.member.low is None else self.member.view.to_unit(action)
+        return action, (history, done)
+
+
+def history_of(policy: Any) -> int:
+    """Last observations that a policy acts on; 1 for those that carry no history."""
+    inner = policy.inner if isinstance(policy, EnvPolicy) else None
+    if isinstance(inner, Mixture):
+        return max(map(history_of, inner.members))
+    return inner.steps if isinstance(inner, History) else 1
+
+
+def memoryless(policy: Any) -> Any:
+    """The policy on histories inside one that carries them; others as they are."""
+    return policy.inner.member if isinstance(policy, EnvPolicy) and isinstance(policy.inner, History) else policy
 
 
 @eqx.filter_jit

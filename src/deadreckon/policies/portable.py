@@ -105,7 +105,8 @@ class NumpyPolicy:
     def __init__(self, tree, arrays):
         self.tree, self.arrays = tree["policy"], arrays
         inner = self.tree["inner"]
-        several = inner["kind"] == "Mixture"
+        several, self.past = inner["kind"] == "Mixture", None  # of a history: (n, numbers) without the next observation
+        self.member = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "History" else None
         self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner["members"]] if several else []
         self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
 
@@ -114,11 +115,14 @@ class NumpyPolicy:
 
         `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed. `first`: whether an episode begins, for one
         observation, or (n,) for a batch. A mixture needs it: then it draws who acts, and keeps to it. Without it, an episode
-        begins with the first call and wherever a batch has another size. `legal`: (actions,) or (n, actions) truth values, the
-        end of the observations, where these lack it.
+        begins with the first call and wherever a batch has another size. A policy that acts on the last steps of an episode
+        must be told it in every call. `legal`: (actions,) or (n, actions) truth values, the end of the observations, where
+        these lack it.
         """
         x = np.asarray(observations, np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
+        if self.member is not None:
+            return self._on_history(self.member, x, rng, greedy, first)
         if self.members:
             return self._mixed(x, rng, greedy, first)
         rng = rng or np.random.default_rng(0)
@@ -150,7 +154,31 @@ class NumpyPolicy:
             self.which, begins = np.zeros(n, int), np.ones(n, bool)
         drawn = (rng or self.drawing).integers(len(self.members), size=n)
         self.which = np.where(begins, drawn, self.which)
-        actions = np.stack([member(batch, rng, greedy) for member in self.members])[self.which, np.arange(n)]
+        actions = np.stack([member(batch, rng, greedy, begins) for member in self.members])[self.which, np.arange(n)]
+        return actions if x.ndim > 1 else actions[0]
+
+    def _on_history(self, member, x, rng, greedy, first):
+        """Actions on the last steps: observations with the actions between them, the newest last."""
+        if first is None:
+            steps = self.tree["inner"]["steps"]
+            raise ValueError(f"this policy acts on the last {steps} steps: say first=True where an episode begins, else False")
+        batch, inner = x if x.ndim > 1 else x[None], self.tree["inner"]
+        begins = np.broadcast_to(np.asarray(first, bool), len(batch))
+        if self.past is None or len(self.past) != len(batch):
+            if not begins.all():
+                raise ValueError("episodes go on that have not begun: the first call, and one of another size, has first=True")
+            self.past = np.zeros((len(batch), 1), np.float32)
+        none = np.zeros((len(batch), inner["action_size"]), np.float32)
+        start = np.concatenate([batch, none] * (inner["steps"] - 1), 1)
+        history = np.concatenate([np.where(begins[:, None], start, self.past), batch], 1)
+        actions = member(history, rng, greedy)
+        low = member.tree["low"]
+        if low is None:
+            done = np.eye(inner["action_size"], dtype=np.float32)[np.asarray(actions)]
+        else:
+            low, high = self._array(low), self._array(member.tree["high"])
+            done = np.clip(2.0 * (actions - low) / (high - low) - 1.0, -_EDGE, _EDGE)
+        self.past = np.concatenate([history, done], 1)[:, batch.shape[1] + none.shape[1] :].astype(np.float32)
         return actions if x.ndim > 1 else actions[0]
 
     def _array(self, reference):

@@ -27,6 +27,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import stacked
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
@@ -174,7 +175,7 @@ class Attempt:
     def run(self) -> None:
         """From the log to the card."""
         log, judge_in, holdout = self._log()
-        learning = divided(log, holdout, None, None).learning  # the rest is for the card alone
+        learning = stacked(divided(log, holdout, None, None).learning, self.settings.history)  # the rest is the card's
         self._stage("pilots")
         candidates, hidden, pilots = self._pilots(learning)
         if not candidates:
@@ -274,7 +275,8 @@ class Attempt:
         start, rate = max(each.start for each in pilots), pilots[0].rate
         wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one per fold
         networks = PROPENSITIES.steps * 5 / (rate * wide)
-        features = Features(log if log.spec.discrete else learning, LinearFQE().fourier_features, self.settings.seed)
+        whole = stacked(log, self.settings.history)
+        features = Features(whole if log.spec.discrete else learning, LinearFQE().fourier_features, self.settings.seed)
         rows = np.arange(min(BLOCK, len(learning)))
         seen, size = np.asarray(learning.observations[rows]), learning.spec.action_size
         shape = (len(rows), 1, size) if learning.spec.discrete else (len(rows), 1, LinearFQE().samples, size)
@@ -349,7 +351,7 @@ class Attempt:
         return train(
             _agent(candidate, hidden, self.settings.discount), log, steps=steps, seed=self.settings.seed, task=False,
             out=self.out / candidate.name, evaluate_every=steps, episodes=1, holdout=holdout, watch=look,
-            chunk=min(max(int(LOOKS * rate), 1), steps),
+            chunk=min(max(int(LOOKS * rate), 1), steps), history=self.settings.history,
         )  # fmt: skip
 
     def _plan(self, hidden: tuple[int, ...], steps: int, rates: Sequence[float], learning: float, judging: float) -> str:

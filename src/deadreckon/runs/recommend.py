@@ -100,7 +100,7 @@ def recommend(
         tell: gets lines as they come: how the time is divided first.
         watch: called while something is fitted, with its name, updates done and in all.
         began: when the time began to count, by `time.perf_counter()`; None: now.
-        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based`, `cost_limit` and
+        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based`, `cost_limit`, `history` and
             `columns`; see `runs.settings.RecommendSettings`.
 
     Raises:

@@ -10,9 +10,10 @@ import numpy as np
 
 from deadreckon.agents import agent_name
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import beginning, stacked
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
-from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.deployed import EnvPolicy, History, memoryless
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder
@@ -48,18 +49,20 @@ class Recorder:
         episodes: an evaluation, a lane.
         taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from.
         held: (episodes,) uint64 of those of the log that are not; None: nobody knows of any.
+        history: last observations that policies act on.
     """
 
     def __init__(
         self, folders: Sequence[Folder], job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int,
-        taught: np.ndarray, held: np.ndarray | None = None,
+        taught: np.ndarray, held: np.ndarray | None = None, history: int = 1,
     ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
         self.every, self.episodes, self.taught, self.held = every, episodes, taught, held
         self.read = {} if log is None else {"log": noted(log.provenance)}
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
-        self.probe = LogProbe(log) if log is not None else _nothing  # an online run has no log to stay near to
+        self.history, self.spec = history, job.rows.spec if log is None else log.spec
+        self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to stay near to
         self.pool = ThreadPoolExecutor(1)
         self.pending: list[Future] = []
         # Evaluations start where no training ever looks; the same starts every time, so that curves are paired.
@@ -70,7 +73,10 @@ class Recorder:
         view = self.job.rows.view
         lanes = range(len(self.job.seeds))
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
-        return [EnvPolicy.of(agent.policy(state), view) for agent, state in zip(self.job.learners, states)]
+        return [
+            History.of(EnvPolicy.of(agent.policy(state), view), self.history, self.spec)
+            for agent, state in zip(self.job.learners, states)
+        ]
 
     def picture(self, log: Dataset) -> None:
         """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
@@ -149,7 +155,10 @@ class Recorder:
         policies = self.policies()
         values = None
         if self.starts is not None:
-            values = estimated_values(self.job.learner, self.job.states, self.job.rows.view, policies, self.starts)
+            seen, acting = self.starts, [memoryless(policy) for policy in policies]
+            if self.history > 1:
+                seen = beginning(np.asarray(seen, np.float32), self.spec.action_size, self.history)
+            values = estimated_values(self.job.learner, self.job.states, self.job.rows.view, acting, seen)
         for i, (path, seed, policy) in enumerate(zip(self._paths(step), self.job.seeds, policies)):
             meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step, **self.read}
             if values is not None:
@@ -163,7 +172,7 @@ class Recorder:
         paths = self._paths(step)
         policies = [store.load(path) for path in paths]
         metas = [store.meta(path) for path in paths]
-        probes = [self.probe(policy) for policy in policies]
+        probes = [self.probe(memoryless(policy)) for policy in policies]
         count = self.episodes if self.judge is not None else 1
         columns: dict[str, Any] = {
             "step": np.full(len(policies) * count, step),

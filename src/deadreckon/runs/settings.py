@@ -75,6 +75,11 @@ class TrainSettings(RunSettings):
     """Episodes to judge by, which are not learned from (`data.split.Holdout`, or its share alone; 0: none). None: a fifth at
     random of a log that no simulator judges, none of others; of a memory-mapped log the latest fifth, so that the rest is not
     copied. Of fewer than 10 episodes (or clusters) none, with a warning. A run that is continued keeps its own."""
+    history: int = 1  # number of last observations, with the actions between them, that the agent and its policy act on
+
+    def check(self, seed: int, **counts: int) -> None:
+        """See `RunSettings`."""
+        super().check(seed, history=self.history, **counts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +146,7 @@ class RecommendSettings(EvidenceSettings):
     holdout: Holdout | float | None = None
     """Episodes that nothing learns from and that decide (`data.split.Holdout`, or its share alone). None: a fifth at random, of
     a memory-mapped log the latest."""
+    history: int = 1  # number of last observations, with the actions between them, that agents and policies act on
     columns: dict[str, Any] | None = None  # of tables, which column is what; see `Dataset.from_frame`
 
     def check_values(self) -> None:
@@ -149,6 +155,8 @@ class RecommendSettings(EvidenceSettings):
         check_seed(self.seed)
         if not 0.0 <= self.discount < 1.0:
             raise UserError(f"discount must be in [0, 1), got {self.discount}")
+        if self.history < 1:
+            raise UserError(f"history must be >= 1, got {self.history}")
         share = self.holdout.share if isinstance(self.holdout, Holdout) else self.holdout
         if share is not None and not 0 < share < 1:
             raise UserError(f"holdout: the share held out must lie between 0 and 1, got {share}: the card judges by it")
@@ -168,6 +176,7 @@ class TrainOptions(_Options, total=False):
     stream: bool | None
     strict: bool
     holdout: Holdout | Fold | float | None
+    history: int
 
 
 class OnlineOptions(_Options, total=False):
@@ -205,4 +214,5 @@ class RecommendOptions(TypedDict, total=False):
     holdout: Holdout | float | None
     accept_model_based: bool
     cost_limit: float | Mapping[str, float] | Sequence[str] | None
+    history: int
     columns: dict[str, Any] | None

@@ -16,6 +16,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
 from deadreckon.files import file_part, read_json, safe_name
 from deadreckon.policies import store
@@ -102,8 +103,8 @@ def train(
         seed: the first random seed.
         task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
-        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout` and `watch`; see
-            `runs.settings.TrainSettings`.
+        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history` and `watch`;
+            see `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
@@ -178,11 +179,15 @@ def _train(
     folders, resume = [Folder(path) for path in asked], settings.resume
     before = folders[0].read_config() if resume and folders[0].config.exists() else None
     part = divided(log, settings.holdout, judge, before)
-    lanes = [lane.resolve(part.learning.spec, steps) for each in asked.values() for lane in each]
+    seen = stacked(part.learning, settings.history)
+    for each in asked.values():
+        if settings.history > 1 and not each[0].supports_history:
+            raise UserError(f"{type(each[0]).__name__} takes no histories: {each[0].own_history}; leave history at 1")
+    lanes = [lane.resolve(seen.spec, steps) for each in asked.values() for lane in each]
     seeds = len(lanes) // len(folders)
     numbers = list(range(seed, seed + seeds))
     every = min(settings.evaluate_every or folders[0].period(resume) or max(steps // 10, 1), steps)
-    rows = TransitionSource(part.learning, lanes[0].needs(part.learning.spec))
+    rows = TransitionSource(seen, lanes[0].needs(seen.spec))
 
     common = {
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
@@ -196,6 +201,8 @@ def _train(
         "versions": versions() | {"lanes": len(lanes)},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }  # fmt: skip
+    if settings.history > 1:
+        common["history"] = settings.history
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
     configs = []
@@ -221,7 +228,9 @@ def _train(
         folder.lengthen(config)
         folder.drop_after(job.step)
 
-    recorder = Recorder(folders, job, judge, part.learning, every, settings.episodes, part.taught, part.held)
+    recorder = Recorder(
+        folders, job, judge, part.learning, every, settings.episodes, part.taught, part.held, settings.history
+    )
     try:
         recorder.picture(part.learning)
         recorder.catch_up()

@@ -1,0 +1,48 @@
+"""Policies that act on the last steps of an episode are judged on the log of histories, as memoryless ones."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import history_size, stacked
+from deadreckon.errors import UserError
+from deadreckon.policies.deployed import EnvPolicy, History, history_of
+
+
+def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list[int] | None]:
+    """The log as policies are judged on it: with histories of the longest that any of them acts on.
+
+    Args:
+        log: as it was recorded.
+        policies: of any kind.
+
+    Returns:
+        The log, and how many numbers at the end of a row each policy sees; None: all of them.
+
+    Raises:
+        UserError: the log has no histories, or they have other sizes or bounds than those that a policy learned from.
+    """
+    # Whatever else carries something, such as a mixture, is refused by `tables.Actor`.
+    found = [p.inner if isinstance(p, EnvPolicy) and isinstance(p.inner, History) else None for p in policies]
+    own = [inner for inner in found if inner is not None]
+    if not own:
+        return log, None
+    spec = log.spec
+    for inner in own:
+        given = inner.observation_size, inner.action_size, inner.member.low is None
+        if given != (spec.observation_size, spec.action_size, spec.discrete):
+            raise UserError(
+                f"a policy acts on histories of observations of {given[0]} numbers and actions of size {given[1]}, "
+                f"{log.name} has {spec.observation_size} and {spec.action_size}"
+            )
+        if _bounds(inner) != _bounds(own[0]):
+            raise UserError("policies with histories learned under different bounds of actions; judge them one by one")
+    steps = [history_of(p) if inner is not None else 1 for p, inner in zip(policies, found)]
+    sizes = [history_size(spec.observation_size, spec.action_size, k) for k in steps]
+    return stacked(log, max(steps), own[0].member.view), sizes
+
+
+def _bounds(policy: History) -> tuple[float, ...]:
+    """By which the actions in its histories are scaled; of discrete ones nothing."""
+    low, high = policy.member.low, policy.member.high
+    return () if low is None or high is None else (*map(float, low), *map(float, high))
