@@ -71,8 +71,8 @@ def test_a_late_reward_is_told_with_its_delay(lag):
 def test_propensities_decide_whether_a_rule_without_chance_acted():
     rng = np.random.default_rng(0)
     actions = rng.integers(0, 2, 400)
-    columns = {"observations": np.stack([actions, rng.normal(size=400)], 1), "actions": actions, "rewards": rng.normal(size=400),
-               "terminals": np.ones(400, bool), "action_space": Discrete(2)}  # fmt: skip
+    columns = {"observations": np.stack([actions, rng.normal(size=400)], 1), "actions": actions,
+               "rewards": rng.normal(size=400), "terminals": np.ones(400, bool), "action_space": Discrete(2)}  # fmt: skip
     sure = Dataset.from_arrays(**columns, behavior_log_probs=np.zeros(400))
     drawn = Dataset.from_arrays(**columns, behavior_log_probs=np.full(400, np.log(0.5)))
     assert leaks(sure) == ()

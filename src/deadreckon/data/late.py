@@ -20,7 +20,7 @@ def late_reward(log: Dataset, level: float) -> str | None:
 
     Ridge regression on the observation, its squares, the action and their products is fitted to half of the episodes; on the
     other half the squared errors of both are compared by episode, and so are those of the earlier row and of the mean. Both
-    differences must be significant at `level`, divided by the number of lags. A single episode is cut into parts of equal length.
+    differences must be significant at `level`, divided by the number of lags. Few episodes are cut into parts of equal length.
 
     Args:
         log: some thousand rows.
@@ -57,8 +57,8 @@ def late_reward(log: Dataset, level: float) -> str | None:
     variance = float(mean[~learn].mean())
     told = 1 - best[0] / variance, 1 - float(own[~learn].mean()) / variance
     steps = f"{best[1]} row" + ("s" if best[1] > 1 else "")
-    text = f"the reward may arrive {steps} late: the observation and action {steps} earlier explain {told[0]:.0%} of its variance"
-    return f"{text}, those of its own row {max(told[1], 0):.0%} (held-out rows); if so, move the column of the reward up"
+    text = f"the reward may arrive {steps} late: the observation and action {steps} earlier explain {told[0]:.0%} of it"
+    return f"{text}, those of its own row {max(told[1], 0):.0%} (R² on held-out rows); if so, move the column of the reward up"
 
 
 def _features(log: Dataset) -> np.ndarray:

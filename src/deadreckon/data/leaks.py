@@ -100,7 +100,7 @@ def _copies_of_reward(sample: _Sample) -> list[str]:
 
 
 def _copies_of_action(log: Dataset, sample: _Sample) -> list[str]:
-    """Columns that are the action. Where the log has the probabilities of its actions, they say how likely that is by chance."""
+    """Columns that are the action. Where the log has the probabilities of its actions, they say how likely chance is."""
     probabilities = log.extras.get(LOG_PROBS)
     out = []
     for name, values in sample.columns.items():

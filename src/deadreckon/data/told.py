@@ -82,8 +82,8 @@ def columns_of(log: Dataset) -> tuple[Told, ...]:
             at = _places(column, names)
         elif column.role == "action":
             at, acted = (acted,), acted + 1
-        missing = seen.get("missing")
-        out.append(Told(column.name, column.role, column.kind, _holds(column, seen), missing, _becomes(log, column, seen, at), at))
+        holds, missing, becomes = _holds(column, seen), seen.get("missing"), _becomes(log, column, seen, at)
+        out.append(Told(column.name, column.role, column.kind, holds, missing, becomes, at))
     known = {column.name for column in schema.columns}
     for name, seen in held.items():
         if name not in known:
