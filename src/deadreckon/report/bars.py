@@ -14,23 +14,23 @@ _NAME = 17  # letters of a bar's name
 _MOST = 12  # bars; those that are left become one
 
 
-def histogram(values: np.ndarray, title: str) -> Markup:
-    """How often values of (rows,) numbers occur; few different ones have a bar each."""
+def histogram(values: np.ndarray, title: str, unit: str = "rows") -> Markup:
+    """How often values of (rows,) numbers occur; few different ones have a bar each. `unit` is what is counted."""
     values = np.asarray(values, np.float64)
     values = values[np.isfinite(values)]
     if not len(values):
         return tag("p", "no values", class_="empty")
     kinds, counts = np.unique(values, return_counts=True)
     if len(kinds) <= _MOST:
-        return shares([number(float(kind)) for kind in kinds], counts, title)
+        return shares([f"{kind:.6g}" for kind in kinds.tolist()], counts, title, unit)
     counts, edges = np.histogram(values, _BINS)
     width, height, left, right, top, bottom = 300, 170, 38, 292, 22, 140
-    x, y = Axis(float(edges[0]), float(edges[-1]), left, right, most=4), Axis(0.0, float(counts.max()), bottom, top, most=3)
-    parts = [tag("title", title), tag("text", "rows", x=2, y=12, class_="axis")]
+    x, y = Axis(float(edges[0]), float(edges[-1]), left, right), Axis(0.0, float(counts.max()), bottom, top, most=3)
+    parts = [tag("title", title), tag("text", unit, x=2, y=12, class_="axis")]
     parts += [tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid") for t in y.ticks]
     parts += [tag("text", short(t), x=left - 5, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
     for count, low, high in zip(counts.tolist(), edges, edges[1:]):
-        said = tag("title", f"{number(float(low))} to {number(float(high))}: {count:,} rows")
+        said = tag("title", f"{number(float(low))} to {number(float(high))}: {count:,} {unit}")
         a, b, up = float(x(low)), float(x(high)), float(y(count))
         parts.append(
             tag("rect", said, x=f"{a + 0.5:.1f}", y=f"{up:.1f}", width=f"{max(b - a - 1, 0.5):.1f}", height=f"{bottom - up:.1f}",
@@ -40,8 +40,8 @@ def histogram(values: np.ndarray, title: str) -> Markup:
     return _drawing(parts, width, height, title)
 
 
-def shares(names: Sequence[str], counts: np.ndarray, title: str) -> Markup:
-    """A bar for each name with its share of the rows; the most frequent ones, in the given order, and the rest."""
+def shares(names: Sequence[str], counts: np.ndarray, title: str, unit: str = "rows") -> Markup:
+    """A bar for each name with its share of them; the most frequent ones, in the given order, and the rest."""
     counts = np.asarray(counts)
     chosen = np.sort(np.argsort(-counts, kind="stable")[: _MOST if len(counts) <= _MOST else _MOST - 1])
     rows = [(names[i], int(counts[i])) for i in chosen]
@@ -54,7 +54,7 @@ def shares(names: Sequence[str], counts: np.ndarray, title: str) -> Markup:
         y, long = i * row + 4, (right - left) * count / most
         short_name = name if len(name) <= _NAME else f"{name[: _NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
         parts.append(
-            tag("g", tag("title", f"{name}: {count:,} rows"), tag("text", short_name, x=left - 8, y=y + 13, class_="tick end"),
+            tag("g", tag("title", f"{name}: {count:,} {unit}"), tag("text", short_name, x=left - 8, y=y + 13, class_="tick end"),
                 tag("rect", x=left, y=y, width=f"{long:.1f}", height=row - 6, rx=2, class_="bar"),
                 tag("text", f"{count / total:.1%}", x=f"{left + long + 6:.1f}", y=y + 13, class_="tick"))
         )  # fmt: skip

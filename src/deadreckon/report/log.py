@@ -75,7 +75,7 @@ def _table(columns: Sequence[Told]) -> Markup:
         rows.append(tag("tr", tag("th", each.name, scope="row"), cells))
     head = heads_of(["column", "role", "kind", "levels or range", "missing cells", "becomes"])
     more = len(columns) - len(rows)
-    return join(scroll(tag("table", head, tag("tbody", rows))), note(f"{more:,} more are not listed.") if more > 0 else None)
+    return join(scroll(tag("table", head, tag("tbody", rows), class_="listed")), note(f"{more:,} more are not listed.") if more > 0 else None)
 
 
 def _pictures(log: Dataset, columns: Sequence[Told], rows: np.ndarray) -> Markup:
@@ -125,9 +125,9 @@ def _chart(log: Dataset, column: Told, rows: np.ndarray) -> Markup | None:
 
 
 def _returns(log: Dataset) -> Markup:
-    parts = [figure(bars.histogram(log.returns(), "returns of episodes"), "Returns (undiscounted sum of rewards)")]
-    parts.append(figure(bars.histogram(log.lengths, "lengths of episodes"), "Steps an episode"))
-    return join(tag("div", parts, class_="charts two"), note("One count per episode, over the whole log."))
+    parts = [figure(bars.histogram(log.returns(), "returns of episodes", "episodes"), "Returns (undiscounted sum of rewards)")]
+    parts.append(figure(bars.histogram(log.lengths, "lengths of episodes", "episodes"), "Steps an episode"))
+    return join(tag("div", parts, class_="charts"), note("One count per episode, over the whole log."))
 
 
 def _over_time(log: Dataset, rows: np.ndarray) -> Markup:
