@@ -11,6 +11,7 @@ from deadreckon.data.spec import Box
 LAGS = (1, 2, 3, 5, 10)  # rows by which a reward may be late
 _DIMENSIONS = 30  # of the observation that are used
 _LEVELS = 20  # discrete actions, or values of one observation, that get a number each
+_PRODUCTS = 100  # of an observation and an action, beyond which they are left out: the fit takes time
 _UNITS = 10  # held-out parts below which nothing is said
 _RIDGE = 1e-3  # of a row, so that columns that repeat one another do no harm
 
@@ -77,7 +78,7 @@ def _features(log: Dataset) -> np.ndarray:
     acted = acted[:, :_DIMENSIONS]
     parts = [np.ones((len(log), 1)), scaled, np.clip(scaled, -5, 5) ** 2, acted]
     parts += [acted**2] if isinstance(log.action_space, Box) else []
-    if scaled.shape[1] * acted.shape[1] <= 200:
+    if scaled.shape[1] * acted.shape[1] <= _PRODUCTS:
         parts.append((scaled[:, :, None] * acted[:, None, :]).reshape(len(log), -1))
     return np.concatenate(parts, 1)
 

@@ -17,9 +17,10 @@ from deadreckon.data.spec import Box
 from deadreckon.data.told import Told, action_names, columns_of, schema_of
 
 LEVEL = 1e-3  # probability of any false suspicion, where nothing depends on anything
-ROWS = 20_000  # in the sample
+ROWS = 10_000  # in the sample
 COLUMNS = 200  # that are looked at
 _EXACT = 1e-5  # of a standard deviation: what float32 leaves of an exact linear relation
+_FEW = 64  # rows compared first
 _LEAST = 20  # rows below which nothing is said
 
 
@@ -132,12 +133,17 @@ def same(values: np.ndarray, other: np.ndarray, tests: int, ordered: bool) -> st
         tests: number of comparisons that are made.
         ordered: whether the order of the values counts.
     """
-    kinds, codes, counts = np.unique(other, return_inverse=True, return_counts=True)
-    if len(kinds) < 2 or len(np.unique(values)) < 2:
+    few = np.linspace(0, len(values) - 1, min(_FEW, len(values))).astype(int)
+    if not _paired(values[few], other[few], ordered):  # spares the sorting of all rows, of nearly all pairs of columns
+        return ""
+    kinds, counts = np.unique(other, return_counts=True)
+    if len(kinds) < 2:
         return ""
     # Of all orders of the rows, n! / prod(counts!) differ, and these give the relation: both directions, or all labellings.
     ways = math.log(2) if ordered else math.lgamma(min(len(kinds), 170) + 1)
-    arrangements = math.lgamma(len(other) + 1) - sum(math.lgamma(count + 1) for count in counts.tolist())
+    sizes, times = np.unique(counts, return_counts=True)
+    within = sum(many * math.lgamma(size + 1) for size, many in zip(sizes.tolist(), times.tolist()))
+    arrangements = math.lgamma(len(other) + 1) - within
     if ways - arrangements > math.log(LEVEL / tests):
         return ""
     x, y = values.astype(np.float64), other.astype(np.float64)
@@ -148,14 +154,20 @@ def same(values: np.ndarray, other: np.ndarray, tests: int, ordered: bool) -> st
             if abs(slope - 1) < _EXACT and abs(shift) <= _EXACT * y.std():
                 return "equal to it"
             return f"{slope:.4g} times it {'-' if shift < 0 else '+'} {abs(shift):.4g}"
+    return f"one value for each of its {len(kinds):,} values" if _paired(values, other, ordered) else ""
+
+
+def _paired(values: np.ndarray, other: np.ndarray, ordered: bool) -> bool:
+    """Whether each value of one column stands beside one value of the other, rising or falling together if `ordered`."""
+    kinds, codes = np.unique(other, return_inverse=True)
     of, own = np.unique(values, return_inverse=True)
-    if len(of) != len(kinds) or len(np.unique(own.astype(np.int64) * len(kinds) + codes)) != len(kinds):
-        return ""
+    if len(of) != len(kinds):
+        return False
     pairs = np.zeros(len(of), int)
     pairs[own] = codes
-    if ordered and not ((np.diff(pairs) > 0).all() or (np.diff(pairs) < 0).all()):
-        return ""
-    return f"one value for each of its {len(kinds):,} values"
+    if (pairs[own] != codes).any() or len(np.unique(pairs)) != len(kinds):
+        return False
+    return not ordered or bool((np.diff(pairs) > 0).all() or (np.diff(pairs) < 0).all())
 
 
 def _leading(sample: _Sample) -> list[str]:
@@ -167,7 +179,7 @@ def _leading(sample: _Sample) -> list[str]:
         return out
     names = list(sample.columns)
     # Columns that agree on a few rows are compared on all, so that many columns take little time.
-    few = now[np.linspace(0, len(now) - 1, min(64, len(now))).astype(int)]
+    few = now[np.linspace(0, len(now) - 1, min(_FEW, len(now))).astype(int)]
     table = np.stack([sample.columns[name] for name in names], 1)
     pairs = np.argwhere((table[few][:, :, None] == table[few + 1][:, None, :]).all(0))
     for i, j in pairs.tolist():

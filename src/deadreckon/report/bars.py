@@ -32,10 +32,8 @@ def histogram(values: np.ndarray, title: str, unit: str = "rows") -> Markup:
     for count, low, high in zip(counts.tolist(), edges, edges[1:]):
         said = tag("title", f"{number(float(low))} to {number(float(high))}: {count:,} {unit}")
         a, b, up = float(x(low)), float(x(high)), float(y(count))
-        parts.append(
-            tag("rect", said, x=f"{a + 0.5:.1f}", y=f"{up:.1f}", width=f"{max(b - a - 1, 0.5):.1f}", height=f"{bottom - up:.1f}",
-                class_="bar")
-        )  # fmt: skip
+        size = {"width": f"{max(b - a - 1, 0.5):.1f}", "height": f"{bottom - up:.1f}"}
+        parts.append(tag("rect", said, x=f"{a + 0.5:.1f}", y=f"{up:.1f}", class_="bar", **size))
     parts += [tag("text", short(t), x=f"{x(t):.1f}", y=bottom + 18, class_="tick mid") for t in x.ticks]
     return _drawing(parts, width, height, title)
 
@@ -54,7 +52,8 @@ def shares(names: Sequence[str], counts: np.ndarray, title: str, unit: str = "ro
         y, long = i * row + 4, (right - left) * count / most
         short_name = name if len(name) <= _NAME else f"{name[: _NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
         parts.append(
-            tag("g", tag("title", f"{name}: {count:,} {unit}"), tag("text", short_name, x=left - 8, y=y + 13, class_="tick end"),
+            tag("g", tag("title", f"{name}: {count:,} {unit}"),
+                tag("text", short_name, x=left - 8, y=y + 13, class_="tick end"),
                 tag("rect", x=left, y=y, width=f"{long:.1f}", height=row - 6, rx=2, class_="bar"),
                 tag("text", f"{count / total:.1%}", x=f"{left + long + 6:.1f}", y=y + 13, class_="tick"))
         )  # fmt: skip

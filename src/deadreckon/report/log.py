@@ -75,7 +75,8 @@ def _table(columns: Sequence[Told]) -> Markup:
         rows.append(tag("tr", tag("th", each.name, scope="row"), cells))
     head = heads_of(["column", "role", "kind", "levels or range", "missing cells", "becomes"])
     more = len(columns) - len(rows)
-    return join(scroll(tag("table", head, tag("tbody", rows), class_="listed")), note(f"{more:,} more are not listed.") if more > 0 else None)
+    table = scroll(tag("table", head, tag("tbody", rows), class_="listed"))
+    return join(table, note(f"{more:,} more are not listed.") if more > 0 else None)
 
 
 def _pictures(log: Dataset, columns: Sequence[Told], rows: np.ndarray) -> Markup:
