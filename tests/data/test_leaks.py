@@ -126,3 +126,15 @@ def test_a_chain_with_a_goal_and_a_balance_with_constant_rewards_are_not_accused
             next_observations=after, action_space=Discrete(n),
         )  # fmt: skip
         assert leaks(log) == (), name
+
+
+def test_long_logs_are_sampled():
+    rng = np.random.default_rng(0)
+    for ends in (None, np.arange(150_000) % 50 == 49):
+        rewards = rng.normal(size=150_000)
+        seen = np.stack([rng.normal(size=150_000), rewards], 1)
+        columns = {"observations": seen, "actions": rng.integers(0, 3, 150_000), "rewards": rewards, "timeouts": ends}
+        (line,) = leaks(Dataset.from_arrays(**columns))
+        assert "observation 1 may be the reward" in line
+        count = int(line.split(" in all ")[1].split()[0].replace(",", ""))
+        assert 5_000 <= count <= 10_000

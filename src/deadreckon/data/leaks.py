@@ -56,12 +56,13 @@ def _part(log: Dataset) -> Dataset:
     chosen = np.arange(0, log.episodes, step)
     fitting = chosen[: max(1, int(np.searchsorted(np.cumsum(log.lengths[chosen]), ROWS, side="right")))]
     if log.lengths[fitting].sum() > 10 * ROWS:  # one endless episode: its beginning
-        first = slice(0, ROWS)
+        first = {key: np.asarray(log.extras[key][:ROWS]) for key in (LOG_PROBS,) if key in log.extras}
+        if log.successors is not None:
+            first["next_observations"] = np.asarray(log.successors[:ROWS])
         return Dataset.from_arrays(
-            observations=np.asarray(log.observations[first]), actions=np.asarray(log.actions[first]),
-            rewards=np.asarray(log.rewards[first]), action_space=log.action_space, name=log.name, provenance=log.provenance,
-            next_observations=None if log.successors is None else np.asarray(log.successors[first]),
-            **{key: np.asarray(value[first]) for key, value in log.extras.items() if key == LOG_PROBS},
+            observations=np.asarray(log.observations[:ROWS]), actions=np.asarray(log.actions[:ROWS]),
+            rewards=np.asarray(log.rewards[:ROWS]), action_space=log.action_space, name=log.name, provenance=log.provenance,
+            strict=False, **first,
         )  # fmt: skip
     return log.select(fitting)
 
