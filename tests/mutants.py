@@ -1026,6 +1026,30 @@ MUTANTS = (
         "DSRL's columns lose their names", ("data/formats/test_layouts.py",),
     ),
     Mutant(
+        "missing-cells-inverted", "data/held.py",
+        '"missing": int(is_missing(values).sum())',
+        '"missing": int((~is_missing(values)).sum())',
+        "cells with a value are counted as missing", ("data/test_told.py",),
+    ),
+    Mutant(
+        "leak-late-own-row", "data/late.py",
+        "_errors(features[rows - lag], target, learn)",
+        "_errors(features[rows], target, learn)",
+        "late rewards are compared with their own row only", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "leak-lagged-column", "data/leaks.py",
+        "if len(np.unique(start)) < 2 or (start == ahead[first]).all():",
+        "if (start == ahead[first]).all():",
+        "a column of earlier values is accused", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "page-fills-as-values", "report/log.py",
+        "seen = flat[:, -1] == 0 if len(names) > 1 else np.ones(len(rows), bool)",
+        "seen = np.ones(len(rows), bool)",
+        "filled cells are drawn as values", ("report/test_log_page.py",),
+    ),
+    Mutant(
         "layout-corl-breaks", "data/checks.py",
         "np.append(_breaks(observations, following), True) & ~terminals",
         "np.append(np.zeros(rows - 1, bool), True) & ~terminals",

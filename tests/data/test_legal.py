@@ -131,7 +131,7 @@ def test_tables_say_it_in_many_ways(way):
     assert log.provenance.extra["action_levels"] == ["a", "b", "c"]
     again = Dataset.from_frame(table, schema=log.provenance.extra["schema"])
     assert again.fingerprint == log.fingerprint
-    told = any("say which actions are legal (--legal)" in line for line in log.warnings)
+    told = any("which actions are legal (--legal)" in line for line in log.warnings)
     assert told == (way in ("a text with bars", "JSON", "lists", "flags"))
 
 

@@ -174,6 +174,12 @@ CASES = {
 }  # fmt: skip
 
 
+def without_reasons(extra):
+    """Why columns were left out is known to the one who decided it, not to a schema."""
+    held = {name: {key: value for key, value in told.items() if key != "reason"} for name, told in extra["held"].items()}
+    return {**extra, "held": held}
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_read_right_or_told(name):
     more, options, names, space, words = CASES[name]
@@ -187,7 +193,7 @@ def test_read_right_or_told(name):
     # What was decided is in the schema, by which the same table is read alike, with nothing more to decide.
     again = Dataset.from_frame(base(**more), schema=log.provenance.extra["schema"])
     assert again.fingerprint == log.fingerprint
-    assert again.provenance.extra == log.provenance.extra
+    assert without_reasons(again.provenance.extra) == without_reasons(log.provenance.extra)
 
 
 def test_a_renamed_level_of_the_action_is_refused_and_one_of_an_observation_is_told():

@@ -102,6 +102,8 @@ class Info:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
+    html: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    """HTML page to write: the columns, returns, actions and coverage as charts; an old one is replaced"""
 
 
 @dataclass
@@ -201,10 +203,21 @@ def _get(options: Get) -> None:
 def _info(options: Info) -> None:
     from deadreckon.data.catalogue import load
     from deadreckon.data.info import describe, render, warnings_for
+    from deadreckon.data.leaks import leaks
+    from deadreckon.data.told import columns_of, table_of
 
+    if options.html is not None and Path(options.html).suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"--html {options.html}: the page is HTML, and its name must end in .html")
     log = load(options.file, horizon=options.horizon, **mapping_options(options.map))
     info = describe(log)
-    print(render(info, warnings_for(log, info)))
+    warnings = (*warnings_for(log, info), *leaks(log))
+    print(f"{render(info)}\n\n{table_of(columns_of(log))}")
+    if warnings:
+        print("\n" + "\n".join(f"! {line}" for line in warnings))
+    if options.html is not None:
+        from deadreckon.report.log import write_log
+
+        print(write_log(log, options.html, info, warnings))
 
 
 def _describe(options: Describe) -> None:

@@ -70,13 +70,15 @@ def _train(name, parsed, preset):
 
     from deadreckon.agents import preset_for
     from deadreckon.data.catalogue import load
+    from deadreckon.data.leaks import leaks
     from deadreckon.runs.train import train as run_training
 
     log = load(
         options.data, mmap=options.mmap, strict=options.settings.strict, horizon=options.horizon,
         **columns_of(options.map, options.holdout_by),
     )  # fmt: skip
-    for text in log.warnings:
+    suspected = leaks(log) if "schema" in log.provenance.extra else ()  # files of simulators' logs have no columns to mistake
+    for text in (*log.warnings, *suspected):
         print(f"{log.name}: {text}")
     published = preset_for(name, log.name)
     if published and not preset:

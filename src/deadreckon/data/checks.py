@@ -188,22 +188,30 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
     return column, space
 
 
-def bounds_warnings(log: str, actions: np.ndarray, space: Box | Discrete, strict: bool) -> list[str]:
-    """What to say of actions out of bounds, which are an error where `strict`."""
+def bounds_warnings(
+    log: str, actions: np.ndarray, space: Box | Discrete, strict: bool, extra: Mapping[str, Any]
+) -> list[str]:
+    """What to say of actions out of bounds, which are an error where `strict`; `extra` of the provenance names columns."""
     if isinstance(space, Discrete):
         return []
     low, high = np.asarray(space.low, np.float32), np.asarray(space.high, np.float32)
     count, first = 0, -1
+    each = np.zeros(space.size, int)
     for start in _blocks(actions):
         part = actions[start : start + _BLOCK]
-        outside = ((part < low) | (part > high)).any(1)
+        beyond = (part < low) | (part > high)
+        each += beyond.sum(0)
+        outside = beyond.any(1)
         if first < 0 and outside.any():
             first = start + int(np.argmax(outside))
         count += int(outside.sum())
     if not count:
         return []
     share = f"{count} of {len(actions)} rows ({100 * count / len(actions):.0f} %)"
-    text = f"{share} have actions out of bounds, first row {first}"
+    columns = (extra.get("schema") or {}).get("columns", {})
+    names = [name for name, column in columns.items() if column["role"] == "action"]
+    which = [f"{name} {count:,}" for name, count in zip(names, each.tolist()) if count] if len(names) == space.size else []
+    text = f"{share} have actions out of bounds, first row {first}" + (f" ({', '.join(which)})" if which else "")
     if strict:
         raise UserError(f"{log}: {text}; without --strict they are clipped")
     return [f"{text}; methods see them clipped"]

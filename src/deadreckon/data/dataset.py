@@ -111,7 +111,7 @@ class Dataset:
         given, action_space = joined_masks(name, given, action_space)
         log = cls(**checked_columns(name, given, action_space), name=name, provenance=provenance or Provenance())
         check_masks(name, log.observations, log.actions, log.action_space)
-        warnings = bounds_warnings(name, log.actions, log.action_space, strict)
+        warnings = bounds_warnings(name, log.actions, log.action_space, strict, log.provenance.extra)
         if lost := log.dropped:
             warnings += [f"{lost} of {len(log)} rows have no known successor (the log ends there without a terminal), left out"]
         return replace(log, warnings=tuple(warnings))
@@ -294,6 +294,6 @@ class Dataset:
         if space.size != self.action_space.size or type(space) is not type(self.action_space):
             raise UserError(f"{self.name}: actions are {self.action_space}, {space} was asked for")
         same = space == self.action_space
-        warnings = bounds_warnings(self.name, self.actions, space, strict) if strict or not same else []
-        told = (*self.warnings, *warnings)
+        said = bounds_warnings(self.name, self.actions, space, strict, self.provenance.extra) if strict or not same else []
+        told = (*self.warnings, *said)
         return self if same else replace(self, action_space=space, warnings=told, part_of=lambda: self.episode_ids)

@@ -10,8 +10,11 @@ import pyarrow as pa
 
 from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing
 from deadreckon.data.asked import Asked
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.draft import Drafted, draft
-from deadreckon.data.frame import frame_columns, to_arrow
+from deadreckon.data.frame import FrameColumns, frame_columns, to_arrow
+from deadreckon.data.leaks import leaks
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.schema import Column, Schema
 from deadreckon.errors import UserError
 
@@ -54,10 +57,22 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
             told.insert(0, str(error).removeprefix(f"{name}: "))
         else:
             told += [line for line in read.warnings if line not in told]
+            told += _leaks(read, name)
             resolved = {column.name: column for column in Schema.from_json(read.extra["schema"]).columns}
             found = [replace(resolved[column.name], reason=column.reason, doubt=column.doubt) for column in found]
     where: Mapping[str, Any] = {"path": file.name, **ways} if file else {}
     return Drafted(Schema(tuple(found), where), [*lines, *told])
+
+
+def _leaks(read: FrameColumns, name: str) -> tuple[str, ...]:
+    """What looks like a leak in the log that the drafted schema makes, or nothing where it makes none yet."""
+    try:
+        log = Dataset.from_arrays(
+            **read.columns, action_space=read.action_space, name=name, provenance=Provenance(extra=read.extra)
+        )
+    except UserError as error:
+        return (str(error).removeprefix(f"{name}: "),)
+    return leaks(log)
 
 
 def _about(column: Column, table: pa.Table) -> str:

@@ -183,8 +183,9 @@ class _Maker:
             found = find_legal(self.name, self.table, role, asked, self.having("action"), free)
             self.give(list(found), role, "by its name" if asked is None else "asked for")
             self.of |= {column: of for column, of in found.items() if of is not None}
-            shown = listed(list(found)) if found and asked is None else ""
-            self.told += [f"{shown} say which actions are legal (--{role.replace('_', '-')})"] if shown else []
+            shown = f"column {next(iter(found))} says" if len(found) == 1 else f"{listed(list(found))} say"
+            option = role.replace("_", "-")
+            self.told += [f"{shown} which actions are legal (--{option})"] if found and asked is None else []
 
     def free(self, role: str) -> list[str]:
         """Columns whose names suggest the role and that have none."""

@@ -13,6 +13,7 @@ from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
+from deadreckon.data.held import HELD, held
 from deadreckon.data.kinds import check_column
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
 from deadreckon.data.schema import Column, Schema, as_schema
@@ -25,7 +26,8 @@ class FrameColumns(NamedTuple):
 
     Attributes:
         columns: by `Dataset.from_arrays` names, (rows, ...) each, in the order of episodes and time.
-        extra: for the provenance: the schema, names of the observation's dimensions, levels of categories.
+        extra: for the provenance: the schema, names of the observation's dimensions, levels of categories,
+            and what each column held (`data.held`).
         warnings: what was noticed, one line each.
         action_space: that the schema gives, or None.
     """
@@ -168,7 +170,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     else:
         columns["timeouts"] |= ends & ~columns["terminals"]
     resolved = schema.resolved(encoder.resolved.values())
-    extra = {**encoder.extra, "schema": resolved.to_json()}
+    extra = {**encoder.extra, "schema": resolved.to_json(), HELD: held(table, schema)}
     if group := schema.one("group"):
         extra["group"] = group.name
     return FrameColumns(columns, extra, warnings, _space(actions, encoder.resolved))

@@ -1,13 +1,16 @@
 """What a log is made of, in numbers, and what a practitioner should know before learning from it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
+from deadreckon.data.told import action_names, observation_names
 
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
+_NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
@@ -38,7 +41,7 @@ class Info:
         saturated_share: share of action entries at a bound or beyond; 0 for discrete actions.
         out_of_bounds: rows with an action beyond its bounds.
         unused_actions: discrete actions that never occur.
-        constant_observations: dimensions (of the flattened observation) that never change.
+        constant_observations: dimensions (of the flattened observation, without masks of actions) that never change.
         observation_scales: smallest and largest standard deviation among those that do.
         duplicate_rows: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
         sampled: rows that were looked at for duplicates and distinct rewards.
@@ -108,7 +111,8 @@ def describe(log: Dataset) -> Info:
         saturated_share=saturated,
         out_of_bounds=outside,
         unused_actions=unused,
-        constant_observations=tuple(np.flatnonzero(constant).tolist()),
+        # What is legal everywhere carries nothing either, and cannot be left out.
+        constant_observations=tuple(np.flatnonzero(constant[: len(constant) - spec.mask_size]).tolist()),
         observation_scales=(float(moving.min()), float(moving.max())),
         duplicate_rows=_duplicates(log, sample),
         sampled=sample.stop,
@@ -125,7 +129,7 @@ def warnings_for(log: Dataset, info: Info | None = None) -> tuple[str, ...]:
         info: what `describe` gave, if it was called already.
     """
     info = info or describe(log)
-    return (*log.warnings, *_ends(log, info), *_rewards(info), *_columns(info))
+    return (*log.warnings, *_ends(log, info), *_rewards(info), *_columns(log, info))
 
 
 def render(info: Info, warnings: tuple[str, ...] = ()) -> str:
@@ -191,27 +195,37 @@ def _rewards(info: Info) -> list[str]:
     return out
 
 
-def _columns(info: Info) -> list[str]:
+def _columns(log: Dataset, info: Info) -> list[str]:
     """Advice on observations, actions and rows."""
     out = []
     if info.constant_observations:
-        shown = ", ".join(map(str, info.constant_observations[:8]))
-        more = len(info.constant_observations) - 8
-        shown += f" and {more} more" if more > 0 else ""
+        names = observation_names(log)
+        shown = _shortened([names[i].removeprefix("observation ") for i in info.constant_observations])
         out.append(f"observation dimensions that never change: {shown}; they carry nothing and may be left out")
     low, high = info.observation_scales
     if low > 0 and high / low > 1_000:
-        text = f"observation scales differ by a factor of {high / low:.0f} (standard deviations {low:.2g} .. {high:.2g})"
+        std, names = log.spec.observation.std.ravel(), observation_names(log)
+        least, most = (names[int(i)] for i in (np.argmin(np.where(std > 0, std, np.inf)), np.argmax(std)))
+        deviations = f"standard deviations {low:.2g} of {least} .. {high:.2g} of {most}"
+        text = f"observation scales differ by a factor of {high / low:.0f} ({deviations})"
         out.append(f"{text}: normalise observations")
     if info.saturated_share > 0.3:
-        text = f"{info.saturated_share:.0%} of the action entries are at the bounds"
+        text = f"{info.saturated_share:.0%} of the action entries are at the bounds ({_shortened(action_names(log))})"
         out.append(f"{text}: log-probabilities of tanh policies are uncertain there; check that the bounds are right")
     if info.unused_actions:
-        out.append(f"{info.unused_actions} of the actions never occur in the log: nothing is known about them")
+        names, used = action_names(log), np.unique(log.actions)
+        unused = [name for i, name in enumerate(names) if i not in used]
+        text = f"{info.unused_actions} of the actions never occur in the log ({_shortened(unused)})"
+        out.append(f"{text}: nothing is known about them")
     if info.duplicate_rows > 0.01 * info.sampled and info.lengths[-1] > 1:
         text = f"{info.duplicate_rows:,} of {info.sampled:,} rows repeat an earlier one"
         out.append(f"{text}: a split by rows would leak; split by episodes")
     return out
+
+
+def _shortened(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
 
 
 def _actions(log: Dataset) -> tuple[float, int, int]:

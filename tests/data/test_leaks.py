@@ -1,0 +1,140 @@
+"""Planted leaks are told by name, and tables without any are not accused."""
+
+import numpy as np
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.leaks import leaks
+from deadreckon.data.spec import Discrete
+
+STEPS, EPISODES = 20, 60
+
+
+def table(seed=0, **more):
+    """An honest table: a state that moves, an action drawn at random, a reward of both with noise."""
+    rng = np.random.default_rng(seed)
+    rows = STEPS * EPISODES
+    state, act = np.zeros(rows), rng.integers(0, 2, rows)
+    for row in range(rows):
+        state[row] = rng.normal() if row % STEPS == 0 else 0.7 * state[row - 1] + act[row - 1] + 0.3 * rng.normal()
+    reward = state * (2 * act - 1) + 0.2 * rng.normal(size=rows)
+    frame = {"day": np.repeat(np.arange(EPISODES), STEPS), "state": state, "noise": rng.normal(size=rows),
+             "act": act, "reward": reward}  # fmt: skip
+    frame |= {name: make(frame) for name, make in more.items()}
+    return frame
+
+
+def read(frame, **more):
+    return Dataset.from_frame(frame, action="act", reward="reward", episode="day", **more)
+
+
+def shifted(values, by):
+    """The values `by` rows earlier of the same episode, 0 before its first."""
+    out = np.zeros_like(values)
+    out.reshape(EPISODES, STEPS)[:, by:] = values.reshape(EPISODES, STEPS)[:, :-by]
+    return out
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_honest_table_is_not_accused(seed):
+    assert leaks(read(table(seed))) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "words"),
+    [
+        ("bill", lambda f: f["reward"], "column bill may be the reward by another name: equal to it"),
+        ("cents", lambda f: 100 * f["reward"] - 3, "column cents may be the reward"),
+        ("rank", lambda f: np.exp(f["reward"] / 4), "column rank may be the reward"),
+        ("valve", lambda f: 1.0 - f["act"], "column valve may come after the action: it tells act"),
+        ("label", lambda f: np.where(f["act"] == 1, "open", "shut"), "column label may come after the action: it tells act"),
+        ("then", lambda f: np.append(f["state"][1:], 0.0), "column then equals the next row's state"),
+    ],
+)
+def test_a_planted_column_is_told_by_name(name, make, words):
+    found = leaks(read(table(**{name: make})))
+    assert len(found) == 1, found
+    assert words in found[0]
+
+
+def test_a_column_of_earlier_values_is_no_leak():
+    assert leaks(read(table(before=lambda f: shifted(f["state"], 1), last=lambda f: shifted(f["reward"], 1)))) == ()
+
+
+@pytest.mark.parametrize("lag", [1, 3])
+def test_a_late_reward_is_told_with_its_delay(lag):
+    frame = table()
+    (line,) = leaks(read({**frame, "reward": shifted(frame["reward"], lag)}))
+    assert f"may arrive {lag} row" in line
+
+
+def test_propensities_decide_whether_a_rule_without_chance_acted():
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 2, 400)
+    columns = {"observations": np.stack([actions, rng.normal(size=400)], 1), "actions": actions,
+               "rewards": rng.normal(size=400), "terminals": np.ones(400, bool), "action_space": Discrete(2)}  # fmt: skip
+    sure = Dataset.from_arrays(**columns, behavior_log_probs=np.zeros(400))
+    drawn = Dataset.from_arrays(**columns, behavior_log_probs=np.full(400, np.log(0.5)))
+    assert leaks(sure) == ()
+    (line,) = leaks(drawn)
+    assert "observation 0 may come after the action" in line
+    assert "probability 1e-120" in line
+
+
+def test_next_observations_that_repeat_the_observations():
+    copied = table(next_state=lambda f: f["state"], next_noise=lambda f: f["noise"])
+    (line,) = leaks(read(copied))
+    assert "transitions never move" in line
+    assert "next_state, next_noise" in line
+    one = table(next_state=lambda f: np.append(f["state"][1:], 0.0), next_noise=lambda f: f["noise"])
+    (line,) = leaks(read(one))
+    assert line.startswith("next_noise equals noise of its own row")
+
+
+def noise(seed):
+    rng = np.random.default_rng(seed)
+    rows = 600
+    discrete = seed % 2 == 0
+    frame = {"day": np.repeat(np.arange(30), 20), "act": rng.integers(0, 3, rows) if discrete else rng.normal(size=rows)}
+    frame |= {f"x{i}": rng.normal(size=rows) for i in range(8)} | {f"c{i}": rng.integers(0, 2, rows) for i in range(8)}
+    return frame | {"reward": rng.integers(0, 2, rows).astype(float) if seed % 3 else rng.normal(size=rows)}
+
+
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 20))])
+def test_noise_is_not_accused(seed):
+    assert leaks(read(noise(seed))) == ()
+
+
+def test_a_chain_with_a_goal_and_a_balance_with_constant_rewards_are_not_accused():
+    gymnasium = pytest.importorskip("gymnasium")
+    rng = np.random.default_rng(0)
+    for name in ("FrozenLake-v1", "CartPole-v1"):
+        world = gymnasium.make(name)
+        rows, n = [], int(world.action_space.n)
+        for episode in range(150):
+            seen, _ = world.reset(seed=episode)
+            over = False
+            while not over:
+                action = int(rng.integers(n))
+                after, reward, terminal, timeout, _ = world.step(action)
+                over = terminal or timeout
+                rows.append((seen, action, reward, terminal, timeout, after))
+                seen = after
+        seen, action, reward, terminal, timeout, after = (np.array(column) for column in zip(*rows))
+        log = Dataset.from_arrays(
+            observations=seen, actions=action, rewards=reward, terminals=terminal, timeouts=timeout & ~terminal,
+            next_observations=after, action_space=Discrete(n),
+        )  # fmt: skip
+        assert leaks(log) == (), name
+
+
+def test_long_logs_are_sampled():
+    rng = np.random.default_rng(0)
+    for ends in (None, np.arange(150_000) % 50 == 49):
+        rewards = rng.normal(size=150_000)
+        seen = np.stack([rng.normal(size=150_000), rewards], 1)
+        columns = {"observations": seen, "actions": rng.integers(0, 3, 150_000), "rewards": rewards, "timeouts": ends}
+        (line,) = leaks(Dataset.from_arrays(**columns))
+        assert "observation 1 may be the reward" in line
+        count = int(line.split(" in all ")[1].split()[0].replace(",", ""))
+        assert 5_000 <= count <= 10_000

@@ -1,0 +1,116 @@
+"""The page about a log: what it says, that names are escaped, and that it works in a browser."""
+
+import re
+
+import numpy as np
+import pytest
+
+from deadreckon.cli.data import data
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.info import describe, warnings_for
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
+from deadreckon.report.log import write_log
+
+CHECK = """<script>
+const found = { errors, charts: document.querySelectorAll("svg.chart").length, scripts: document.scripts.length,
+  injected: document.querySelectorAll("b.evil").length,
+  requests: performance.getEntriesByType("resource").map((entry) => entry.name).filter((name) => !/^data:/.test(name)) };
+const frame = document.createElement("iframe");
+frame.style.width = "390px";
+frame.srcdoc = "<!doctype html>" + document.documentElement.outerHTML.replace(/<script>[^]*?<\\/script>/g, "");
+frame.addEventListener("load", () => {
+  const root = frame.contentDocument.documentElement;
+  found.phone = [root.scrollWidth, frame.contentWindow.innerWidth];
+  document.body.append(Object.assign(document.createElement("pre"), { id: "found", textContent: JSON.stringify(found) }));
+});
+document.body.append(frame);
+</script>"""
+EVIL = "<b class=evil>x</b>"
+
+
+def page(log, tmp_path, warnings=()):
+    info = describe(log)
+    return write_log(log, tmp_path / "log.html", info, (*warnings_for(log, info), *warnings))
+
+
+def table(rows=60):
+    rng = np.random.default_rng(0)
+    cold = np.where(np.arange(rows) % 10 == 0, np.nan, rng.normal(size=rows))
+    return Dataset.from_frame(
+        {"day": np.repeat(np.arange(rows // 10), 10), EVIL: rng.normal(size=rows), "cold": cold,
+         "site": np.where(np.arange(rows) % 3, "<i>here", "there"), "act": np.where(np.arange(rows) % 4, "a&b", "c"),
+         "gone": [None] * rows, "reward": rng.normal(size=rows)},
+        action="act", reward="reward", episode="day",
+    )  # fmt: skip
+
+
+def test_every_column_stands_on_the_page(tmp_path):
+    text = page(table(), tmp_path, ["a warning of <column>"]).read_text()
+    assert EVIL not in text
+    assert "<i>here" not in text
+    for words in ("&lt;b class=evil&gt;", "a warning of &lt;column&gt;", "left out: empty", "one 0/1 number per level",
+                  "6 missing", "Within an episode", "2 of 2 actions occur in the log"):  # fmt: skip
+        assert words in text, words
+    bars = re.findall(r"<title>([^<]*): (\d+) rows</title>", text)
+    assert ("a&amp;b", "45") in bars
+    assert ("there", "20") in bars
+    # Cells that were filled up with the mean are no values: 54 of the 60 are.
+    drawn = text[text.index("<figcaption>cold</figcaption>") :].split("</figure>")[0]
+    assert sum(int(count) for count in re.findall(r": (\d+) rows</title>", drawn)) == 54
+
+
+def test_the_page_in_a_browser(tmp_path, browse):
+    found, console = browse(page(table(), tmp_path), CHECK)
+    assert found["errors"] == []
+    assert found["injected"] == 0
+    assert found["requests"] == []
+    assert found["charts"] >= 9
+    assert found["phone"][0] <= found["phone"][1]
+    assert not console
+
+
+@pytest.mark.parametrize("kind", ["continuous", "bandit", "images", "one dimension", "long"])
+def test_all_kinds_of_logs(kind, tmp_path):
+    rng = np.random.default_rng(0)
+    rows = 30_000 if kind == "long" else 40
+    shape = {"images": (8, 8, 3), "one dimension": (1,)}.get(kind, (3,))
+    seen = rng.integers(0, 255, (rows, *shape)).astype(np.uint8) if kind == "images" else rng.normal(size=(rows, *shape))
+    discrete = kind in ("bandit", "images")
+    log = Dataset.from_arrays(
+        observations=seen, rewards=rng.normal(size=rows),
+        actions=rng.integers(0, 20, rows) if discrete else rng.normal(size=(rows, 2)),
+        terminals=np.ones(rows, bool) if kind == "bandit" else None,
+        action_space=Discrete(20) if discrete else Box((-5, -5), (5, 5)),
+    )  # fmt: skip
+    text = page(log, tmp_path).read_text()
+    assert ("Image observations are not drawn" in text) == (kind == "images")
+    assert ("no time within them" in text) == (kind == "bandit")
+    assert ("20,000 of 30,000 rows" in text) == (kind == "long")
+    assert ("Fewer than two dimensions" in text) == (kind == "one dimension")
+    assert ("12 more actions are not drawn" in text) == discrete
+
+
+def test_the_command(tmp_path, capsys):
+    path, made = tmp_path / "x.csv", tmp_path / "x.html"
+    path.write_text("x,act,reward\n" + "".join(f"{i % 7},{i % 3},{i * i % 11}\n" for i in range(40)))
+    data(["info", str(path), "--action", "act", "--reward", "reward", "--html", str(made)])
+    shown = capsys.readouterr().out
+    assert shown.splitlines()[-1] == str(made)
+    assert "levels or range" in shown
+    assert made.read_text().startswith("<!")
+    with pytest.raises(UserError, match=r"--html x.pdf: .* must end in .html"):
+        data(["info", str(path), "--action", "act", "--reward", "reward", "--html", "x.pdf"])
+
+
+def test_the_command_tells_leaks(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    path = tmp_path / "x.csv"
+    rewards = rng.normal(size=60)
+    path.write_text(
+        "x,bill,act,reward\n" + "".join(f"{rng.normal():.4f},{r:.4f},{i % 3},{r:.4f}\n" for i, r in enumerate(rewards))
+    )
+    for command in ("info", "describe"):
+        data([command, str(path), "--action", "act", "--reward", "reward"])
+        out, error = capsys.readouterr()
+        assert "column bill may be the reward by another name: equal to it" in out + error, command
