@@ -16,6 +16,7 @@ from deadreckon.data.formats import stream
 from deadreckon.data.formats.build import columns_of
 from deadreckon.data.formats.folder import read_folder
 from deadreckon.data.formats.io import convert
+from deadreckon.data.frame import _order
 from deadreckon.errors import UserError
 
 
@@ -102,6 +103,18 @@ def test_a_refused_table_leaves_nothing(tmp_path):
     with pytest.raises(UserError, match="broken.parquet"):
         convert(tmp_path / "broken.parquet", tmp_path / "log", **ASKED["bandit"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.parquet", "log.parquet"]
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_rows_in_order_are_not_sorted_again(monkeypatch, swapped):
+    monkeypatch.setattr("deadreckon.data.frame.BLOCK", 7)
+    codes, moments = np.repeat(np.arange(10), 5), np.tile(np.arange(5.0), 10) + np.repeat(np.arange(10), 5) // 3
+    if swapped:
+        moments[[34, 35]] = moments[[34, 35]][::-1] - 9  # at the edge of two blocks
+    order, _ = _order(50, codes, moments)
+    first = np.array([moments[codes == code].min() for code in range(10)])
+    assert isinstance(order, slice) is not swapped
+    np.testing.assert_array_equal(np.arange(50)[order], np.lexsort((moments, codes, first[codes])))
 
 
 KILLED = """
