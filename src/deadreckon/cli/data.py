@@ -245,7 +245,10 @@ def _convert(options: Convert) -> None:
     if options.source == options.target:
         raise UserError("source and target are the same")
     given = mapping_options(options.map)
-    log = convert(options.source, options.target, force=options.force, horizon=options.horizon, **given)
+    with Bar(f"reading {options.source}", None, "rows") as bar:
+        log = convert(
+            options.source, options.target, force=options.force, horizon=options.horizon, progress=bar, **given
+        )  # fmt: skip
     for line in log.warnings:  # those that the new file no longer gives a reason for would not be told again
         print(f"! {line}", file=sys.stderr)
     print(options.target)

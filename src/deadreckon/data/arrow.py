@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 
+from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
@@ -89,9 +90,12 @@ def levels_of_whole_numbers(values: Any) -> list[int] | None:
     kind = values.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)) or values.null_count:
         return None
+    if pa.types.is_floating(kind):  # looked at in blocks before they are told apart, which takes much memory of many values
+        for start in range(0, len(values), BLOCK):
+            part = values.slice(start, BLOCK).to_numpy(zero_copy_only=False)
+            if not (np.isfinite(part).all() and (part == np.floor(part)).all()):
+                return None
     found = np.asarray(values.unique().to_numpy(zero_copy_only=False), np.float64 if pa.types.is_floating(kind) else None)
-    if found.dtype.kind == "f" and not (np.isfinite(found).all() and (found == np.floor(found)).all()):
-        return None
     return [int(level) for level in np.sort(found)]
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.episodes import index_type
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError, unknown
@@ -149,8 +150,11 @@ class TransitionSource:
             raise UserError(f"{log.name}: its rows do not follow each other, so what the log did next is not known")
         # Whoever looks at successors is not shown rows without one. Windows are runs of the log itself, so all rows stay.
         looks_ahead = "next_observation" in needs.columns
-        usable = log.usable[self.last(np.arange(len(log)))] if looks_ahead else np.ones(len(log), bool)
-        self._index = None if needs.window or usable.all() else np.flatnonzero(usable)
+        usable = log.usable if looks_ahead else np.ones(len(log), bool)
+        if looks_ahead and needs.n_step > 1:
+            usable = usable[self.last(np.arange(len(log)))]
+        everything = needs.window or usable.all()
+        self._index = None if everything else np.flatnonzero(usable).astype(index_type(len(log)))
         self._blind = looks_ahead & ~log.usable[log.ends]  # (episodes,) whose last row has no known successor
         self.count = len(log) if self._index is None else len(self._index)
         if self.count == 0 or not usable.any():

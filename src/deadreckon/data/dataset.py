@@ -9,7 +9,7 @@ import numpy as np
 
 from deadreckon.data.checks import bounds_warnings, checked_columns, if_needed
 from deadreckon.data.columns import given_columns, in_memory, unmarked
-from deadreckon.data.episodes import content_ids, fingerprint, returns_to_go, rows_of
+from deadreckon.data.episodes import content_ids, fingerprint, index_type, returns_to_go, rows_of
 from deadreckon.data.legal import check_masks, joined_masks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
@@ -192,8 +192,8 @@ class Dataset:
 
     @cached_property
     def episode_of(self) -> np.ndarray:
-        """(rows,) index of the episode that a row belongs to."""
-        return np.repeat(np.arange(self.episodes), self.lengths)
+        """(rows,) int32 index of the episode that a row belongs to; int64 of more than 2^31 episodes."""
+        return np.repeat(np.arange(self.episodes, dtype=index_type(self.episodes)), self.lengths)
 
     @cached_property
     def spec(self) -> Spec:
@@ -230,7 +230,7 @@ class Dataset:
             return self.successors[rows]
         ends = self._is_end[rows]
         following = np.asarray(self.observations[np.minimum(rows + 1, len(self) - 1)])
-        following[ends] = self.final_observations[self.episode_of[rows[ends]]]
+        following[ends] = self.final_observations[np.searchsorted(self.ends, rows[ends])]
         return following
 
     @property

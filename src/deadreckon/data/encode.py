@@ -24,6 +24,7 @@ from deadreckon.data.arrow import (
 )
 from deadreckon.data.likeness import refuse_mistaken
 from deadreckon.data.schema import Column
+from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.errors import UserError
 
 _SPARSE = 4  # integers that leave more than 3 of 4 values unused are identifiers, and numbered anew
@@ -36,14 +37,16 @@ class Encoder:
     Attributes:
         name: of the log, used in errors.
         table: the table.
+        scratch: where columns are kept that have as many rows as the table.
         warnings: one line each.
         extra: for the provenance: names of the observation's dimensions, levels of categories.
         resolved: columns as they were encoded, with their levels and what stands for missing values.
     """
 
-    def __init__(self, name: str, table: pa.Table):
+    def __init__(self, name: str, table: pa.Table, scratch: Scratch):
         self.name = name
         self.table = table
+        self.scratch = scratch
         self.warnings: list[str] = []
         self.extra: dict[str, Any] = {}
         self.resolved: dict[str, Column] = {}
@@ -72,7 +75,7 @@ class Encoder:
             for key in found:
                 if key in parts:
                     raise UserError(f"{self.name}: two dimensions of the observation are called {key}; rename that column")
-            parts |= found
+            parts |= self._narrow(found)
             rows |= absent
             missing |= {column.name: int(absent.sum())} if absent.any() else {}
         if missing:
@@ -82,7 +85,7 @@ class Encoder:
         self.extra["observation_names"] = list(parts)
         if levels:
             self.extra["observation_levels"] = levels
-        return self._float32(parts)
+        return self._joined(parts)
 
     def next_observations(self, columns: Sequence[Column], observed: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """(rows, size) float32 of next observations, encoded as the observations, and (rows,) bool where they are missing.
@@ -110,10 +113,10 @@ class Encoder:
             elif (absent & ~unknown).any():
                 row = int(np.argmax(absent & ~unknown))
                 raise UserError(f"{self.name}: column {source} is empty in row {row}, whose other next observations are known")
-            parts |= found
+            parts |= self._narrow(found)
         for column in columns:
             self.resolved[column.name] = column
-        return self._float32(parts), unknown
+        return self._joined(parts), unknown
 
     def _observed(self, column: Column) -> tuple[dict[str, np.ndarray], np.ndarray, Column]:
         """The numbers of a column by the names of their dimensions, (rows,) bool where it is missing, and it resolved."""
@@ -166,14 +169,24 @@ class Encoder:
             self.warnings.append(f"{text.partition(': ')[2]}; they become no level")
         return codes, column
 
-    def _float32(self, parts: dict[str, np.ndarray]) -> np.ndarray:
-        out = np.empty((self.table.num_rows, len(parts)), np.float32)
-        with np.errstate(over="ignore"):
-            for index, (key, column) in enumerate(parts.items()):
-                out[:, index] = column
-                if not np.isfinite(out[:, index]).all():
-                    row = int(np.argmin(np.isfinite(out[:, index])))
-                    raise UserError(f"{self.name}: column {key} has {column[row]} in row {row}, float32 cannot hold it")
+    def _narrow(self, parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The same numbers as float32, which is refused where it cannot hold them; flags stay as they are."""
+        out = {}
+        for key, column in parts.items():
+            with np.errstate(over="ignore"):
+                small = column if column.dtype == bool else column.astype(np.float32)
+            if not (finite := np.isfinite(small)).all():
+                row = int(np.argmin(finite))
+                raise UserError(f"{self.name}: column {key} has {column[row]} in row {row}, float32 cannot hold it")
+            out[key] = self.scratch.keep(small)
+        return out
+
+    def _joined(self, parts: dict[str, np.ndarray]) -> np.ndarray:
+        """(rows, size) float32 of what `_narrow` gave."""
+        out = self.scratch.empty((self.table.num_rows, len(parts)), np.float32)
+        for start in range(0, len(out), BLOCK):
+            for index, column in enumerate(parts.values()):
+                out[start : start + BLOCK, index] = column[start : start + BLOCK]
         return out
 
     def actions(self, columns: Sequence[Column]) -> np.ndarray:
@@ -191,7 +204,10 @@ class Encoder:
                         f"{self.name}: column {column.name} is discrete and one of several actions; "
                         "join them into one column, or leave it out"
                     )
-            return np.stack([numbers(self.name, self.table, column.name) for column in columns], 1)
+            out = self.scratch.empty((self.table.num_rows, len(columns)), np.float64)
+            for index, column in enumerate(columns):
+                out[:, index] = numbers(self.name, self.table, column.name)
+            return out
         (column,) = columns
         values = self.complete(column.name)
         if column.kind == "category" or is_category(values.type):

@@ -14,6 +14,11 @@ _ROWS = 262_144  # looked at together, likewise
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
+def index_type(count: int) -> Any:
+    """The smallest of int32 and int64 that can number `count` things: an index with a row each is half as large."""
+    return np.int32 if count <= np.iinfo(np.int32).max else np.int64
+
+
 def fingerprint(log: "Dataset") -> str:
     """Hex digest of what methods can see of a log: its columns and its action space."""
     digest = hashlib.blake2b(repr(log.action_space).encode(), digest_size=16)
@@ -40,7 +45,9 @@ def content_ids(log: "Dataset") -> np.ndarray:
     rows = np.zeros(len(log), np.uint64)
     for name in ("observations", "actions", "rewards"):
         _add(rows, name, getattr(log, name))
-    rows += _mixed(_seed("ends") ^ (log.terminals + np.uint64(2) * log.timeouts))
+    for start in range(0, len(log), _ROWS):
+        block = slice(start, start + _ROWS)
+        rows[block] += _mixed(_seed("ends") ^ (log.terminals[block] + np.uint64(2) * log.timeouts[block]))
     if log.successors is not None:
         # Only where they say something new: a part in which they do not has no such column.
         new = np.zeros(len(log), bool)
@@ -51,8 +58,11 @@ def content_ids(log: "Dataset") -> np.ndarray:
         found = np.zeros(int(new.sum()), np.uint64)
         _add(found, "successors", log.successors[new])
         rows[new] += found
-    place = np.arange(len(log), dtype=np.uint64) - log.starts.astype(np.uint64)[log.episode_of]
-    ids = np.add.reduceat(_mixed(rows ^ _places("step", place)), log.starts)
+    for start in range(0, len(log), _ROWS):
+        row = np.arange(start, min(start + _ROWS, len(log)))
+        place = (row - log.starts[np.searchsorted(log.ends, row)]).astype(np.uint64)
+        rows[row[0] : row[-1] + 1] = _mixed(rows[row[0] : row[-1] + 1] ^ _places("step", place))
+    ids = np.add.reduceat(rows, log.starts)
     last = np.zeros(log.episodes, np.uint64)
     _add(last, "final_observations", log.final_observations)
     ids = _mixed(ids + np.where(log.final_known, _mixed(last), np.uint64(0)))
@@ -81,9 +91,10 @@ def returns_to_go(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, di
 def rows_of(starts: np.ndarray, lengths: np.ndarray) -> Any:
     """The rows of episodes that begin at `starts` and have `lengths`: indices, or a slice where they are neighbours, which are
     then not copied, so that memory maps stay such."""
+    if (starts[1:] == starts[:-1] + lengths[:-1]).all():
+        return slice(int(starts[0]), int(starts[-1] + lengths[-1]))
     offsets = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    rows = np.repeat(starts, lengths) + offsets
-    return slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
+    return np.repeat(starts, lengths) + offsets
 
 
 def _add(into: np.ndarray, name: str, column: np.ndarray) -> None:

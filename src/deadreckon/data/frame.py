@@ -17,6 +17,7 @@ from deadreckon.data.held import HELD, held
 from deadreckon.data.kinds import check_column
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
 from deadreckon.data.schema import Column, Schema, as_schema
+from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -39,8 +40,9 @@ class FrameColumns(NamedTuple):
 
 
 def frame_columns(
-    frame: Any, *, schema: Schema | Mapping[str, Any] | Path | str | None = None, name: str = "frame", **asked: Any
-) -> FrameColumns:
+    frame: Any, *, schema: Schema | Mapping[str, Any] | Path | str | None = None, name: str = "frame",
+    scratch: Scratch | None = None, **asked: Any,
+) -> FrameColumns:  # fmt: skip
     """The columns of a log that a table holds; `Dataset.from_frame` makes the log of them.
 
     Texts and categories among the observations become one 0/1 column per level (levels in
@@ -51,6 +53,7 @@ def frame_columns(
         schema: what each column is, as a `Schema`, its JSON values or the path of its TOML file. It says all, so that the
             other options are refused beside it; columns that it does not have are left out.
         name: of the log, used in errors.
+        scratch: where columns are kept; None: in memory.
         **asked: without a schema, which column is what:
 
             - action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
@@ -97,7 +100,7 @@ def frame_columns(
     else:
         found = as_schema(schema)
         warnings = _checked(table, found, name)
-    read = _log_columns(table, found, warnings, name)
+    read = _log_columns(table, found, warnings, name, scratch or Scratch())
     return read if function is None else read._replace(columns={**read.columns, "legal": function})
 
 
@@ -114,9 +117,9 @@ def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
     return [f"the schema does not have these columns, which are left out: {', '.join(other)}"] if other else []
 
 
-def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str) -> FrameColumns:
+def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str, scratch: Scratch) -> FrameColumns:
     """The columns of a log that a table holds by its schema."""
-    encoder = Encoder(name, table)
+    encoder = Encoder(name, table, scratch)
     observed, actions, following = (schema.having(role) for role in ("observation", "action", "next_observation"))
     allowed = schema.having("legal", "next_legal")
     if allowed:
@@ -125,7 +128,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     terminal, timeout, propensity = (schema.one(role) for role in ("terminal", "timeout", "propensity"))
     assert reward is not None  # a schema without one is refused before
     columns: dict[str, Any] = {
-        "observations": encoder.observations(observed), "rewards": numbers(name, table, reward.name),
+        "observations": encoder.observations(observed), "rewards": scratch.keep(numbers(name, table, reward.name)),
         "actions": encoder.actions(actions), "terminals": encoder.flags(terminal), "timeouts": encoder.flags(timeout),
     }  # fmt: skip
     if allowed:
@@ -134,7 +137,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     unknown = np.zeros(table.num_rows, bool)  # rows without a next observation
     if following:
         columns["next_observations"], unknown = encoder.next_observations(following, observed)
-        columns["next_observations"] = np.where(unknown[:, None], columns["observations"], columns["next_observations"])
+        columns["next_observations"][unknown] = columns["observations"][unknown]
     if propensity is not None:
         columns[LOG_PROBS] = log_probabilities(name, table, propensity.name)
     for column in schema.columns:
@@ -144,9 +147,9 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
             text = f"a column that is kept cannot be called {column.name}, which means something else"
             raise UserError(f"{name}: {text}; rename it")
         plain = column.role in ("cost", "weight")
-        columns[column.name] = numbers(name, table, column.name) if plain else encoder.kept(column.name)
-    moments = None if time is None else encoder.moments(time.name)
-    codes = None if episode is None else encoder.episodes(episode.name, ordered=time is not None)
+        columns[column.name] = scratch.keep(numbers(name, table, column.name) if plain else encoder.kept(column.name))
+    moments = None if time is None else scratch.keep(encoder.moments(time.name))
+    codes = None if episode is None else scratch.keep(encoder.episodes(episode.name, ordered=time is not None))
 
     ordered = episode is not None or time is not None
     if not (ordered or terminal or timeout or following):
@@ -154,7 +157,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     order, ends = _order(table.num_rows, codes, moments)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:
-        columns, unknown = {key: column[order] for key, column in columns.items()}, unknown[order]
+        columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]
     if order is not None and time is not None and moments is not None:
         moments = moments[order]
         if ties := int((~ends[:-1] & (moments[1:] == moments[:-1])).sum()):
@@ -244,7 +247,7 @@ def _sequence(value: Any) -> Any:
     return pa.chunked_array(value) if hasattr(value, "__arrow_c_stream__") else pa.array(value)
 
 
-def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> tuple[np.ndarray | None, np.ndarray]:
+def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> tuple[np.ndarray | slice | None, np.ndarray]:
     """How rows are put into episodes.
 
     Args:
@@ -253,7 +256,8 @@ def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> t
         moments: (rows,) of each row; None: they are in order.
 
     Returns:
-        The order of rows (None: as they are), and (rows,) whether each, in that order, is its episode's last.
+        The order of rows (None: nothing orders them; a slice: they are in order), and (rows,) whether each, in that order, is
+        its episode's last.
     """
     last = np.zeros(rows, bool)
     last[-1] = True
@@ -264,9 +268,22 @@ def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> t
     # Episodes follow one another by their first moment, so that a split by time is one; equal ones by their names.
     first = np.full(codes.max() + 1, np.inf)
     np.minimum.at(first, codes, moments)
-    order = np.lexsort((moments, codes, first[codes]))
-    last[:-1] = codes[order][1:] != codes[order][:-1]
+    # Most large tables are sorted already, and to sort them again takes much memory.
+    order = slice(None) if _sorted(first, codes, moments) else np.lexsort((moments, codes, first[codes]))
+    codes = codes[order]
+    last[:-1] = codes[1:] != codes[:-1]
     return order, last
+
+
+def _sorted(first: np.ndarray, codes: np.ndarray, moments: np.ndarray) -> bool:
+    """Whether rows are in the order of their episodes' first moments, of their episodes and of their own moments."""
+    for start in range(0, len(codes) - 1, BLOCK):
+        part, moment = codes[start : start + BLOCK + 1], moments[start : start + BLOCK + 1]
+        begins = first[part]
+        later = (part[1:] > part[:-1]) | ((part[1:] == part[:-1]) & (moment[1:] >= moment[:-1]))
+        if not ((begins[1:] > begins[:-1]) | ((begins[1:] == begins[:-1]) & later)).all():
+            return False
+    return True
 
 
 def _missing_steps(time: str, moments: np.ndarray, stops: np.ndarray, ends: np.ndarray | None) -> list[str]:

@@ -14,6 +14,7 @@ from deadreckon.data.formats.kind import TABLES, no_options, sniff
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.schema import Schema, as_schema
 from deadreckon.errors import UserError
+from deadreckon.progress import Progress, unwatched
 
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
@@ -108,9 +109,12 @@ def convert(
     force: bool = False,
     strict: bool = False,
     horizon: int | None = None,
+    progress: Progress = unwatched,
     **mapping: Any,
 ) -> Dataset:
     """Reads `source` and writes it as `target`; gives the log.
+
+    Logs in hdf5, and tables in Parquet and Arrow where the target is a folder, may be larger than memory.
 
     Args:
         source: as for `read`.
@@ -119,6 +123,7 @@ def convert(
         force: replace `target` if it exists.
         strict: refuse actions out of bounds.
         horizon: as for `read`.
+        progress: called, while a table is converted part by part, with the rows that are read and the rows in all.
         **mapping: as for `read`.
 
     Raises:
@@ -133,6 +138,16 @@ def convert(
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
+    in_folder = str(target).endswith("/") or not (place.suffix or str(target).startswith(minaris.PREFIX))
+    if in_folder and not str(source).startswith(minaris.PREFIX):
+        from deadreckon.data.formats.stream import convert_table, streamed_format
+
+        if (table := streamed_format(source)) is not None:
+            given = {key: value for key, value in mapping.items() if value is not None}
+            no_options(source, "parquet", given)
+            return convert_table(
+                source, target, table, force=force, strict=strict, horizon=horizon, progress=progress, **given
+            )
     by_schema = _is_schema(source) or mapping.get("schema") is not None
     kind = "table" if by_schema else sniff(source, mapping.get("separator"))
     if kind != "hdf5":

@@ -16,6 +16,7 @@ from deadreckon.data.formats.build import columns_of
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.data.frame import FrameColumns, frame_columns
 from deadreckon.data.roles import numbered
+from deadreckon.data.scratch import Scratch
 from deadreckon.errors import UserError, unknown
 
 # Our name in a table for each column of a log.
@@ -32,7 +33,7 @@ Shapes = dict[str, tuple[tuple[int, ...], np.dtype]]  # {column: (shape of a row
 
 def to_table(log: Dataset) -> pa.Table:
     """`log` as a pyarrow table: `episode`, then every column, vectors spread over name_0, name_1, ..."""
-    table: dict[str, Any] = {"episode": log.episode_of}
+    table: dict[str, Any] = {"episode": log.episode_of.astype(np.int64)}
     columns = columns_of(log)
     known = columns.pop("final_known")
     final = columns.pop("final_observations")
@@ -77,7 +78,9 @@ def told_shapes(path: Path | str, header: Header) -> Shapes:
     return shapes
 
 
-def from_anybody(path: Path | str, table: pa.Table, mapping: dict[str, Any], horizon: int | None) -> FrameColumns:
+def from_anybody(
+    path: Path | str, table: pa.Table, mapping: dict[str, Any], horizon: int | None, scratch: Scratch | None = None
+) -> FrameColumns:
     """The columns of a table that is not ours, what to note of them and what to warn of.
 
     Args:
@@ -86,6 +89,7 @@ def from_anybody(path: Path | str, table: pa.Table, mapping: dict[str, Any], hor
         mapping: a schema, or which column is what, as for `frame_columns`, or None; where nothing is given, columns have our
             names or others that tell.
         horizon: steps after which episodes of columns with our names are cut off, or None.
+        scratch: where columns are kept; None: in memory.
 
     Raises:
         UserError: one line with file, column and row.
@@ -95,15 +99,15 @@ def from_anybody(path: Path | str, table: pa.Table, mapping: dict[str, Any], hor
         if key not in _MAPPING:
             raise unknown("option", key, _MAPPING)
     if not given and all(key in table.column_names or numbered(table.column_names, key) for key in _OURS):
-        return FrameColumns(_named_ours(path, table, horizon), {}, [])
+        return FrameColumns(_named_ours(path, table, horizon, scratch), {}, [])
     if horizon is not None:
         raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
-    return frame_columns(table, name=str(path), **given)
+    return frame_columns(table, name=str(path), scratch=scratch, **given)
 
 
-def _named_ours(path: Path | str, table: pa.Table, horizon: int | None) -> dict[str, np.ndarray]:
+def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch: Scratch | None) -> dict[str, np.ndarray]:
     """The columns of a table that somebody gave our names, by `from_arrays` names."""
-    columns = from_table(path, table)
+    columns = from_table(path, table, scratch=scratch)
     if horizon is None and not ("episode" in table.column_names or _ORDERED & columns.keys()):
         columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
     if "propensity" in columns and LOG_PROBS not in columns:
@@ -112,27 +116,30 @@ def _named_ours(path: Path | str, table: pa.Table, horizon: int | None) -> dict[
     return columns
 
 
-def from_table(path: Path | str, table: pa.Table, shapes: Shapes | None = None) -> dict[str, np.ndarray]:
+def from_table(
+    path: Path | str, table: pa.Table, shapes: Shapes | None = None, scratch: Scratch | None = None
+) -> dict[str, np.ndarray]:
     """The columns of a table that has our names, by `from_arrays` names.
 
     Args:
         path: named in errors.
         table: (rows,) of each column.
         shapes: of columns that were more than vectors, by `told_shapes`.
+        scratch: where columns are kept; None: in memory.
 
     Raises:
         UserError: one line with file, column and row.
     """
     if not table.num_rows:
         raise UserError(f"{path}: the log has no rows")
-    shapes = shapes or {}
+    shapes, scratch = shapes or {}, scratch or Scratch()
     columns: dict[str, np.ndarray] = {}
     for name, parts in _groups(path, table.column_names, shapes).items():
         key = _PLURAL.get(name, name)
         if name in ("episode", "final_observation"):
             continue
         values = [_values(path, table, part) for part in parts]
-        column = values[0] if parts == [name] else np.stack(values, 1)
+        column = values[0] if parts == [name] else scratch.stacked(values)
         if key == "actions" and parts != [name]:
             column = column.astype(np.float32)  # action_0 alone is a vector of one, even where CSV shows 1, 0, 1
         if key in shapes:

@@ -1,0 +1,101 @@
+"""A Parquet table larger than memory: converted, described and trained on, with peaks of anonymous memory and rates.
+
+    python benchmarks/larger.py [--rows 100000000]
+
+Each command is a process of its own, whose `RssAnon` is read 50 times a second. Updates per second are those that
+`train` tells at its end, which leave out start-up and compilation; runs on the folder and on a log in memory take turns.
+"""
+
+import argparse
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+MAIN = "import sys; from deadreckon.cli.main import main; sys.exit(main(sys.argv[1:]))"
+GROUP, EPISODE = 500_000, 1_000  # rows of a row group, of an episode
+NAMED = ("--action", "a", "--reward", "r", "--episode", "episode", "--time", "t", "--terminal", "done")
+SIZES = [f"x{index}" for index in range(12)] + [f"a_{index}" for index in range(4)] + ["r"]
+
+
+def make(path: Path, rows: int) -> None:
+    """Writes a table of 20 columns: episode, time, 12 observations, 4 actions, reward and terminal."""
+    rng = np.random.default_rng(0)
+    fields = [("episode", pa.int64()), ("t", pa.int64()), *((name, pa.float32()) for name in SIZES), ("done", pa.bool_())]
+    schema = pa.schema(fields)
+    with parquet.ParquetWriter(path, schema) as writer:
+        for start in range(0, rows, GROUP):
+            row = np.arange(start, min(start + GROUP, rows))
+            numbers = [rng.standard_normal(len(row), dtype=np.float32) for _ in SIZES]
+            columns = [row // EPISODE, row % EPISODE, *numbers, row % (2 * EPISODE) == 2 * EPISODE - 1]
+            writer.write_table(pa.table(columns, schema=schema))
+
+
+def run(*command: str | Path) -> tuple[float, float, str]:
+    """Seconds that a command takes, its peak of anonymous memory in GB, and what it tells."""
+    start, peak = time.perf_counter(), 0
+    with tempfile.TemporaryFile("w+") as told:
+        called = [sys.executable, "-c", MAIN, *map(str, command)]
+        process = subprocess.Popen(called, stdout=subprocess.DEVNULL, stderr=told)
+        while process.poll() is None:
+            lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+            peak = max([peak, *(int(line.split()[1]) for line in lines if line.startswith("RssAnon"))])
+            time.sleep(0.02)
+        told.seek(0)
+        text = told.read()
+    if process.returncode:
+        raise SystemExit(f"{command} failed: {text}")
+    return time.perf_counter() - start, peak * 1024 / 1e9, text
+
+
+def updates(log: Path, runs: Path, steps: int, stream: bool) -> tuple[float, float]:
+    """Updates per second of TD3+BC, and the peak of memory."""
+    asked = ("train", "--agent", "td3_bc", "--data", log, "--stream", str(stream), "--steps", str(steps))
+    _, peak, told = run(*asked, "--out", runs / str(time.time_ns()))
+    return float(re.findall(r"([\d,]+) updates/s", told)[-1].replace(",", "")), peak
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", type=int, default=100_000_000)
+    parser.add_argument("--memory-rows", type=int, default=1_000_000, help="rows of the log in memory")
+    parser.add_argument("--steps", type=int, default=5_000)
+    parser.add_argument("--pairs", type=int, default=3)
+    given = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="larger-"))
+    try:
+        make(folder / "large.parquet", given.rows)
+        make(folder / "small.parquet", given.memory_rows)
+        size = (folder / "large.parquet").stat().st_size / 1e9
+        print("| what | seconds | rows/s or updates/s | peak of RssAnon, GB |\n| --- | ---: | ---: | ---: |")
+        seconds, peak, _ = run("data", "convert", folder / "large.parquet", folder / "large", *NAMED)
+        what = f"convert {given.rows:,} x 20 ({size:.1f} GB)"
+        print(f"| {what} | {seconds:.0f} | {given.rows / seconds:,.0f} | {peak:.2f} |", flush=True)
+        (folder / "large.parquet").unlink()
+        run("data", "convert", folder / "small.parquet", folder / "small", *NAMED)
+        seconds, peak, _ = run("data", "info", folder / "large")
+        print(f"| data info | {seconds:.0f} | {given.rows / seconds:,.0f} | {peak:.2f} |", flush=True)
+        pairs = []
+        for _ in range(given.pairs):
+            large = updates(folder / "large", folder / "runs", given.steps, True)
+            small = updates(folder / "small", folder / "runs", given.steps, False)
+            pairs.append((large, small))
+        for name, which in (("the folder, streamed", 0), (f"{given.memory_rows:,} rows in memory", 1)):
+            rates, peaks = zip(*(pair[which] for pair in pairs), strict=True)
+            print(f"| TD3+BC, {name} | | {statistics.median(rates):,.1f} | {max(peaks):.2f} |")
+        ratios = [large[0] / small[0] for large, small in pairs]
+        print(f"\nRatio of the rates by pairs: {', '.join(f'{ratio:.2f}' for ratio in ratios)}")
+    finally:
+        shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""Tables larger than memory as logs: Parquet, also as a folder of files, and Arrow become a folder of .npy columns.
+
+The table is first copied, some row groups at a time, to parts that Arrow maps into memory as they lie on disk; a conversion
+that was killed goes on after the last finished part. The mapped table is then read by the code that reads tables in memory, so
+that both give one log; what has as many rows as the table goes to files, but for the column at work.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import dataset
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.build import build
+from deadreckon.data.formats.folder import HEADER, write_folder
+from deadreckon.data.formats.spread import from_anybody
+from deadreckon.data.scratch import Scratch
+from deadreckon.errors import UserError, reading
+from deadreckon.files import alone, read_json, write_json
+from deadreckon.progress import Progress, unwatched
+
+_ROWS = 65_536  # of a batch
+_PART = 1_000_000  # rows of a part, at least
+_PARTS = 256  # at most, because each is an open file
+_OURS = b"deadreckon"  # metadata of a Parquet file that holds a log with all that belongs to it
+_FORMATS = {b"PAR1": "parquet", b"ARROW1": "ipc"}
+
+
+def streamed_format(source: Path | str) -> str | None:
+    """`parquet` or `ipc` where a table can be converted part by part; None of what is read whole."""
+    source = Path(source)
+    if source.is_dir():
+        if (source / HEADER).is_file():
+            return None
+        return "parquet" if next(source.rglob("*.parquet"), None) is not None else None
+    if not source.is_file():
+        return None
+    with reading(source, "a table"), open(source, "rb") as file:
+        head = file.read(6)
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), None)
+    if kind == "parquet":
+        from pyarrow import parquet
+
+        with reading(source, "Parquet", pa.ArrowException):
+            return None if _OURS in (parquet.read_schema(source).metadata or {}) else kind
+    return kind
+
+
+def convert_table(
+    source: Path | str,
+    target: Path | str,
+    kind: str,
+    *,
+    force: bool = False,
+    strict: bool = False,
+    name: str | None = None,
+    horizon: int | None = None,
+    progress: Progress = unwatched,
+    **mapping: Any,
+) -> Dataset:
+    """Writes a table as a folder, in memory that does not grow with its width.
+
+    A call that is killed leaves a hidden folder beside `target`, and the next call with the same source goes on from there.
+
+    Args:
+        source: Parquet file, folder of Parquet files (`name=value` folders are columns) or Arrow (Feather) file.
+        target: folder to write.
+        kind: of the source, by `streamed_format`.
+        force: replace `target` if it exists.
+        strict: refuse actions out of bounds.
+        name: of the log; the source's if absent.
+        horizon: as for `read_tabular`.
+        progress: called after each of several parts with the rows that are read, and the rows in all.
+        **mapping: which column is what, as for `from_frame`.
+
+    Returns:
+        The log, memory-mapped from `target`.
+
+    Raises:
+        UserError: one line with file, column and row. Nothing is left behind.
+    """
+    target = Path(target)
+    work = target.with_name(f".{target.name}.stream")
+    with alone(work, what=str(target)):
+        try:
+            table = _spooled(source, kind, work, progress)
+            columns = work / "columns"
+            shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
+            columns.mkdir()
+            found, extra, warnings, space = from_anybody(source, table, mapping, horizon, Scratch(columns))
+            log = build(
+                source, found, source=kind, extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
+                action_space=space,
+            )  # fmt: skip
+            write_folder(log, target, force=force)
+        except UserError:
+            shutil.rmtree(work, ignore_errors=True)
+            raise
+        except OSError as error:
+            shutil.rmtree(work, ignore_errors=True)
+            raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+        shutil.rmtree(work, ignore_errors=True)
+    return log
+
+
+def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> pa.Table:
+    """The table, memory-mapped from parts below `work`, of which those that are there already are kept."""
+    hive = dataset.HivePartitioning.discover(infer_dictionary=True)  # as pyarrow.parquet.read_table has it
+    with reading(source, "a table", pa.ArrowException):
+        found: Any = dataset.dataset(source, format=kind, partitioning=hive if Path(source).is_dir() else None)
+        groups = _groups(found, kind)
+    rows = sum(count for _, count in groups)
+    if not rows:
+        raise UserError(f"{source}: the table has no rows")
+    files = {str(file): [os.stat(file).st_size, os.stat(file).st_mtime_ns] for file in found.files}
+    journal = {"files": files, "rows": rows, "part": _PART}
+    if not (work / "source.json").is_file() or read_json(work / "source.json") != journal:
+        shutil.rmtree(work, ignore_errors=True)  # of another source
+        work.mkdir(parents=True)
+        write_json(work / "source.json", journal)
+    parts, done = [], 0
+    for index, (fragments, count) in enumerate(_parts(groups, rows)):
+        part = work / f"{index}.arrow"
+        if not part.is_file():
+            unfinished = part.with_suffix(".unfinished")
+            with open(unfinished, "wb") as file:
+                with pa.ipc.new_stream(file, found.schema) as writer:
+                    for batch in _batches(source, fragments, found.schema):
+                        writer.write_batch(batch)
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.replace(part)
+        with pa.memory_map(str(part)) as mapped:
+            parts.append(pa.ipc.open_stream(mapped).read_all())
+        done += count
+        if count < rows:  # of one part there is nothing to wait for
+            progress(done, rows)
+    return pa.concat_tables(parts)
+
+
+def _groups(found: Any, kind: str) -> list[tuple[Any, int]]:
+    """What is read at once, in the order of the table, with its rows: row groups of Parquet, files of Arrow."""
+    if kind != "parquet":
+        return [(fragment, fragment.count_rows()) for fragment in found.get_fragments()]
+    groups = [group for fragment in found.get_fragments() for group in fragment.split_by_row_group()]
+    # `count_rows` would count the whole file for each of its row groups.
+    return [(group, sum(each.num_rows for each in group.row_groups)) for group in groups]
+
+
+def _parts(groups: Sequence[tuple[Any, int]], rows: int) -> Iterator[tuple[list[Any], int]]:
+    """Neighbouring groups together, so that parts are not many, with their rows."""
+    least, part, count = max(_PART, -(-rows // _PARTS)), [], 0
+    for group, size in groups:
+        part.append(group)
+        count += size
+        if count >= least:
+            yield part, count
+            part, count = [], 0
+    if part:
+        yield part, count
+
+
+def _batches(source: Path | str, fragments: Sequence[Any], schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    for fragment in fragments:
+        with reading(source, "a table", pa.ArrowException):
+            yield from fragment.to_batches(schema=schema, batch_size=_ROWS, batch_readahead=2, fragment_readahead=1)

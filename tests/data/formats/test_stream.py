@@ -1,0 +1,193 @@
+"""Tables converted part by part: the log of the reader in memory, after a kill too, and in little memory."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import feather, parquet
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats import stream
+from deadreckon.data.formats.build import columns_of
+from deadreckon.data.formats.folder import read_folder
+from deadreckon.data.formats.io import convert
+from deadreckon.data.frame import _order
+from deadreckon.errors import UserError
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch):
+    monkeypatch.setattr(stream, "_PART", 50)
+
+
+def the_table(rows: int = 300, seed: int = 0) -> pa.Table:
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=rows)
+    y = [None if value < 0.1 else value for value in rng.random(rows)]
+    return pa.table({
+        "user": np.sort(rng.integers(0, 30, rows)), "step": rng.permutation(rows), "x": x, "y": pa.array(y, pa.float64()),
+        "kind": pa.array(rng.choice(["b", "a", "c"], rows)), "count": rng.integers(0, 9, rows),
+        "day": pa.array(rng.integers(0, 10**9, rows), pa.timestamp("s")), "next_x": rng.normal(size=rows),
+        "a": rng.choice(["left", "right"], rows), "force": rng.normal(size=rows), "r": rng.normal(size=rows),
+        "p": rng.uniform(0.1, 1, rows), "end": rng.random(rows) < 0.1,
+    })  # fmt: skip
+
+
+ASKED: dict[str, dict[str, Any]] = {
+    "bandit": {"action": "a", "reward": "r", "observations": ("x", "y", "kind"), "propensity": "p"},
+    "unsorted": {"action": "a", "reward": "r", "observations": ("x", "y", "kind"), "episode": "user", "time": "step"},
+    "dates": {"action": "force", "reward": "r", "observations": ("x", "count"), "episode": "user", "time": "day"},
+    "stream": {"action": "a", "reward": "r", "observations": ("y", "kind"), "terminal": "end", "keep": ("count", "kind")},
+    "next": {"action": ("force", "p"), "reward": "r", "observations": ("x",), "next_observations": ("next_x",)},
+    "groups": {"action": "a", "reward": "r", "observations": ("x",), "group": "user", "cost": ("p",), "kinds": {"x": "number"}},
+    "names": {"action": "a", "reward": "r"},
+}
+
+
+def same(streamed: Dataset, whole: Dataset) -> None:
+    assert columns_of(streamed).keys() == columns_of(whole).keys()
+    for key, column in columns_of(whole).items():
+        found = columns_of(streamed)[key]
+        assert found.dtype == column.dtype, key
+        np.testing.assert_array_equal(found, column, key)
+    assert streamed.action_space == whole.action_space
+    assert streamed.provenance.extra == whole.provenance.extra
+
+
+@pytest.mark.parametrize("asked", ASKED.values(), ids=ASKED)
+def test_streamed_log_is_the_one_in_memory(tmp_path, asked):
+    table = the_table()
+    parquet.write_table(table, tmp_path / "log.parquet", row_group_size=40)
+    told = convert(tmp_path / "log.parquet", tmp_path / "log", **asked)
+    whole = Dataset.from_frame(table, **asked)
+    same(read_folder(tmp_path / "log"), whole)
+    assert [line for line in told.warnings if "horizon" not in line] == list(whole.warnings)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "log.parquet"]
+
+
+def test_partitioned_folder_and_arrow(tmp_path):
+    table = the_table()
+    parquet.write_to_dataset(table, tmp_path / "parts", partition_cols=["kind"])
+    feather.write_feather(table, tmp_path / "log.arrow", chunksize=40)
+    asked = ASKED["bandit"]
+    convert(tmp_path / "parts", tmp_path / "a", **asked)
+    convert(tmp_path / "log.arrow", tmp_path / "b", **asked)
+    same(read_folder(tmp_path / "a"), Dataset.from_frame(parquet.read_table(tmp_path / "parts"), **asked))
+    same(read_folder(tmp_path / "b"), Dataset.from_frame(table, **asked))
+
+
+def test_a_table_of_our_names(tmp_path):
+    rng = np.random.default_rng(0)
+    table = pa.table({"observation_0": rng.normal(size=200), "observation_1": rng.normal(size=200),
+                      "action_0": rng.normal(size=200), "reward": rng.normal(size=200),
+                      "terminals": np.arange(200) % 20 == 19})  # fmt: skip
+    parquet.write_table(table, tmp_path / "log.parquet", row_group_size=40)
+    convert(tmp_path / "log.parquet", tmp_path / "streamed")
+    convert(tmp_path / "log.parquet", tmp_path / "whole.npz")
+    from deadreckon.data.formats.io import read
+
+    same(read_folder(tmp_path / "streamed"), read(tmp_path / "whole.npz"))
+
+
+def test_a_refused_table_leaves_nothing(tmp_path):
+    table = the_table().set_column(2, "x", pa.array([None] * 300, pa.float64()))
+    parquet.write_table(table, tmp_path / "log.parquet")
+    with pytest.raises(UserError, match="column x is empty"):
+        convert(tmp_path / "log.parquet", tmp_path / "log", **ASKED["bandit"])
+    (tmp_path / "broken.parquet").write_bytes((tmp_path / "log.parquet").read_bytes()[:-50])
+    with pytest.raises(UserError, match="broken.parquet"):
+        convert(tmp_path / "broken.parquet", tmp_path / "log", **ASKED["bandit"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.parquet", "log.parquet"]
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_rows_in_order_are_not_sorted_again(monkeypatch, swapped):
+    monkeypatch.setattr("deadreckon.data.frame.BLOCK", 7)
+    codes, moments = np.repeat(np.arange(10), 5), np.tile(np.arange(5.0), 10) + np.repeat(np.arange(10), 5) // 3
+    if swapped:
+        moments[[34, 35]] = moments[[34, 35]][::-1] - 9  # at the edge of two blocks
+    order, _ = _order(50, codes, moments)
+    first = np.array([moments[codes == code].min() for code in range(10)])
+    assert isinstance(order, slice) is not swapped
+    np.testing.assert_array_equal(np.arange(50)[order], np.lexsort((moments, codes, first[codes])))
+
+
+KILLED = """
+import os, signal, sys
+from deadreckon.data.formats import stream
+from deadreckon.data.formats.io import convert
+
+stream._PART = 50
+convert(sys.argv[1], sys.argv[2], action="a", reward="r", observations=("x", "y", "kind"), propensity="p",
+        progress=lambda done, rows: done >= 100 and os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+def test_goes_on_after_a_kill(tmp_path, monkeypatch):
+    source = tmp_path / "log.parquet"
+    parquet.write_table(the_table(), source, row_group_size=25)
+    killed = subprocess.run([sys.executable, "-c", KILLED, source, tmp_path / "log"])
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "log").exists()
+    read: list[int] = []
+    batches = stream._batches
+    monkeypatch.setattr(stream, "_batches", lambda *given: read.append(1) or batches(*given))
+    told: list[tuple[int, int | None]] = []
+    convert(source, tmp_path / "log", progress=lambda *done: told.append(done), **ASKED["bandit"])
+    assert len(read) == 4  # of six parts of 50 rows two were there
+    assert told == [(done, 300) for done in range(50, 301, 50)]
+    same(read_folder(tmp_path / "log"), Dataset.from_frame(the_table(), **ASKED["bandit"]))
+
+
+def test_parts_of_another_source_are_not_taken(tmp_path):
+    source = tmp_path / "log.parquet"
+    parquet.write_table(the_table(), source, row_group_size=25)
+    subprocess.run([sys.executable, "-c", KILLED, source, tmp_path / "log"])
+    parquet.write_table(the_table(seed=1), source, row_group_size=25)
+    convert(source, tmp_path / "log", **ASKED["bandit"])
+    same(read_folder(tmp_path / "log"), Dataset.from_frame(the_table(seed=1), **ASKED["bandit"]))
+
+
+BOUND = """
+import sys, threading, time
+from pathlib import Path
+from deadreckon.data.formats.io import convert
+import pyarrow.dataset, deadreckon.data.formats.stream
+
+def anonymous():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("RssAnon"))
+
+before, peak, running = anonymous(), 0, True
+def watch():
+    global peak
+    while running:
+        peak = max(peak, anonymous())
+        time.sleep(0.005)
+thread = threading.Thread(target=watch)
+thread.start()
+convert(sys.argv[1], sys.argv[2], action="a", reward="r", episode="e", time="t")
+running = False
+thread.join()
+print(peak - before)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="measured by Linux")
+def test_memory_is_bounded(tmp_path):
+    rows, rng = 2_000_000, np.random.default_rng(0)
+    columns = {f"x{index}": rng.normal(size=rows) for index in range(40)}
+    table = pa.table({**columns, "a": rng.normal(size=rows), "r": rng.normal(size=rows), "e": np.arange(rows) // 1000,
+                      "t": np.arange(rows) % 1000})  # fmt: skip
+    size = table.nbytes
+    parquet.write_table(table, tmp_path / "log.parquet", row_group_size=100_000)
+    del table, columns
+    command = [sys.executable, "-c", BOUND, tmp_path / "log.parquet", tmp_path / "log"]
+    told = subprocess.run(command, capture_output=True, text=True)
+    assert int(told.stdout) < 0.6 * size, told
