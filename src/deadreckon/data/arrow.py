@@ -1,6 +1,7 @@
 """Columns of tables as pyarrow arrays: what they hold, and as numbers, flags and levels."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -198,3 +199,38 @@ def _first_text(values: Any) -> str:
         if isinstance(value, str) and not is_number(value):
             return f"; row {row} has {value!r}"
     return ""
+
+
+def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
+    """A pandas, polars or pyarrow table, or a mapping of columns, as a pyarrow table.
+
+    Raises:
+        UserError: it is none of these, or its columns do not fit together.
+    """
+    try:
+        if isinstance(frame, pa.Table):
+            table = frame
+        elif isinstance(frame, Mapping):
+            table = pa.table({str(key): _sequence(value) for key, value in frame.items()})
+        elif hasattr(frame, "__arrow_c_stream__"):
+            table = pa.table(frame)
+        elif hasattr(frame, "__dataframe__"):
+            from pyarrow.interchange import from_dataframe
+
+            table = from_dataframe(frame)
+        else:
+            raise UserError(f"{name}: a pandas, polars or pyarrow table is needed, not {type(frame).__name__}")
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{name}: not a table of plain columns ({' '.join(str(error).split())})") from error
+    names = table.column_names
+    twice = sorted({column for column in names if names.count(column) > 1}) if len(set(names)) < len(names) else []
+    if twice:
+        raise UserError(f"{name}: column {twice[0]} occurs more than once")
+    # pandas' own index, unless it has a name, is no column of the user's.
+    return table.drop_columns([column for column in names if re.fullmatch(r"__index_level_\d+__", column)])
+
+
+def _sequence(value: Any) -> Any:
+    return pa.chunked_array(value) if hasattr(value, "__arrow_c_stream__") else pa.array(value)

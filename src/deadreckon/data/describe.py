@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing
+from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing, to_arrow
 from deadreckon.data.asked import Asked
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.draft import Drafted, draft
-from deadreckon.data.frame import FrameColumns, frame_columns, to_arrow
+from deadreckon.data.frame import FrameColumns, frame_columns
 from deadreckon.data.leaks import leaks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.schema import Column, Schema

@@ -1,6 +1,5 @@
 """Tables of one's own: columns are named, encoded and sorted into episodes, as `Dataset.from_arrays` takes them."""
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import log_probabilities, numbers
+from deadreckon.data.arrow import log_probabilities, numbers, to_arrow
 from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
@@ -210,41 +209,6 @@ def _space(actions: tuple[Column, ...], resolved: Mapping[str, Column]) -> Box |
     if any(column.low is None or column.high is None or column.kind != "number" for column in columns):
         return None
     return Box(tuple(float(c.low or 0.0) for c in columns), tuple(float(c.high or 0.0) for c in columns))
-
-
-def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
-    """A pandas, polars or pyarrow table, or a mapping of columns, as a pyarrow table.
-
-    Raises:
-        UserError: it is none of these, or its columns do not fit together.
-    """
-    try:
-        if isinstance(frame, pa.Table):
-            table = frame
-        elif isinstance(frame, Mapping):
-            table = pa.table({str(key): _sequence(value) for key, value in frame.items()})
-        elif hasattr(frame, "__arrow_c_stream__"):
-            table = pa.table(frame)
-        elif hasattr(frame, "__dataframe__"):
-            from pyarrow.interchange import from_dataframe
-
-            table = from_dataframe(frame)
-        else:
-            raise UserError(f"{name}: a pandas, polars or pyarrow table is needed, not {type(frame).__name__}")
-    except (pa.ArrowException, TypeError, ValueError) as error:
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"{name}: not a table of plain columns ({' '.join(str(error).split())})") from error
-    names = table.column_names
-    twice = sorted({column for column in names if names.count(column) > 1}) if len(set(names)) < len(names) else []
-    if twice:
-        raise UserError(f"{name}: column {twice[0]} occurs more than once")
-    # pandas' own index, unless it has a name, is no column of the user's.
-    return table.drop_columns([column for column in names if re.fullmatch(r"__index_level_\d+__", column)])
-
-
-def _sequence(value: Any) -> Any:
-    return pa.chunked_array(value) if hasattr(value, "__arrow_c_stream__") else pa.array(value)
 
 
 def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> tuple[np.ndarray | slice | None, np.ndarray]:

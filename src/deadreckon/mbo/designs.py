@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
+from deadreckon.data.arrow import to_arrow
 from deadreckon.data.encode import numbers
-from deadreckon.data.frame import to_arrow
 from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError, reading

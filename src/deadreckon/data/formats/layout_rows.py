@@ -129,12 +129,7 @@ def sb3(parts: Parts) -> None:
 
 def tianshou(parts: Parts) -> None:
     """Puts the rings of a buffer into the order of time, without the rows that are not filled."""
-    mask = next((key for key in ("obs/mask", "obs/action_mask") if key in parts.arrays), None)
-    if mask is not None:
-        parts.arrays["legal"] = parts.arrays.pop(mask)
-    for key in ("obs_next/mask", "obs_next/action_mask"):
-        if key in parts.arrays:
-            parts.arrays["next_legal"] = parts.arrays.pop(key)
+    _masks(parts, "obs", "obs_next")
     rows = len(parts.arrays["rew"])
     size, index = parts.number("_size"), parts.number("_insertion_idx", "_index")
     offsets, lengths, last = (parts.arrays.get(key) for key in ("_offset", "_lengths", "last_index"))
@@ -165,10 +160,15 @@ def _ring(start: int, length: int, size: int, following: int) -> np.ndarray:
 
 def rllib(parts: Parts) -> None:
     """Takes the action masks out of observations that hold them."""
-    for key, role in (("obs/action_mask", "legal"), ("new_obs/action_mask", "next_legal")):
-        column = parts.arrays.pop(key, None)
-        if column is not None:
-            parts.arrays[role] = column
+    _masks(parts, "obs", "new_obs")
+
+
+def _masks(parts: Parts, now: str, after: str) -> None:
+    """Takes the masks of legal actions out of observations and next observations."""
+    for where, role in ((now, "legal"), (after, "next_legal")):
+        for key in (f"{where}/mask", f"{where}/action_mask"):
+            if key in parts.arrays:
+                parts.arrays[role] = parts.arrays.pop(key)
 
 
 def torchrl(parts: Parts) -> None:
