@@ -11,17 +11,15 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from deadreckon.data import roles
-from deadreckon.data.arrow import as_dates, decoded, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
+from deadreckon.data.arrow import distinct, flat, is_text, levels_of_whole_numbers
 from deadreckon.data.asked import Asked, listed
-from deadreckon.data.kinds import FEW, asked_kinds, check_column, columns_like, kind_of
+from deadreckon.data.kinds import asked_kinds, check_column, columns_like, kind_of
 from deadreckon.data.legal_columns import find_legal
-from deadreckon.data.likeness import likeness
+from deadreckon.data.rest import rest
 from deadreckon.data.schema import ONE, Column, Role, Schema
 from deadreckon.errors import UserError
 
-FREE_TEXT = 50  # different texts beyond which a column may be comments or identifiers: if there are fewer than ten rows of each
 _LEGAL: tuple[Role, ...] = ("legal", "next_legal")
-_CODED = re.compile(r"(code|type|class|kind|category|cat|group|region|zone|zip|postcode|status)$", re.IGNORECASE)
 
 
 class Drafted(NamedTuple):
@@ -164,12 +162,12 @@ class _Maker:
 
     def needed_by_name(self) -> None:
         """Action and reward, where their names leave no doubt."""
-        if self.asked.reward is None and len(found := self.free("reward")) == 1:
+        if self.asked.reward is None and len(found := self.of_many("reward")) == 1:
             self.give(found, "reward", "by its name")
             self.told.append(f"column {found[0]} is read as the reward (--reward)")
         if self.asked.action is None:
             prefixes = {re.sub(r"_\d+$", "", column) for column in self.names if column not in self.roles}
-            if len(found := sorted(prefix for prefix in prefixes if roles.like("action", prefix))) == 1:
+            if len(found := self.of_many("action", sorted(each for each in prefixes if roles.like("action", each)))) == 1:
                 columns = columns_like(self.table, found[0], self.name)
                 self.give(columns, "action", "by its name")
                 text = f"column {columns[0]} is" if len(columns) == 1 else f"columns {', '.join(columns)} are"
@@ -186,6 +184,22 @@ class _Maker:
             shown = f"column {next(iter(found))} says" if len(found) == 1 else f"{listed(list(found))} say"
             option = role.replace("_", "-")
             self.told += [f"{shown} which actions are legal (--{option})"] if found and asked is None else []
+
+    def of_many(self, role: Role, named: Sequence[str] | None = None) -> list[str]:
+        """The column whose name suggests the role. Of several it is the one that is called like the role, or the first one that
+        tells the time; the others are left out, because they say the same again. Nothing where that is open."""
+        found = self.free(role) if named is None else list(named)
+        if len(found) < 2:
+            return found
+        exact = [column for column in found if column.lower() == role] or (found[:1] if role == "time" else [])
+        if not exact:
+            self.told.append(f"columns {', '.join(found)} are all named like the {role}: --{role} says which one it is")
+        for column in found if exact else ():
+            if column != exact[0] and column in self.names:
+                self.give([column], "ignore", f"named like the {role}, as {exact[0]} is")
+                how = f"(--{role} {column}, or --observations to observe it)"
+                self.doubt(column, f"is named like the {role}, as {exact[0]} is, and is left out {how}")
+        return exact
 
     def free(self, role: str) -> list[str]:
         """Columns whose names suggest the role and that have none."""
@@ -217,10 +231,15 @@ class _Maker:
         """Flags of ends, episodes and times, where names and values agree."""
         ends: tuple[tuple[Role, str], ...] = (("terminal", "true ends of episodes"), ("timeout", "ends of recordings"))
         for role, what in ends:
-            if getattr(self.asked, role) is None and len(found := self.free(role)) == 1 and self.is_flag(found[0]):
+            if getattr(self.asked, role) is not None or len(found := self.of_many(role)) != 1:
+                continue
+            if self.is_flag(found[0]):
                 self.give(found, role, "by its name")
                 self.told.append(f"column {found[0]} is read as the flag of {what} (--{role})")
-        if self.asked.episode is None and len(found := self.free("episode")) == 1:
+            else:
+                self.give(found, "ignore", f"named like a flag of {what}, but not truth values")
+                self.doubt(found[0], f"is named like a flag of {what}, holds other than 0, 1 or truth values, and is left out")
+        if self.asked.episode is None and len(found := self.of_many("episode")) == 1:
             column = found[0]
             if distinct(flat(self.table, column)) < self.table.num_rows:
                 self.give(found, "episode", "by its name")
@@ -228,7 +247,7 @@ class _Maker:
             else:
                 self.give(found, "ignore", "differs in every row")
                 self.doubt(column, "differs in every row and is left out (--episode if each row is an episode)")
-        found = self.free("time") if self.asked.time is None and self.having("episode") else []
+        found = self.of_many("time") if self.asked.time is None and self.having("episode") else []
         if len(found) == 1 and not is_text(self.table[found[0]].type):
             self.give(found, "time", "by its name")
             self.told.append(f"column {found[0]} is read as the time within an episode (--time)")
@@ -239,33 +258,10 @@ class _Maker:
 
     def observe(self, column: str) -> None:
         """The role of a column that is left, and what to say of it."""
-        values = flat(self.table, column)
-        rows, kind = len(values), self.kinds.get(column)
-        if values.null_count == rows:
-            self.give([column], "ignore", "empty")
-            self.doubt(column, "is empty and is left out of the observations")
-            return
-        if kind is None and is_text(values.type) and as_dates(values) is not None:
-            self.give([column], "ignore", "a date")
-            self.doubt(column, f"holds dates and is left out of the observations (--time {column} orders rows by it)")
-            return
-        if kind is None and is_text(values.type) and not says_numbers(values):
-            many = distinct(values)
-            # A text among numbers is a mistake, which is refused with its row when the column is encoded.
-            if many > FREE_TEXT and many > rows / 10 and not likeness(decoded(values)).mistaken:
-                self.give([column], "ignore", "free text or an identifier")
-                self.doubt(column, f"has {many:,} different texts in {rows:,} rows and is left out as free text or identifier "
-                           f"(--keep {column}, or --kinds {column}=category)")  # fmt: skip
-                return
-        self.give([column], "observation", "no other role")
-        if roles.like("time", column):
-            self.doubt(column, f"looks like a time and is read as an observation: --time {column} orders rows by it, "
-                       f"--ignore {column} leaves it out")  # fmt: skip
-        elif roles.IDENTITY.search(column.lower()):
-            self.doubt(column, f"looks like a name of someone or something, and is read as an observation: --keep {column} "
-                       f"keeps it beside the log, --ignore {column} leaves it out")  # fmt: skip
-        elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values) or ()) <= FEW:
-            self.doubt(column, f"holds whole numbers that may be codes, and is read as a number (--kinds {column}=category)")
+        found = rest(column, flat(self.table, column), self.kinds.get(column))
+        self.give([column], found.role, found.why)
+        if found.doubt:
+            self.doubt(column, found.doubt)
 
     def complete(self) -> None:
         """Refuses a table without action, reward or observation."""

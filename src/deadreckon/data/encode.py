@@ -199,10 +199,10 @@ class Encoder:
             self.resolved[column.name] = column
         if len(columns) > 1 or columns[0].kind == "number":
             for column in columns:
-                if column.kind == "category" and len(columns) > 1:
+                if column.kind != "number" and len(columns) > 1:
                     raise UserError(
-                        f"{self.name}: column {column.name} is discrete and one of several actions; "
-                        "join them into one column, or leave it out"
+                        f"{self.name}: column {column.name} is discrete ({column.kind}) and one of several actions; "
+                        "join them into one column, leave it out, or make it a number"
                     )
             out = self.scratch.empty((self.table.num_rows, len(columns)), np.float64)
             for index, column in enumerate(columns):

@@ -20,6 +20,8 @@ from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
+ALONE = "each row is read as an episode of one step; where rows follow each other, name --episode, --time or --terminal"
+
 
 class FrameColumns(NamedTuple):
     """What a table becomes.
@@ -153,6 +155,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     ordered = episode is not None or time is not None
     if not (ordered or terminal or timeout or following):
         columns["terminals"][:] = True
+        encoder.warnings.append(ALONE)
     order, ends = _order(table.num_rows, codes, moments)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:

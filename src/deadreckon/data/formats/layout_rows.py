@@ -129,7 +129,7 @@ def sb3(parts: Parts) -> None:
 
 def tianshou(parts: Parts) -> None:
     """Puts the rings of a buffer into the order of time, without the rows that are not filled."""
-    _masks(parts, "obs", "obs_next")
+    masks(parts, "obs", "obs_next")
     rows = len(parts.arrays["rew"])
     size, index = parts.number("_size"), parts.number("_insertion_idx", "_index")
     offsets, lengths, last = (parts.arrays.get(key) for key in ("_offset", "_lengths", "last_index"))
@@ -158,12 +158,7 @@ def _ring(start: int, length: int, size: int, following: int) -> np.ndarray:
     return start + (np.arange(length) + (following if length == size else 0)) % size
 
 
-def rllib(parts: Parts) -> None:
-    """Takes the action masks out of observations that hold them."""
-    _masks(parts, "obs", "new_obs")
-
-
-def _masks(parts: Parts, now: str, after: str) -> None:
+def masks(parts: Parts, now: str, after: str) -> None:
     """Takes the masks of legal actions out of observations and next observations."""
     for where, role in ((now, "legal"), (after, "next_legal")):
         for key in (f"{where}/mask", f"{where}/action_mask"):

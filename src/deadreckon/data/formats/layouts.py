@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from deadreckon.data.formats import layout_rows as rows
@@ -101,7 +102,7 @@ LAYOUTS = (
     ),
     Layout(
         "RLlib", "`terminateds` are terminations, `truncateds` time limits, `eps_id` tells episodes apart",
-        needs=("obs", "actions", "rewards"), order=rows.rllib,
+        needs=("obs", "actions", "rewards"), order=partial(rows.masks, now="obs", after="new_obs"),
         names={"obs": "observations", "actions": "actions", "rewards": "rewards", "new_obs": "next_observations",
                "terminateds": "terminated", "truncateds": "truncated", "dones": "done", "eps_id": "episode", "t": "time",
                "action_logp": "log_probs", "action_prob": "probs", "action_mask": "legal", "legal": "legal",
