@@ -1,4 +1,4 @@
-"""`deadreckon data list|collect|get|info|describe|convert`."""
+"""`deadreckon data list|collect|get|sample|info|describe|convert`."""
 
 import sys
 from collections.abc import Sequence
@@ -46,6 +46,15 @@ class Get:
     sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
     """checksum that the file must have; for minari that of main_data.hdf5"""
     force: bool = False  # whether to download the file again
+
+
+@dataclass
+class Sample:
+    """Fetch a real table to try things on, as CSV; without NAME, list them."""
+
+    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")] = None  # such as open-bandit-random-men
+    out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # file to write; None: NAME.csv
+    force: bool = False  # whether to replace an existing file
 
 
 @dataclass
@@ -129,7 +138,9 @@ class Convert:
     force: bool = False  # whether to overwrite an existing target
 
 
-KINDS = {"list": List, "collect": Collect, "get": Get, "info": Info, "describe": Describe, "convert": Convert}
+KINDS = {
+    "list": List, "collect": Collect, "get": Get, "sample": Sample, "info": Info, "describe": Describe, "convert": Convert,
+}  # fmt: skip
 
 
 def mapping_options(given: Mapping) -> dict[str, Any]:
@@ -147,7 +158,10 @@ def data(args: Sequence[str]) -> None:
     if args[0] not in KINDS:
         raise unknown("data command", args[0], KINDS)
     options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
-    run = {"list": _list, "collect": _collect, "get": _get, "info": _info, "describe": _describe, "convert": _convert}
+    run = {
+        "list": _list, "collect": _collect, "get": _get, "sample": _sample, "info": _info, "describe": _describe,
+        "convert": _convert,
+    }  # fmt: skip
     run[args[0]](options)
 
 
@@ -198,6 +212,17 @@ def _get(options: Get) -> None:
         known = f"nobody says what this file's checksum should be; its sha256 is {got.sha256}"
         print(f"! {known}, and --sha256 checks another copy against it", file=sys.stderr)
     print(got.path)
+
+
+def _sample(options: Sample) -> None:
+    from deadreckon.data.samples import SAMPLES, get_sample
+
+    if options.name is None:
+        print(table([["table", "rows", "what it is"], *([n, f"{s.rows:,}", s.about] for n, s in SAMPLES.items())], right=(1,)))
+        return
+    with Bar(f"downloading {options.name}", None, "bytes") as bar:
+        path = get_sample(options.name, options.out, force=options.force, progress=bar)
+    print(path)
 
 
 def _info(options: Info) -> None:
