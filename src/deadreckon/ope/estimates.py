@@ -7,7 +7,7 @@ import numpy as np
 
 from deadreckon.ope.estimand import Estimand
 from deadreckon.stats import inference
-from deadreckon.stats.interval import PERCENT
+from deadreckon.stats.interval import PERCENT, decimals
 
 if TYPE_CHECKING:
     from deadreckon.ope.case import OPEInput
@@ -103,7 +103,8 @@ class Estimates:
         width = max(map(len, self.names))
         model = "" if self.corrected else ", model-based"
         lines = [f"{self.method}{model}: {self.estimand}; {PERCENT} intervals"]
+        d = decimals(*self.value, *self.low, *self.high)
         for i, name in enumerate(self.names):
             weight = "" if self.ess is None else f"   effective sample size {self.ess[i]:,.1f} episodes"
-            lines.append(f"  {name:<{width}}  {self.value[i]:10.2f} [{self.low[i]:.2f}, {self.high[i]:.2f}]{weight}")
+            lines.append(f"  {name:<{width}}  {self.value[i]:10.{d}f} [{self.low[i]:.{d}f}, {self.high[i]:.{d}f}]{weight}")
         return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])

@@ -16,7 +16,7 @@ from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
 from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
-from deadreckon.stats.interval import ALPHA, level_in_words
+from deadreckon.stats.interval import ALPHA, decimals, level_in_words
 
 BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
 MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
@@ -166,8 +166,9 @@ def select(
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]
     level = level_in_words(1 - alpha)
+    d = decimals(difference, low, high)
     unit = (
-        f"{difference:+.2f} [{low:+.2f}, {high:+.2f}] ({level}, for all policies at once) against the behaviour policy "
+        f"{difference:+.{d}f} [{low:+.{d}f}, {high:+.{d}f}] ({level}, for all policies at once) against the behaviour policy "
         f"by {first.method}"
     )
     if objections[best]:
@@ -184,7 +185,8 @@ def select(
         agrees = ", agrees that it is best" if chosen == best else f", would choose {names[chosen]}"
         # Of one policy there is nothing to choose, and where nothing is known nothing to agree with.
         agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
-        evidence.append(f"{each.method}: {told[best, 0]:+.2f} [{told[best, 1]:+.2f}, {told[best, 2]:+.2f}]{agrees}")
+        d = decimals(*told[best])
+        evidence.append(f"{each.method}: {told[best, 0]:+.{d}f} [{told[best, 1]:+.{d}f}, {told[best, 2]:+.{d}f}]{agrees}")
     warnings = list(first.warnings)
     which, moved = _moved(first, known)
     if moved > ALARMING * max(high - low, 0.0):

@@ -25,7 +25,7 @@ from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
-from deadreckon.stats.interval import ALPHA, level_in_words
+from deadreckon.stats.interval import ALPHA, decimals, level_in_words
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 
@@ -259,9 +259,11 @@ def groups(results: dict[str, Any]) -> str:
     width = max(len(each["name"]) for each in by["values"])
     level = f"{level_in_words(choice['level'])}, for all groups at once"
     lines = [f"gain of {choice['name']} by {by['column']} ({level})"]
+    known = [each[end] for each in by["values"] for end in ("gain", "low", "high") if each[end] is not None]
+    d = decimals(*known)
     for each in by["values"]:
-        ends = "too few for an interval" if each["low"] is None else f"[{each['low']:+.2f}, {each['high']:+.2f}]"
-        gain = "" if each["gain"] is None else f"{each['gain']:+.2f} {ends}"
+        ends = "too few for an interval" if each["low"] is None else f"[{each['low']:+.{d}f}, {each['high']:+.{d}f}]"
+        gain = "" if each["gain"] is None else f"{each['gain']:+.{d}f} {ends}"
         lines.append(f"  {each['name']:<{width}}  {each['episodes']:>8,} episodes  {gain}")
     return "\n".join(lines)
 

@@ -29,7 +29,7 @@ from deadreckon.runs.follow import Found, followed
 from deadreckon.runs.offline import NAME, checked, supports
 from deadreckon.runs.settings import RecommendOptions, RecommendSettings
 from deadreckon.runs.train import Run, load
-from deadreckon.stats.interval import PERCENT
+from deadreckon.stats.interval import PERCENT, decimals
 
 EVER = 4.0  # times the budget is proposed where nothing is known of what would do
 LOG = ".log"  # folder of a log that was given in memory
@@ -240,7 +240,8 @@ def card(told: dict[str, Any]) -> str:
     first = told["results"][0]
     names = [*(each["name"] for each in told["policies"]), "the log"]
     width = max(map(len, names))
-    number = lambda x: "-" if x is None else f"{x:.2f}"  # noqa: E731
+    d = decimals(*(x for ends in ("value", "low", "high") for x in first[ends] if x is not None))
+    number = lambda x: "-" if x is None else f"{x:.{d}f}"  # noqa: E731
     lines = [f"evaluated on {told['judged']['words']}", ""]
     lines.append(f"{first['title']}: {told['estimand']['words']}; {PERCENT} intervals")
     for name, value, low, high in zip(names, first["value"], first["low"], first["high"]):

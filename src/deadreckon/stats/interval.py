@@ -34,6 +34,15 @@ class Interval:
         return f"{self:.4g}"
 
 
+def decimals(*values: float) -> int:
+    """How many decimals to show of numbers that stand together: two, or more where all are so small that two would hide them.
+
+    The largest in size keeps two digits that are not zero.
+    """
+    most = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    return 2 if most == 0.0 else max(2, 1 - math.floor(math.log10(most)))
+
+
 def level_in_words(level: float) -> str:
     """A level in words, never as 100 %, which no interval has: late looks have levels that three digits do not show."""
     digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)
