@@ -622,6 +622,15 @@ MUTANTS = (
         "csv-empty-text", "data/formats/cells.py", 'values = _without(values, ("",))', "pass",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
+    # ---- databases
+    Mutant(
+        "sqlite-writes", "data/formats/database.py", "            base.set_authorizer(allowed)\n", "",
+        "a query of SQLite writes files by VACUUM INTO", ("data/formats/test_database.py",),
+    ),
+    Mutant(
+        "duckdb-reads", "data/formats/database.py", '"enable_external_access": False', '"enable_external_access": True',
+        "a query of DuckDB reads any file", ("data/formats/test_database.py",),
+    ),
     # ---- tables of any dialect
     Mutant(
         "dialect-cp1252", "data/formats/dialect.py",
