@@ -10,6 +10,7 @@ from deadreckon.cli.main import main
 from deadreckon.data.formats import io
 from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.io import convert, read
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 
 DAY = datetime.datetime
@@ -161,7 +162,8 @@ def test_a_query_of_sqlite_writes_no_file(tmp_path, query):
     with pytest.raises(UserError, match="--query takes a SELECT that only reads tables of the file, not "):
         read(path, schema=schema)
     assert not other.exists()
-    recursive = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 3) SELECT i, upper(site) AS s FROM n, v"
+    recursive = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 3) SELECT i, upper(site) AS s FROM "
+    recursive += "n, v"
     assert read_table(path, query=recursive)[0].num_rows == 6
 
 
@@ -176,3 +178,16 @@ def test_a_query_and_a_view_of_duckdb_read_no_other_file(tmp_path):
         with pytest.raises(UserError, match="DuckDB cannot run|takes one SELECT"):
             read_table(path, **how)
     assert read_table(path, table="visits")[0].num_rows == 2
+
+
+def test_numbers_of_sqlite_keep_their_type(tmp_path):
+    rows = ", ".join(f"({2**62 + row // 3}, {row % 3 * 10}, {row}, {2**60 if row else 0.5})" for row in range(60))
+    create = "CREATE TABLE t (episode INTEGER, action REAL, reward INTEGER, x)"
+    path = made(tmp_path, "sqlite", create, f"INSERT INTO t VALUES {rows}")
+    found, _, told = read_table(path)
+    assert found["episode"][59].as_py() == 2**62 + 19
+    assert [str(kind) for kind in found.schema.types] == ["int64", "double", "int64", "double"]
+    assert told == [f"column x holds integers and decimals, and row 1 has {2**60}, which is rounded"]
+    log = read(path)
+    assert log.episodes == 20
+    assert log.action_space == Box((0.0,), (20.0,))

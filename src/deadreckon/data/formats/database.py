@@ -85,7 +85,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
         raise _wrong(path, "SQLite", error, query) from error
     arrays, told = [], []
     for name, values in zip(names, columns, strict=True):
-        array, lines = column_of(path, f"column {name}", values, lambda row: f"row {row}")
+        array, lines = column_of(path, f"column {name}", values, lambda row: f"row {row}", decimal=True)
         arrays.append(array)
         told += lines
     return pa.table(arrays, names=names), told
