@@ -59,7 +59,24 @@ def arranged(path: Path | str, columns: Mapping[str, Any], done: str | None = No
         lines, extra = ([], {}) if layout is None else ([told(layout)], {"layout": layout.library})
         return Arranged(_plain(columns, done), lines, extra)
     with naming(path, ""):
+        given = {plain_name(key): value for key, value in flat(columns).items()}
+        for name in (name for name, role in layout.names.items() if role == "episode"):
+            if (codes := _codes(name, given.get(name))) is not None:
+                parts.arrays[name] = codes
+                parts.other.pop(name, None)
         return _read(layout, parts, done)
+
+
+def _codes(name: str, values: Any) -> np.ndarray | None:
+    """(rows,) numbers of names of episodes that are texts, or integers of any size; None where they are neither."""
+    if isinstance(values, np.ndarray):
+        values = values.reshape(-1).tolist() if values.dtype.kind in "OUS" and values.ndim else None
+    if not isinstance(values, list) or not any(isinstance(value, str | bytes | int) for value in values):
+        return None
+    if (row := next((row for row, value in enumerate(values) if not isinstance(value, str | bytes | int)), None)) is not None:
+        raise UserError(f"column {name} has {values[row]!r} in row {row}, the name of an episode is a text or an integer")
+    first = {value: number for number, value in enumerate(dict.fromkeys(values))}
+    return np.array([first[value] for value in values], np.int64)
 
 
 def _parts(columns: Mapping[str, Any]) -> Parts:
