@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.io import read
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -227,3 +228,35 @@ def test_groups_are_kept_and_held_out_together():
     held = np.isin(log.episode_ids, parts.held)
     assert not set(log.extras["user"][held]) & set(parts.learning.extras["user"])
     assert divided(log, 0.5, None, None).told["by"] == "user"
+
+
+def written(tmp_path, **columns):
+    path = tmp_path / "log.csv"
+    pd.DataFrame(base(**columns)).to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("cells", "odd"),
+    [
+        ([*map(str, range(N - 1)), "1,5"], "'1,5' in row 119, beside '0'"),
+        ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"), ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
+        ([f"{i}k" for i in range(N)], "'0k' in row 0;"), ([f"{i}.5 %" for i in range(N)], "'0.5 %' in row 0;"),
+        ([f"1,{i}00,5" for i in range(N)], None), ([f"10.{i}.0.1" for i in range(N)], None),
+    ],
+)
+def test_texts_that_look_like_numbers_are_no_levels(tmp_path, cells, odd):
+    path = written(tmp_path, y=cells)
+    if odd is None:  # lists and addresses, which are no numbers
+        assert told(read(path), "column y has 120 different texts")
+        return
+    for source in (lambda: read(path), lambda: Dataset.from_frame(base(y=cells))):
+        with pytest.raises(UserError, match=f"column y holds texts that look like numbers and cannot be read as such: {odd}"):
+            source()
+
+
+def test_few_texts_that_look_like_numbers_are_told_with_the_odd_one(tmp_path):
+    log = read(written(tmp_path, y=["1,5", *map(str, np.arange(N - 1) % 7)]))
+    assert told(log, "column y is read as texts, though '1,5' looks like a number or a date")
+    log = read(written(tmp_path, y=[*map(str, np.arange(N - 1) % 7), "1,5"]))
+    assert told(log, "column y is read as texts, though '0' looks like a number or a date; row 119 has '1,5'")

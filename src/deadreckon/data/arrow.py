@@ -96,12 +96,12 @@ def levels_of_whole_numbers(values: Any) -> list[int] | None:
 
 
 def is_number(text: str) -> bool:
-    """Whether a text says a number."""
+    """Whether a text says a number, as pyarrow reads it; Python takes 1_000 and the digits of other scripts too."""
     try:
         float(text)
     except ValueError:
         return False
-    return True
+    return str(text).isascii() and "_" not in str(text)
 
 
 def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
@@ -123,8 +123,10 @@ def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.nd
     kind = values.type
     if pa.types.is_boolean(kind):
         values = values.cast(pa.int8())
-    elif pa.types.is_decimal(kind) or (is_text(kind) and says_numbers(values)):
-        values = decoded(values).cast(pa.float64())
+    elif is_text(kind) and says_numbers(values):
+        values = compute.utf8_trim_whitespace(decoded(values)).cast(pa.float64())
+    elif pa.types.is_decimal(kind):
+        values = values.cast(pa.float64())
     elif pa.types.is_null(kind):
         return np.full(len(values), np.nan), np.ones(len(values), bool)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):

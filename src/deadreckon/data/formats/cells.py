@@ -152,8 +152,9 @@ def _of_texts(called: str, values: Any) -> list[str]:
         word = values.filter(gone)[0].as_py()
         told.append(f"{called}: {word!r} is a text like others in {_rows(count)}; empty such cells if they are missing")
     found = likeness(_without(values, (*MISSING, DASH)))
-    if found.alike and found.row < 0:
-        told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date")
+    if found.alike and (found.row < 0 or found.numbers):
+        where = f"; row {found.row} has {found.odd[:40]!r}" if found.numbers and found.odd != found.first else ""
+        told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date{where}")
     elif found.mistaken or 2 * found.alike >= found.cells > 0:
         told.append(
             f"{called} is read as texts: {found.alike} of {found.cells} cells look like numbers or dates, row {found.row} "

@@ -8,9 +8,9 @@ from typing import Any
 import pyarrow as pa
 
 from deadreckon.data.formats.cells import DASH, MISSING
+from deadreckon.data.likeness import MOSTLY
 from deadreckon.errors import UserError
 
-_MOSTLY = 0.9  # share of one kind among the cells of a column from which another is taken for a mistake
 _LARGEST = 2**53  # up to which a float holds every integer
 
 
@@ -50,7 +50,7 @@ def column_of(
         return _array(cells, usual), []
     row = next(row for row, value in enumerate(values) if _kind(value) not in ("", usual))
     odd = f"{where(row)} holds {str(values[row])[:40]!r}, and most cells hold {_WORDS[usual]}"
-    if count >= _MOSTLY * (len(values) - missing) and usual != "text":
+    if count >= MOSTLY * (len(values) - missing) and usual != "text":
         raise UserError(f"{path}: {called}: {odd}; mend that cell (an empty one is missing), or make all of them texts")
     return _array([None if _kind(value) == "" else _text(value) for value in values], "text"), [
         f"{called} is read as texts: {odd}"
