@@ -36,8 +36,8 @@ def read_table(
         table: of a database: its name.
 
     Returns:
-        The table; the dialect of a text file, None for other formats; and one line for each thing that may be read otherwise
-        than it was meant.
+        The table; the dialect of a text file, of other formats the order of dates alone, None where there are no such dates;
+        and one line for each thing that may be read otherwise than it was meant.
 
     Raises:
         UserError: one line with the file; the file is no table, is damaged, or takes no such option.
@@ -72,5 +72,5 @@ def read_table(
 
     from deadreckon.data.formats.cells import PLAIN, converted
 
-    found, _, lines = converted(found, replace(PLAIN, dates=dates))
-    return found, None, told + lines
+    found, order, lines = converted(found, replace(PLAIN, dates=dates))
+    return found, None if order is None else Dialect(dates=order), told + lines

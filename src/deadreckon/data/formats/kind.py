@@ -25,6 +25,7 @@ READING = {
     "dates": ("csv", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
+DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those which say how values are written
 _WORDS = {"csv": "CSV", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
 _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
           (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
