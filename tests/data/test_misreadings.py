@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from deadreckon.data.dataset import Dataset
@@ -260,3 +261,19 @@ def test_few_texts_that_look_like_numbers_are_told_with_the_odd_one(tmp_path):
     assert told(log, "column y is read as texts, though '1,5' looks like a number or a date")
     log = read(written(tmp_path, y=[*map(str, np.arange(N - 1) % 7), "1,5"]))
     assert told(log, "column y is read as texts, though '0' looks like a number or a date; row 119 has '1,5'")
+
+
+def test_columns_of_unusual_types_are_read_or_refused_in_one_line():
+    from decimal import Decimal
+
+    table = base(half=np.float16(X), action=pa.array([Decimal(i % 3) for i in range(N)], pa.decimal128(18, 3)))
+    log = Dataset.from_frame({**table, "episode": pa.array([Decimal(10**20 + int(i)) for i in EPISODE], pa.decimal128(38, 0))})
+    assert (log.action_space, log.episodes, named(log)) == (Discrete(3), 10, ["x", "half"])
+    assert Dataset.from_frame(base(y=[" 199", "1.5"] * 60)).observations[:2, 1].tolist() == [199, 1.5]
+    assert named(Dataset.from_frame(base(y=["1_000", "2"] * 60))) == ["x", "y=1_000", "y=2"]
+    with pytest.raises(UserError, match="column action holds list<.*>, an action is one plain value in each row"):
+        Dataset.from_frame(base(action=[[i % 2] for i in range(N)]))
+    with pytest.raises(UserError, match="column age holds pandas.interval, numbers, texts, dates or truth values are needed"):
+        Dataset.from_frame(pd.DataFrame(base(age=pd.cut(np.arange(N), 4))))
+    with pytest.raises(UserError, match="column half has .* in row 3"):
+        Dataset.from_frame(pd.DataFrame(base(reward=X, half=np.where(np.arange(N) == 3, np.inf, X).astype("f2"))))

@@ -11,17 +11,38 @@ from deadreckon.errors import UserError
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 _SAMPLE = 1_000  # rows that are looked at before all are
+_EXACT = 2**53  # up to which float64 holds every integer
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
 
 def flat(table: pa.Table, column: str) -> Any:
-    """(rows,) the column as one pyarrow array."""
+    """(rows,) the column as one pyarrow array, of a type with which all functions of pyarrow work.
+
+    Raises:
+        UserError: the column has a type of a library's own, such as pandas' intervals.
+    """
     values = table.column(column)
+    kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
+    if isinstance(kind, pa.BaseExtensionType):
+        raise UserError(f"column {column} holds {kind.extension_name}, numbers, texts, dates or truth values are needed")
+    if pa.types.is_float16(kind):
+        values = (values.cast(kind) if pa.types.is_dictionary(values.type) else values).cast(pa.float32())
+    elif pa.types.is_decimal(kind):
+        values = _plain_decimals(values)
     if pa.types.is_dictionary(values.type):
         values = values.unify_dictionaries()
     elif pa.types.is_string_view(values.type):  # polars'; pyarrow cannot sort them yet
         values = values.cast(pa.large_string())
     return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
+
+
+def _plain_decimals(values: Any) -> Any:
+    """Decimals as integers or floats, which hold them apart; as they are where these do not."""
+    scale = values.type.scale
+    ends = compute.min_max(values).as_py()
+    if any(end is not None and abs(end) * 10 ** max(scale, 0) >= _EXACT for end in ends.values()):
+        return values
+    return values.cast(pa.int64() if scale <= 0 else pa.float64())
 
 
 def is_string(kind: pa.DataType) -> bool:
@@ -55,6 +76,8 @@ def all_match(texts: Any, pattern: str) -> bool:
 
 def distinct(values: Any) -> int:
     """How many different values there are, missing ones aside."""
+    if pa.types.is_nested(values.type):  # pyarrow does not compare lists
+        return len(set(map(repr, values.drop_null().to_pylist())))
     return len(values.drop_null().unique())
 
 

@@ -36,10 +36,13 @@ class Parts:
         return [key for key in self.arrays if key == name or key.startswith(f"{name}/")]
 
     def number(self, *names: str) -> int | None:
-        """A single whole number under the first of `names` that is there."""
+        """A single whole number under the first of `names` that is there; anything else there is refused."""
         for name in names:
-            if name in self.other and np.ndim(self.other[name]) == 0:
-                return int(self.other[name])
+            value = self.other.get(name)
+            if value is not None and np.ndim(value) == 0:
+                if np.asarray(value).dtype.kind not in "iubf" or not float(value).is_integer():
+                    raise UserError(f"{name} must be a whole number, got {value!r}")
+                return int(value)
         return None
 
     def take(self, index: Any, rows: int) -> None:
@@ -65,10 +68,12 @@ def d3rlpy_episodes(parts: Parts) -> None:
     columns: dict[str, list[np.ndarray]] = {}
     for episode in range(count):
         for key in ("observations", "actions", "rewards"):
-            several = [f"{key}_{episode}_{part}" for part in range(len(parts.arrays))]
-            names = [f"{key}_{episode}"] if f"{key}_{episode}" in parts.arrays else [
-                name for name in several if name in parts.arrays
-            ]  # fmt: skip
+            names = [name for name in (f"{key}_{episode}",) if name in parts.arrays]
+            while not names or names[-1] != f"{key}_{episode}":  # else arrays of parts, counted from 0
+                following = f"{key}_{episode}_{len(names)}"
+                if following not in parts.arrays:
+                    break
+                names.append(following)
             if not names:
                 raise UserError(f"no column {key}_{episode}, but num_episodes is {count}")
             for number, name in enumerate(names):

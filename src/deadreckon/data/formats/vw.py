@@ -18,7 +18,7 @@ from deadreckon.files import unpacked
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LABEL = re.compile(rf"(\d+):({_NUMBER}):({_NUMBER})")
 _FIRST = re.compile(rf"\s*(?:shared\s[^|]*|(?:\d+\s+)*\d+:{_NUMBER}:{_NUMBER}(?:\s[^|]*)?|'?\S*\s*)\|".encode())
-_MOST = 10_000  # dimensions of an observation
+_MOST = 10_000  # dimensions of an observation, and actions
 
 
 @dataclass
@@ -201,7 +201,10 @@ def _columns(examples: list[_Example]) -> tuple[dict[str, np.ndarray], list[str]
     index = {key: number for number, key in enumerate(names)}
     observations = np.zeros((rows, len(names)), np.float32)
     actions = 1 + max(max(example.action, *example.legal) if example.legal else example.action for example in examples)
-    legal = np.ones((rows, actions), bool)
+    if actions > _MOST:
+        line = next(example.line for example in examples if actions - 1 in (example.action, *example.legal))
+        raise UserError(f"line {line} has action {actions}, at most {_MOST:,} are read; number them from 1 without gaps")
+    legal = np.ones((rows, actions if any(example.legal for example in examples) else 0), bool)
     for row, example in enumerate(examples):
         observations[row, [index[key] for key in example.features]] = list(example.features.values())
         if example.legal:
