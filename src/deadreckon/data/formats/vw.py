@@ -17,6 +17,8 @@ from deadreckon.files import unpacked
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LABEL = re.compile(rf"(\d+):({_NUMBER}):({_NUMBER})")
+# No time of day such as 12:30:00, which stands in tables with bars between columns.
+_NO_CLOCK = re.compile(rf"\d+:{_NUMBER}:(?![-+]?\d\d){_NUMBER}")
 _FIRST = re.compile(rf"\s*(?:shared\s[^|]*|(?:\d+\s+)*\d+:{_NUMBER}:{_NUMBER}(?:\s[^|]*)?|'?\S*\s*)\|".encode())
 _MOST = 10_000  # dimensions of an observation, and actions
 
@@ -73,7 +75,8 @@ def is_vw(head: bytes) -> bool:
     """Whether a text begins as one of VW's does, and some line of `head` has the label of a contextual bandit."""
     if b"\0" in head or not _FIRST.match(head):
         return False
-    return any(_LABEL.search(line.partition(b"|")[0].decode("latin1")) for line in head.split(b"\n") if b"|" in line)
+    heads = [line.partition(b"|")[0].decode("latin1") for line in head.split(b"\n") if b"|" in line]
+    return any(_NO_CLOCK.fullmatch(word) for text in heads for word in text.split())
 
 
 def _examples(lines: Iterator[str] | io.TextIOWrapper) -> tuple[list[_Example], int, bool]:
