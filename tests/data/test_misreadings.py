@@ -142,6 +142,10 @@ CASES = {
         {"y": [str(i / 2) for i in range(N)]}, {}, ["x", "y"], None, "column y holds numbers as texts, and is read as numbers",
     ),
     "codes": ({"zone": np.arange(N) % 4}, {}, ["x", "zone"], None, "column zone holds whole numbers that may be codes"),
+    "codes with gaps": (
+        {"zone": [None, *(float(i % 3) for i in range(N - 1))]}, {}, ["x", "zone", "zone_missing"], None,
+        "column zone holds whole numbers that may be codes",
+    ),
     "codes as levels": (
         {"zone": np.arange(N) % 3}, {"kinds": {"zone": "category"}}, ["x", "zone=0", "zone=1", "zone=2"], None, None,
     ),
@@ -156,7 +160,7 @@ CASES = {
     "episode in every row": ({"traj_id": np.arange(N)}, {}, ["x"], None, "column traj_id differs in every row and is left out"),
     "time within episodes": ({"ep": EPISODE, "t": STEP}, {}, ["x"], None, "column t is read as the time within an episode"),
     "time alone": ({"t": np.arange(N)}, {}, ["x", "t"], None, "column t looks like a time and is read as an observation"),
-    "dates": ({"day": [dt.date(2026, 1, 1)] * N}, {}, ["x"], None, "timestamps are left out of the observations: day"),
+    "dates": ({"day": [dt.date(2026, 1, 1)] * N}, {}, ["x"], None, r"left out of the observations: day \(--time day\)"),
     "dates as texts": (
         {"day": ["2026-01-02T03:04:05Z"] * N}, {}, ["x"], None, "column day holds dates and is left out",
     ),
@@ -202,9 +206,9 @@ def test_a_renamed_level_of_the_action_is_refused_and_one_of_an_observation_is_t
     table = {"kind": ["a", "b"] * 3, "x": range(6), "arm": ["go", "stop"] * 3, "r": range(6)}
     schema = Dataset.from_frame(table, action="arm", reward="r").provenance.extra["schema"]
     renamed = Dataset.from_frame(table | {"kind": ["a", "c"] * 3}, schema=schema)
-    assert told(renamed, "column kind has levels that the schema does not list: 'c'; they become no level")
+    assert told(renamed, "column kind has values that are none of its levels: 'c'; they become no level")
     assert renamed.observations[1].tolist() == [0, 0, 1]
-    with pytest.raises(UserError, match="column arm has levels that the schema does not list: 'Go'; rename them"):
+    with pytest.raises(UserError, match="column arm has values that are none of its levels: 'Go'; rename them"):
         Dataset.from_frame(table | {"arm": ["Go", "stop"] * 3}, schema=schema)
     fewer = Dataset.from_frame({key: list(value)[:1] for key, value in table.items()}, schema=schema)
     assert fewer.observations.shape == (1, 3)
@@ -277,3 +281,11 @@ def test_columns_of_unusual_types_are_read_or_refused_in_one_line():
         Dataset.from_frame(pd.DataFrame(base(age=pd.cut(np.arange(N), 4))))
     with pytest.raises(UserError, match="column half has .* in row 3"):
         Dataset.from_frame(pd.DataFrame(base(reward=X, half=np.where(np.arange(N) == 3, np.inf, X).astype("f2"))))
+
+
+def test_what_replaces_missing_values_is_told_as_it_is():
+    schema = {"columns": {"x": {"role": "observation", "fill": 0}, "action": {"role": "action", "kind": "integer"},
+                          "reward": {"role": "reward"}}}  # fmt: skip
+    log = Dataset.from_frame(base(x=[None, *X[1:]]), schema=schema)
+    assert log.observations[0].tolist() == [0, 1]
+    assert told(log, r"1 missing values in 1 of 120 rows are replaced by the column's fill \(the mean by default\)")

@@ -188,3 +188,9 @@ def test_a_drafted_schema_pins_the_dialect(tmp_path):
     columns = {"day": ["2024-02-01"] * 2, "x": [1.5, 2.5], "action": [0, 1], "reward": [1.0, 2.0]}
     parquet.write_table(pa.table(columns), tmp_path / "march.parquet")
     assert read(tmp_path / "march.parquet", schema=tmp_path / "s.toml").observations[:, 0].tolist() == [1.5, 2.5]
+
+
+def test_any_name_of_a_column_is_saved(tmp_path):
+    schema = Schema((Column('a\x7f"\\b é', "reward"),))
+    schema.save(tmp_path / "s.toml")
+    assert Schema.load(tmp_path / "s.toml") == schema

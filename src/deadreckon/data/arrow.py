@@ -107,9 +107,16 @@ def as_dates(values: Any) -> Any | None:
     return None
 
 
-def levels_of_whole_numbers(values: Any) -> list[int] | None:
-    """The different values of a column of whole numbers, ascending; None where it has others, or some are missing."""
+def levels_of_whole_numbers(values: Any, missing: bool = False) -> list[int] | None:
+    """The different values of a column of whole numbers, ascending; None where it has others.
+
+    Args:
+        values: (rows,) of it.
+        missing: whether some may be missing; None else where they are.
+    """
     kind = values.type
+    if missing:
+        values = values.filter(pa.array(~is_missing(values)))
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)) or values.null_count:
         return None
     found = np.asarray(values.unique().to_numpy(zero_copy_only=False), np.float64 if pa.types.is_floating(kind) else None)

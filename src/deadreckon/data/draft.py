@@ -158,7 +158,7 @@ class _Maker:
         moments = [c for c in self.names if c not in self.roles and pa.types.is_temporal(self.table[c].type)]
         if moments:
             self.give(moments, "ignore", "a date")
-            self.told.append(f"timestamps are left out of the observations: {', '.join(moments)}")
+            self.told.append(f"timestamps are left out of the observations: {', '.join(moments)} (--time {moments[0]})")
         for column in [column for column in self.names if column not in self.roles]:
             self.observe(column)
 
@@ -264,7 +264,7 @@ class _Maker:
         elif roles.IDENTITY.search(column.lower()):
             self.doubt(column, f"looks like a name of someone or something, and is read as an observation: --keep {column} "
                        f"keeps it beside the log, --ignore {column} leaves it out")  # fmt: skip
-        elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values) or ()) <= FEW:
+        elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values, True) or ()) <= FEW:
             self.doubt(column, f"holds whole numbers that may be codes, and is read as a number (--kinds {column}=category)")
 
     def complete(self) -> None:

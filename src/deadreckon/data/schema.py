@@ -210,7 +210,7 @@ class Schema:
         if self.table:
             lines += ["[table]", *(f"{key} = {_value(value)}" for key, value in self.table.items()), ""]
         for column in self.columns:
-            lines.append(f"[columns.{json.dumps(column.name, ensure_ascii=False)}]")
+            lines.append(f"[columns.{_value(column.name)}]")
             # On one line whatever they quote, since what follows a line break would be no comment.
             lines += [f"# ? {' '.join(column.doubt.split())}"] if column.doubt else []
             lines += [f"# {' '.join(column.reason.split())}"] if column.reason else []
