@@ -109,3 +109,10 @@ def test_many_episodes_of_d3rlpy_take_linear_time():
     d3rlpy_episodes(parts)
     assert time.process_time() - started < 1  # it takes 0.01 s, and took 20 s when names of parts were made for all
     assert parts.arrays["observations"].shape == (2 * count, 1)
+
+
+def test_a_probability_of_more_than_one_is_refused_by_the_name_of_its_column(tmp_path):
+    source = files.by_open_bandit(BANDIT, tmp_path)
+    source["pscore"] = np.where(np.arange(len(BANDIT)) == 4, 33, source["pscore"])
+    with pytest.raises(UserError, match=r"column pscore has 33.0 in row 4, a probability in \(0, 1\] is needed"):
+        Dataset.from_dict(source)

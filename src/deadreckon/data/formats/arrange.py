@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.checks import SLACK
 from deadreckon.data.columns import LOG_PROBS, extra_name
 from deadreckon.data.formats.flatten import join_arrays
 from deadreckon.data.formats.layout_ends import MEANINGS, ends, in_episodes
@@ -201,6 +202,10 @@ def _log_probs(roles: Mapping[str, np.ndarray], names: Mapping[str, str]) -> dic
     if not (probs > 0).all():
         row = int(np.argmin(probs > 0))
         raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a positive probability is needed")
+    large = np.log(probs) > SLACK
+    if roles["actions"].dtype.kind in "iub" and large.any():  # of other actions it may be a density
+        row = int(np.argmax(large))
+        raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a probability in (0, 1] is needed")
     return {LOG_PROBS: np.log(probs)}
 
 
