@@ -131,6 +131,14 @@ CASES = {
     "an action that never changes": (
         {"action": np.full(N, 0.5)}, {}, ["x"], None, "column action is an action that never changes",
     ),
+    "an action of one text": ({"action": ["go"] * N}, {}, ["x"], None, "column action is an action that never changes"),
+    "blanks behind a level": (
+        {"zone": ["North ", "South", "North"] * (N // 3)}, {}, ["x", "zone=North", "zone=North ", "zone=South"], None,
+        "column zone has levels that differ in blanks or capitals alone, such as 'North ' and 'North'",
+    ),
+    "capitals of a level of the action": (
+        {"action": ["Go", "stop", "go"] * (N // 3)}, {}, ["x"], Discrete(3), "column action has levels .*'Go' and 'go'",
+    ),
     "comments": (
         {"comment": [f"note {i}" for i in range(N)]}, {}, ["x"], None, "column comment has 120 different texts .* left out",
     ),
