@@ -10,6 +10,7 @@ import pytest
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import read
+from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -297,3 +298,32 @@ def test_what_replaces_missing_values_is_told_as_it_is():
     log = Dataset.from_frame(base(x=[None, *X[1:]]), schema=schema)
     assert log.observations[0].tolist() == [0, 1]
     assert told(log, r"1 missing values in 1 of 120 rows are replaced by the column's fill \(the mean by default\)")
+
+
+@pytest.mark.parametrize("word", ["Total", "total:", "AVERAGE", "Summe", "Gesamtsumme", "Mittelwert", "Grand Total"])
+def test_a_last_row_that_calls_itself_a_total_is_told(tmp_path, word):
+    path = tmp_path / "log.csv"
+    path.write_text("site,x,action,reward\n" + "a,1,0,1\nb,2,1,0\n" * 3 + f"{word},9,0,3\n")
+    assert told(read(path), f"the last row, 6, looks like a total \\(column site has '{word}'\\)")
+    path.write_text("site,x,action,reward\n" + f"{word},1,0,1\nb,2,1,0\n" * 3 + f"{word},9,0,3\n")
+    assert not told(read(path), "looks like a total")
+
+
+@pytest.mark.parametrize("function", [np.sum, np.mean])
+def test_a_last_row_of_sums_or_means_is_told(tmp_path, function):
+    path = tmp_path / "log.csv"
+    table = pd.DataFrame({"x": X, "y": RNG.integers(0, 9, N) + 0.25, "action": np.arange(N) % 3, "reward": R})
+    total = table[["x", "y", "reward"]].apply(function).to_frame().T.assign(action=0)
+    pd.concat([table, total]).to_csv(path, index=False)
+    assert told(read(path), r"the last row, 120, looks like a total \(columns x, y, reward have the sums or the means")
+    pd.concat([table, total.assign(x=0, y=0)]).to_csv(path, index=False)
+    assert not told(read(path), "looks like a total")
+
+
+def test_no_last_row_of_noise_is_taken_for_a_total():
+    rng = np.random.default_rng(3)
+    for _ in range(2_000):
+        rows = int(rng.integers(2, 60))
+        few, flags, counts = rng.integers(-1, 2, (2, rows)), rng.random((2, rows)) < 1 / rows, rng.integers(0, 4, (2, rows))
+        columns = {f"{i}": column for i, column in enumerate([*few, *flags.astype(int), *counts, *rng.normal(size=(2, rows))])}
+        assert of_totals(pa.table(columns)) == []

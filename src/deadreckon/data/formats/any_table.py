@@ -49,10 +49,13 @@ def read_table(
     kind = sniff(path, separator)
     no_options(path, kind, given)
     asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
+    from deadreckon.data.formats.totals import of_totals
+
     if kind == "csv":
         from deadreckon.data.formats.delimited import read_delimited
 
-        return read_delimited(path, asked)
+        found, dialect, told = read_delimited(path, asked)
+        return found, dialect, told + of_totals(found)
     if kind == "parquet":
         from pyarrow import parquet
 
@@ -73,4 +76,4 @@ def read_table(
     from deadreckon.data.formats.cells import PLAIN, converted
 
     found, order, lines = converted(found, replace(PLAIN, dates=dates))
-    return found, None if order is None else Dialect(dates=order), told + lines
+    return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)
