@@ -321,6 +321,9 @@ def test_a_last_row_of_sums_or_means_is_told(tmp_path, function):
 
 
 def test_no_last_row_of_noise_is_taken_for_a_total():
+    once, flag = np.zeros((2, 20), int)
+    once[[3, 19]] = flag[[7, 19]] = 1  # each sums up to its last cell
+    assert of_totals(pa.table({"reward": once, "terminal": flag})) == []
     rng = np.random.default_rng(3)
     for _ in range(2_000):
         rows = int(rng.integers(2, 60))

@@ -10,7 +10,7 @@ import pyarrow.compute
 from deadreckon.errors import UserError
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
-_SAMPLE = 1_000  # rows that are looked at before all are
+SAMPLE = 1_000  # rows that are looked at before all are
 _EXACT = 2**53  # up to which float64 holds every integer
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
@@ -68,7 +68,7 @@ def is_missing(values: Any) -> np.ndarray:
 
 def all_match(texts: Any, pattern: str) -> bool:
     """Whether all texts that are not missing match a pattern of RE2, and one does; a few are tried first."""
-    for some in (texts[:_SAMPLE], texts):
+    for some in (texts[:SAMPLE], texts):
         if compute.all(compute.match_substring_regex(some, pattern)).as_py() is False:
             return False
     return texts.null_count < len(texts)

@@ -13,9 +13,9 @@ import pyarrow as pa
 from deadreckon.data import roles
 from deadreckon.data.arrow import as_dates, decoded, distinct, flat, is_text, levels_of_whole_numbers, says_numbers
 from deadreckon.data.asked import Asked, listed
-from deadreckon.data.kinds import FEW, asked_kinds, check_column, columns_like, kind_of
+from deadreckon.data.kinds import asked_kinds, check_column, columns_like, kind_of
 from deadreckon.data.legal_columns import find_legal
-from deadreckon.data.likeness import likeness
+from deadreckon.data.likeness import FEW, likeness
 from deadreckon.data.schema import ONE, Column, Role, Schema
 from deadreckon.errors import UserError
 

@@ -17,11 +17,11 @@ from deadreckon.data.arrow import (
     says_numbers,
 )
 from deadreckon.data.legal_columns import is_list
+from deadreckon.data.likeness import FEW
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
 MOST_ACTIONS = 100  # different whole numbers in a column of actions beyond which it is read as continuous
-FEW = 20  # up to which whole numbers are discrete actions without a word
 
 
 def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:

@@ -20,7 +20,7 @@ _ONE = (
 _FORMS = tuple(rf"^[+\-−]?(?:\d+{mark}?\d*|{mark}\d+)(?:[eE][+-]?\d+)?$" for mark in ("[.]", ","))
 _DATE = r"^(?:\d{1,4}[./-]\d{1,2}[./-]\d{1,4})(?:[ T].*)?$"
 MOSTLY = 0.9  # share of numbers among a column's cells from which a text is taken for a mistake
-_FEW = 20  # distinct numbers up to which they may be levels, such as those of a storey or a grade
+FEW = 20  # different numbers up to which they may be levels, such as those of a storey or a grade, and actions discrete
 
 
 class Likeness(NamedTuple):
@@ -47,7 +47,7 @@ class Likeness(NamedTuple):
     @property
     def mistaken(self) -> bool:
         """Whether the texts seem to be numbers that are written in several ways, or among which some are no numbers."""
-        many = self.distinct > _FEW
+        many = self.distinct > FEW
         return many and (self.numbers or (self.row >= 0 and MOSTLY * self.cells <= self.alike < self.cells))
 
 
