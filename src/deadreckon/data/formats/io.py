@@ -52,13 +52,13 @@ def read(
             raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
         mapping["schema"] = schema = Schema.load(path)
         path = schema.file_beside(path)
+    ways: dict[str, Any] = {}
     if "schema" in mapping:
         mapping["schema"] = schema = as_schema(mapping["schema"])
         ways = schema.options()
-        kind = sniff(path, ways.get("separator"))
-        # A schema that was drafted for a CSV file is that of the same table in another format too, which needs no dialect.
-        mapping = {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
-    kind = sniff(path, mapping.get("separator"))
+    kind = sniff(path, mapping.get("separator", ways.get("separator")))
+    # A schema that was drafted for a CSV file is that of the same table in another format too, which needs no dialect.
+    mapping = {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
     mapping, told = open_bandit(path, kind, mapping)
     options = _options(path, kind, mmap, horizon, mapping)
     log = _reader(kind)(path, strict=strict, name=name, **options)
