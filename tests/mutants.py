@@ -729,7 +729,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-all-flags", "data/formats/cells.py",
-        "for some in (texts[:_SAMPLE], texts):\n        words", "for some in (texts[:2],):\n        words",
+        "for some in (texts[:SAMPLE], texts):\n        words", "for some in (texts[:2],):\n        words",
         "the first rows decide what is a flag", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -759,7 +759,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-looks", "data/formats/cells.py",
-        "if found.alike and found.row < 0:", "if False:",
+        "if found.alike and (found.row < 0 or found.numbers):", "if False:",
         "texts that look like numbers are not told", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -881,7 +881,7 @@ MUTANTS = (
     ),
     Mutant(
         "likeness-few", "data/likeness.py",
-        "and self.distinct > _FEW", "",
+        "many = self.distinct > FEW", "many = True",
         "levels that are numbers are refused beside a text", ("data/formats/test_dialects.py",),
     ),
     Mutant(
