@@ -622,6 +622,15 @@ MUTANTS = (
         "csv-empty-text", "data/formats/cells.py", 'values = _without(values, ("",))', "pass",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
+    # ---- databases
+    Mutant(
+        "sqlite-writes", "data/formats/database.py", "            base.set_authorizer(allowed)\n", "",
+        "a query of SQLite writes files by VACUUM INTO", ("data/formats/test_database.py",),
+    ),
+    Mutant(
+        "duckdb-reads", "data/formats/database.py", '"enable_external_access": False', '"enable_external_access": True',
+        "a query of DuckDB reads any file", ("data/formats/test_database.py",),
+    ),
     # ---- tables of any dialect
     Mutant(
         "dialect-cp1252", "data/formats/dialect.py",
@@ -720,7 +729,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-all-flags", "data/formats/cells.py",
-        "for some in (texts[:_SAMPLE], texts):\n        words", "for some in (texts[:2],):\n        words",
+        "for some in (texts[:SAMPLE], texts):\n        words", "for some in (texts[:2],):\n        words",
         "the first rows decide what is a flag", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -750,7 +759,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-looks", "data/formats/cells.py",
-        "if found.alike and found.row < 0:", "if False:",
+        "if found.alike and (found.row < 0 or found.numbers):", "if False:",
         "texts that look like numbers are not told", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -872,7 +881,7 @@ MUTANTS = (
     ),
     Mutant(
         "likeness-few", "data/likeness.py",
-        "and self.distinct > _FEW", "",
+        "many = self.distinct > FEW", "many = True",
         "levels that are numbers are refused beside a text", ("data/formats/test_dialects.py",),
     ),
     Mutant(

@@ -44,6 +44,8 @@ def test_the_originals_are_those_of_d4rl(real_data):
 def test_wrong_names_are_told_the_nearest():
     with pytest.raises(UserError, match="did you mean maze2d-umaze-v1"):
         load("maze2d-umaze-v2")
+    with pytest.raises(UserError, match=r"^no file qqq, and no data set is called so \(`deadreckon data list` lists them\)$"):
+        load("qqq")
     with pytest.raises(UserError, match=r"unknown version 'dr9' of maze2d-umaze-v1: .* maze2d-umaze-v1@dr1"):
         load("maze2d-umaze-v1@dr9")
     known = r"known are hopper-random-v2@dr1 \(collected\), hopper-random-v2@d4rl \(downloaded\)$"

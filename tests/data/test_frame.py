@@ -262,7 +262,7 @@ def test_prefixes_among_several_and_columns_to_ignore():
     log = Dataset.from_frame(table, action=["b", "a"], reward="r")
     np.testing.assert_allclose(log.actions[0], [0.5, 0.1, 0.3], rtol=1e-6)
     assert log.provenance.extra["observation_names"] == ["u_0", "u_1", "v"]
-    assert "timestamps are left out of the observations: t" in log.warnings
+    assert "timestamps are left out of the observations: t (--time t)" in log.warnings
     for options, names in (
         ({"observations": ["v", "u"]}, ["v", "u_0", "u_1"]),
         ({"observations": ["u_1", "u"]}, ["u_1", "u_0"]),

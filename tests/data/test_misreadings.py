@@ -5,9 +5,12 @@ import re
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.io import read
+from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.frame import ALONE
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
@@ -143,6 +146,14 @@ CASES = {
     "an action that never changes": (
         {"action": np.full(N, 0.5)}, {}, ["x"], None, "column action is an action that never changes",
     ),
+    "an action of one text": ({"action": ["go"] * N}, {}, ["x"], None, "column action is an action that never changes"),
+    "blanks behind a level": (
+        {"zone": ["North ", "South", "North"] * (N // 3)}, {}, ["x", "zone=North", "zone=North ", "zone=South"], None,
+        "column zone has levels that differ in blanks or capitals alone, such as 'North ' and 'North'",
+    ),
+    "capitals of a level of the action": (
+        {"action": ["Go", "stop", "go"] * (N // 3)}, {}, ["x"], Discrete(3), "column action has levels .*'Go' and 'go'",
+    ),
     "comments": (
         {"comment": [f"note {i}" for i in range(N)]}, {}, ["x"], None, "column comment has 120 different texts .* left out",
     ),
@@ -154,6 +165,10 @@ CASES = {
         {"y": [str(i / 2) for i in range(N)]}, {}, ["x", "y"], None, "column y holds numbers as texts, and is read as numbers",
     ),
     "codes": ({"zone": np.arange(N) % 4}, {}, ["x", "zone"], None, "column zone holds whole numbers that may be codes"),
+    "codes with gaps": (
+        {"zone": [None, *(float(i % 3) for i in range(N - 1))]}, {}, ["x", "zone", "zone_missing"], None,
+        "column zone holds whole numbers that may be codes",
+    ),
     "codes as levels": (
         {"zone": np.arange(N) % 3}, {"kinds": {"zone": "category"}}, ["x", "zone=0", "zone=1", "zone=2"], None, None,
     ),
@@ -168,7 +183,7 @@ CASES = {
     "episode in every row": ({"traj_id": np.arange(N)}, {}, ["x"], None, "column traj_id differs in every row and is left out"),
     "time within episodes": ({"ep": EPISODE, "t": STEP}, {}, ["x"], None, "column t is read as the time within an episode"),
     "time alone": ({"t": np.arange(N)}, {}, ["x", "t"], None, "column t looks like a time and is read as an observation"),
-    "dates": ({"day": [dt.date(2026, 1, 1)] * N}, {}, ["x"], None, "timestamps are left out of the observations: day"),
+    "dates": ({"day": [dt.date(2026, 1, 1)] * N}, {}, ["x"], None, r"left out of the observations: day \(--time day\)"),
     "dates as texts": (
         {"day": ["2026-01-02T03:04:05Z"] * N}, {}, ["x"], None, "column day holds dates and is left out",
     ),
@@ -200,9 +215,6 @@ CASES = {
     ),
     "flags with empty cells": (
         {"terminated": [1, None] * 60}, {}, ["x"], None, "column terminated is named like a flag of true ends of epi",
-    ),
-    "codes with gaps": (
-        {"zone": [None, *(np.arange(N - 1) % 4)]}, {}, ["x", "zone", "zone_missing"], None, "column zone holds whole numbers",
     ),
     "rows that are episodes": ({}, {}, ["x"], None, "each row is read as an episode of one step"),
     "missing cells": (
@@ -238,9 +250,9 @@ def test_a_renamed_level_of_the_action_is_refused_and_one_of_an_observation_is_t
     table = {"kind": ["a", "b"] * 3, "x": range(6), "arm": ["go", "stop"] * 3, "r": range(6)}
     schema = Dataset.from_frame(table, action="arm", reward="r").provenance.extra["schema"]
     renamed = Dataset.from_frame(table | {"kind": ["a", "c"] * 3}, schema=schema)
-    assert told(renamed, "column kind has levels that the schema does not list: 'c'; they become no level")
+    assert told(renamed, "column kind has values that are none of its levels: 'c'; they become no level")
     assert renamed.observations[1].tolist() == [0, 0, 1]
-    with pytest.raises(UserError, match="column arm has levels that the schema does not list: 'Go'; rename them"):
+    with pytest.raises(UserError, match="column arm has values that are none of its levels: 'Go'; rename them"):
         Dataset.from_frame(table | {"arm": ["Go", "stop"] * 3}, schema=schema)
     fewer = Dataset.from_frame({key: list(value)[:1] for key, value in table.items()}, schema=schema)
     assert fewer.observations.shape == (1, 3)
@@ -265,3 +277,91 @@ def test_groups_are_kept_and_held_out_together():
     held = np.isin(log.episode_ids, parts.held)
     assert not set(log.extras["user"][held]) & set(parts.learning.extras["user"])
     assert divided(log, 0.5, None, None).told["by"] == "user"
+
+
+def written(tmp_path, **columns):
+    path = tmp_path / "log.csv"
+    pd.DataFrame(base(**columns)).to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("cells", "odd"),
+    [
+        ([*map(str, range(N - 1)), "1,5"], "'1,5' in row 119, beside '0'"),
+        ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"), ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
+        ([f"{i}k" for i in range(N)], "'0k' in row 0;"), ([f"{i}.5 %" for i in range(N)], "'0.5 %' in row 0;"),
+        ([f"1,{i}00,5" for i in range(N)], None), ([f"10.{i}.0.1" for i in range(N)], None),
+    ],
+)
+def test_texts_that_look_like_numbers_are_no_levels(tmp_path, cells, odd):
+    path = written(tmp_path, y=cells)
+    if odd is None:  # lists and addresses, which are no numbers
+        assert told(read(path), "column y has 120 different texts")
+        return
+    for source in (lambda: read(path), lambda: Dataset.from_frame(base(y=cells))):
+        with pytest.raises(UserError, match=f"column y holds texts that look like numbers and cannot be read as such: {odd}"):
+            source()
+
+
+def test_few_texts_that_look_like_numbers_are_told_with_the_odd_one(tmp_path):
+    log = read(written(tmp_path, y=["1,5", *map(str, np.arange(N - 1) % 7)]))
+    assert told(log, "column y is read as texts, though '1,5' looks like a number or a date")
+    log = read(written(tmp_path, y=[*map(str, np.arange(N - 1) % 7), "1,5"]))
+    assert told(log, "column y is read as texts, though '0' looks like a number or a date; row 119 has '1,5'")
+
+
+def test_columns_of_unusual_types_are_read_or_refused_in_one_line():
+    from decimal import Decimal
+
+    table = base(half=np.float16(X), action=pa.array([Decimal(i % 3) for i in range(N)], pa.decimal128(18, 3)))
+    log = Dataset.from_frame({**table, "episode": pa.array([Decimal(10**20 + int(i)) for i in EPISODE], pa.decimal128(38, 0))})
+    assert (log.action_space, log.episodes, named(log)) == (Discrete(3), 10, ["x", "half"])
+    assert Dataset.from_frame(base(y=[" 199", "1.5"] * 60)).observations[:2, 1].tolist() == [199, 1.5]
+    assert named(Dataset.from_frame(base(y=["1_000", "2"] * 60))) == ["x", "y=1_000", "y=2"]
+    with pytest.raises(UserError, match="column action holds list<.*>, an action is one plain value in each row"):
+        Dataset.from_frame(base(action=[[i % 2] for i in range(N)]))
+    with pytest.raises(UserError, match="column age holds pandas.interval, numbers, texts, dates or truth values are needed"):
+        Dataset.from_frame(pd.DataFrame(base(age=pd.cut(np.arange(N), 4))))
+    with pytest.raises(UserError, match="column half has .* in row 3"):
+        Dataset.from_frame(pd.DataFrame(base(reward=X, half=np.where(np.arange(N) == 3, np.inf, X).astype("f2"))))
+
+
+def test_what_replaces_missing_values_is_told_as_it_is():
+    schema = {"columns": {"x": {"role": "observation", "fill": 0}, "action": {"role": "action", "kind": "integer"},
+                          "reward": {"role": "reward"}}}  # fmt: skip
+    log = Dataset.from_frame(base(x=[None, *X[1:]]), schema=schema)
+    assert log.observations[0].tolist() == [0, 1]
+    assert told(log, r"1 missing values in 1 of 120 rows are replaced by the column's fill \(the mean by default\)")
+
+
+@pytest.mark.parametrize("word", ["Total", "total:", "AVERAGE", "Summe", "Gesamtsumme", "Mittelwert", "Grand Total"])
+def test_a_last_row_that_calls_itself_a_total_is_told(tmp_path, word):
+    path = tmp_path / "log.csv"
+    path.write_text("site,x,action,reward\n" + "a,1,0,1\nb,2,1,0\n" * 3 + f"{word},9,0,3\n")
+    assert told(read(path), f"the last row, 6, looks like a total \\(column site has '{word}'\\)")
+    path.write_text("site,x,action,reward\n" + f"{word},1,0,1\nb,2,1,0\n" * 3 + f"{word},9,0,3\n")
+    assert not told(read(path), "looks like a total")
+
+
+@pytest.mark.parametrize("function", [np.sum, np.mean])
+def test_a_last_row_of_sums_or_means_is_told(tmp_path, function):
+    path = tmp_path / "log.csv"
+    table = pd.DataFrame({"x": X, "y": RNG.integers(0, 9, N) + 0.25, "action": np.arange(N) % 3, "reward": R})
+    total = table[["x", "y", "reward"]].apply(function).to_frame().T.assign(action=0)
+    pd.concat([table, total]).to_csv(path, index=False)
+    assert told(read(path), r"the last row, 120, looks like a total \(columns x, y, reward have the sums or the means")
+    pd.concat([table, total.assign(x=0, y=0)]).to_csv(path, index=False)
+    assert not told(read(path), "looks like a total")
+
+
+def test_no_last_row_of_noise_is_taken_for_a_total():
+    once, flag = np.zeros((2, 20), int)
+    once[[3, 19]] = flag[[7, 19]] = 1  # each sums up to its last cell
+    assert of_totals(pa.table({"reward": once, "terminal": flag})) == []
+    rng = np.random.default_rng(3)
+    for _ in range(2_000):
+        rows = int(rng.integers(2, 60))
+        few, flags, counts = rng.integers(-1, 2, (2, rows)), rng.random((2, rows)) < 1 / rows, rng.integers(0, 4, (2, rows))
+        columns = {f"{i}": column for i, column in enumerate([*few, *flags.astype(int), *counts, *rng.normal(size=(2, rows))])}
+        assert of_totals(pa.table(columns)) == []

@@ -1,5 +1,7 @@
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from deadreckon.cli.main import main
 from deadreckon.data.describe import describe_table
@@ -150,3 +152,45 @@ def test_names_with_line_breaks_stay_within_their_comments(tmp_path):
     schema.save(tmp_path / "x.toml")
     assert Schema.load(tmp_path / "x.toml") == schema
     assert schema.named("observation") == [name]
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("name = 'x'", r"\[table\]: unknown entry 'name'"), ("strict = true", "unknown entry 'strict'"),
+        ("horizon = 3", "unknown entry 'horizon'"), ("schema = 'x'", "unknown entry 'schema'"),
+        ("separator = 5", "separator must be a text, got 5"), ("encoding = 3", "encoding must be a text, got 3"),
+        ("thousands = ['.']", "thousands must be a text, got"), ("query = true", "query must be a text, got True"),
+        ("sheet = true", "sheet must be a text or a number, got True"),
+    ],
+)  # fmt: skip
+def test_a_table_of_a_schema_holds_options_of_reading_alone(table, tmp_path, entry, words):
+    path = tmp_path / "x.toml"
+    path.write_text(f"[table]\npath = 'chiller.csv'\n{entry}\n[columns.temp]\nrole = 'observation'\n")
+    with pytest.raises(UserError, match=words):
+        read(path)
+
+
+def test_a_drafted_schema_pins_the_dialect(tmp_path):
+    path = tmp_path / "january.csv"
+    path.write_text("day;x;action;reward\n13.01.2024;0,5;0;1,25\n14.01.2024;1,5;1;1,5\n", encoding="latin-1")
+    schema, _ = describe_table(path, ignore="day")
+    schema.save(tmp_path / "s.toml")
+    assert Schema.load(tmp_path / "s.toml").table == {
+        "path": "january.csv", "separator": ";", "decimal": ",", "encoding": "utf-8", "dates": "day-first",
+    }  # fmt: skip
+    following = tmp_path / "february.csv"
+    following.write_text("day;x;action;reward\n01.02.2024;1.234;0;2\n02.02.2024;2.345;1;3\n")
+    alone = read(following, action="action", reward="reward", ignore="day")
+    assert alone.observations[:, 0].tolist() == pytest.approx([1.234, 2.345])
+    assert read(following, schema=tmp_path / "s.toml").observations[:, 0].tolist() == [1234, 2345]
+    # The same table in a format that has no dialect.
+    columns = {"day": ["2024-02-01"] * 2, "x": [1.5, 2.5], "action": [0, 1], "reward": [1.0, 2.0]}
+    parquet.write_table(pa.table(columns), tmp_path / "march.parquet")
+    assert read(tmp_path / "march.parquet", schema=tmp_path / "s.toml").observations[:, 0].tolist() == [1.5, 2.5]
+
+
+def test_any_name_of_a_column_is_saved(tmp_path):
+    schema = Schema((Column('a\x7f"\\b é', "reward"),))
+    schema.save(tmp_path / "s.toml")
+    assert Schema.load(tmp_path / "s.toml") == schema

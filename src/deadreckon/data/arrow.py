@@ -12,18 +12,39 @@ from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
-_SAMPLE = 1_000  # rows that are looked at before all are
+SAMPLE = 1_000  # rows that are looked at before all are
+_EXACT = 2**53  # up to which float64 holds every integer
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
 
 def flat(table: pa.Table, column: str) -> Any:
-    """(rows,) the column as one pyarrow array."""
+    """(rows,) the column as one pyarrow array, of a type with which all functions of pyarrow work.
+
+    Raises:
+        UserError: the column has a type of a library's own, such as pandas' intervals.
+    """
     values = table.column(column)
+    kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
+    if isinstance(kind, pa.BaseExtensionType):
+        raise UserError(f"column {column} holds {kind.extension_name}, numbers, texts, dates or truth values are needed")
+    if pa.types.is_float16(kind):
+        values = (values.cast(kind) if pa.types.is_dictionary(values.type) else values).cast(pa.float32())
+    elif pa.types.is_decimal(kind):
+        values = _plain_decimals(values)
     if pa.types.is_dictionary(values.type):
         values = values.unify_dictionaries()
     elif pa.types.is_string_view(values.type):  # polars'; pyarrow cannot sort them yet
         values = values.cast(pa.large_string())
     return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
+
+
+def _plain_decimals(values: Any) -> Any:
+    """Decimals as integers or floats, which hold them apart; as they are where these do not."""
+    scale = values.type.scale
+    ends = compute.min_max(values).as_py()
+    if any(end is not None and abs(end) * 10 ** max(scale, 0) >= _EXACT for end in ends.values()):
+        return values
+    return values.cast(pa.int64() if scale <= 0 else pa.float64())
 
 
 def is_string(kind: pa.DataType) -> bool:
@@ -49,7 +70,7 @@ def is_missing(values: Any) -> np.ndarray:
 
 def all_match(texts: Any, pattern: str) -> bool:
     """Whether all texts that are not missing match a pattern of RE2, and one does; a few are tried first."""
-    for some in (texts[:_SAMPLE], texts):
+    for some in (texts[:SAMPLE], texts):
         if compute.all(compute.match_substring_regex(some, pattern)).as_py() is False:
             return False
     return texts.null_count < len(texts)
@@ -57,6 +78,8 @@ def all_match(texts: Any, pattern: str) -> bool:
 
 def distinct(values: Any) -> int:
     """How many different values there are, missing ones aside."""
+    if pa.types.is_nested(values.type):  # pyarrow does not compare lists
+        return len(set(map(repr, values.drop_null().to_pylist())))
     return len(values.drop_null().unique())
 
 
@@ -86,9 +109,16 @@ def as_dates(values: Any) -> Any | None:
     return None
 
 
-def levels_of_whole_numbers(values: Any) -> list[int] | None:
-    """The different values of a column of whole numbers, ascending; None where it has others, or some are missing."""
+def levels_of_whole_numbers(values: Any, missing: bool = False) -> list[int] | None:
+    """The different values of a column of whole numbers, ascending; None where it has others.
+
+    Args:
+        values: (rows,) of it.
+        missing: whether some may be missing; None else where they are.
+    """
     kind = values.type
+    if missing:
+        values = values.filter(pa.array(~is_missing(values)))
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)) or values.null_count:
         return None
     if pa.types.is_floating(kind):  # looked at in blocks before they are told apart, which takes much memory of many values
@@ -101,12 +131,12 @@ def levels_of_whole_numbers(values: Any) -> list[int] | None:
 
 
 def is_number(text: str) -> bool:
-    """Whether a text says a number."""
+    """Whether a text says a number, as pyarrow reads it; Python takes 1_000 and the digits of other scripts too."""
     try:
         float(text)
     except ValueError:
         return False
-    return True
+    return str(text).isascii() and "_" not in str(text)
 
 
 def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
@@ -128,8 +158,10 @@ def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.nd
     kind = values.type
     if pa.types.is_boolean(kind):
         values = values.cast(pa.int8())
-    elif pa.types.is_decimal(kind) or (is_text(kind) and says_numbers(values)):
-        values = decoded(values).cast(pa.float64())
+    elif is_text(kind) and says_numbers(values):
+        values = compute.utf8_trim_whitespace(decoded(values)).cast(pa.float64())
+    elif pa.types.is_decimal(kind):
+        values = values.cast(pa.float64())
     elif pa.types.is_null(kind):
         return np.full(len(values), np.nan), np.ones(len(values), bool)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):

@@ -1,5 +1,6 @@
 """What is known of every named log: task, original file, Minari twin, our recipe. Pure data and look-up."""
 
+import difflib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -160,10 +161,12 @@ def entry(name: str) -> Entry:
     """The entry of a log, by D4RL's name or that of a copy (`maze2d-umaze-v1@dr1`, `@d4rl`, `@minari`).
 
     Raises:
-        UserError: no such name, with the nearest; or no such copy.
+        UserError: no such name, with the nearest if one is near; or no such copy.
     """
     base, _, version = name.partition("@")
     if base not in ENTRIES:
+        if not difflib.get_close_matches(base, ENTRIES, 1, 0.5):
+            raise UserError(f"no file {name}, and no data set is called so (`deadreckon data list` lists them)")
         raise unknown("data set", base, ENTRIES)
     found = ENTRIES[base]
     if version and version not in (found.version, *found.sources):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +17,9 @@ from deadreckon.data.leaks import leaks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.schema import Column, Schema
 from deadreckon.errors import UserError
+
+if TYPE_CHECKING:
+    from deadreckon.data.formats.dialect import Dialect
 
 
 def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafted:
@@ -43,7 +46,8 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
         from deadreckon.data.formats.kind import READING
 
         ways = {key: asked.pop(key) for key in READING if key in asked}
-        table, _, lines = read_table(file, **ways)
+        table, dialect, lines = read_table(file, **ways)
+        ways = _pinned(dialect) | ways
     name = name or (str(file) if file else "frame")
     schema, told = draft(table, Asked(**asked), name, needed=False)
     for role in ("action", "reward"):
@@ -62,6 +66,16 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
             found = [replace(resolved[column.name], reason=column.reason, doubt=column.doubt) for column in found]
     where: Mapping[str, Any] = {"path": file.name, **ways} if file else {}
     return Drafted(Schema(tuple(found), where), [*lines, *told])
+
+
+def _pinned(dialect: "Dialect | None") -> dict[str, str]:
+    """How the file was read, as options, so that the schema reads the next such file alike whatever its cells suggest."""
+    if dialect is None:
+        return {}
+    found = {"separator": dialect.separator, "decimal": dialect.decimal, "thousands": dialect.thousands,
+             "encoding": dialect.encoding, "dates": dialect.dates}  # fmt: skip
+    # Where nothing marks thousands the next file may: what its marks mean is settled by the mark of decimals.
+    return {key: value for key, value in found.items() if value}
 
 
 def _leaks(read: FrameColumns, name: str) -> tuple[str, ...]:

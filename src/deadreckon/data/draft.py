@@ -156,7 +156,7 @@ class _Maker:
         moments = [c for c in self.names if c not in self.roles and pa.types.is_temporal(self.table[c].type)]
         if moments:
             self.give(moments, "ignore", "a date")
-            self.told.append(f"timestamps are left out of the observations: {', '.join(moments)}")
+            self.told.append(f"timestamps are left out of the observations: {', '.join(moments)} (--time {moments[0]})")
         for column in [column for column in self.names if column not in self.roles]:
             self.observe(column)
 

@@ -81,7 +81,8 @@ class Encoder:
         if missing:
             counts = ", ".join(f"{column} {count}" for column, count in missing.items())
             where = f"{sum(missing.values())} missing values in {rows.sum()} of {len(rows)} rows"
-            self.warnings.append(f"{where} are replaced by the mean or by no level, and marked: {counts}")
+            how = "replaced by the column's fill (the mean by default) or by no level"
+            self.warnings.append(f"{where} are {how}, and marked: {counts}")
         self.extra["observation_names"] = list(parts)
         if levels:
             self.extra["observation_levels"] = levels
@@ -163,7 +164,7 @@ class Encoder:
         codes, other = codes_of(self.name, column.name, values, column.levels)
         if other:
             shown = ", ".join(map(repr, other[:_SHOWN])) + (", ..." if len(other) > _SHOWN else "")
-            text = f"{self.name}: column {column.name} has levels that the schema does not list: {shown}"
+            text = f"{self.name}: column {column.name} has values that are none of its levels: {shown}"
             if column.role == "action":
                 raise UserError(f"{text}; rename them, or add them to its levels")
             self.warnings.append(f"{text.partition(': ')[2]}; they become no level")

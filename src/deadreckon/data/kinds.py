@@ -6,13 +6,22 @@ from typing import Any
 import pyarrow as pa
 
 from deadreckon.data import roles
-from deadreckon.data.arrow import as_dates, distinct, is_category, levels_of_whole_numbers, says_numbers
+from deadreckon.data.arrow import (
+    MOST_LEVELS,
+    as_dates,
+    decoded,
+    distinct,
+    is_category,
+    is_text,
+    levels_of_whole_numbers,
+    says_numbers,
+)
 from deadreckon.data.legal_columns import is_list
+from deadreckon.data.likeness import FEW
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
 MOST_ACTIONS = 100  # different whole numbers in a column of actions beyond which it is read as continuous
-FEW = 20  # up to which whole numbers are discrete actions without a word
 
 
 def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:
@@ -57,20 +66,22 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
     if role in ("observation", "next_observation") and kind == "category" and says_numbers(values):
         doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
         return "number", "texts that are numbers", doubt
+    if role == "observation" and kind == "category":
+        return kind, reason, _alike(values)
     # What does not go with the role is refused when it is encoded, with the value that is wrong.
     return (kind, reason, "") if kind in ALLOWED.get(role, KINDS) else ("number", reason, "")
 
 
 def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, str, str]:
     """Whether an action is discrete or continuous."""
+    constant = "is an action that never changes: nothing can be learned of other actions" if distinct(values) == 1 else ""
     if kind == "category":
-        return kind, "texts", ""
+        return kind, "texts", constant or _alike(values)
     levels = levels_of_whole_numbers(values)
     few = levels is not None and len(levels) <= FEW
     if not alone:
         doubt = "holds whole numbers and is one of several actions: it is read as continuous" if few else ""
         return "number", "one of several actions", doubt
-    constant = "is an action that never changes: nothing can be learned of other actions" if distinct(values) == 1 else ""
     if kind == "flag":
         return kind, "truth values", constant
     if levels is None:
@@ -87,6 +98,17 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
         return "number", f"more than {MOST_ACTIONS} whole numbers", doubt
     doubt = constant if few else f"has {count} different whole numbers and is read as {count} discrete actions {as_number}"
     return kind, f"{count} whole numbers", doubt
+
+
+def _alike(values: Any) -> str:
+    """What to say of texts that differ in blanks or in upper and lower case alone, and are probably one level."""
+    found: dict[str, str] = {}
+    levels = decoded(values).drop_null().unique()
+    for level in levels.to_pylist() if len(levels) <= MOST_LEVELS and is_text(levels.type) else ():
+        other = found.setdefault(" ".join(level.lower().split()), level)
+        if other != level:
+            return f"has levels that differ in blanks or capitals alone, such as {other!r} and {level!r}"
+    return ""
 
 
 def asked_kinds(given: Mapping[str, str] | Sequence[str], table: pa.Table, name: str) -> dict[str, Kind]:

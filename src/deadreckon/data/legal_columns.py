@@ -139,6 +139,8 @@ def find_legal(
             return {}
         raise UserError(f"{name}: legal actions need one action column, {len(actions)} are known (--action)")
     logged = decoded(flat(table, actions[0]))
+    if pa.types.is_nested(logged.type):
+        raise UserError(f"{name}: column {actions[0]} holds {logged.type}, an action is one plain value in each row")
     values = logged.drop_null().unique()
     levels = {_text(value) for value in values.to_pylist()} if len(values) <= MOST_LEVELS else set()
     if asked is None:

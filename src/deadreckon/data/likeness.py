@@ -4,15 +4,23 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from deadreckon.data.arrow import all_match, is_string, says_numbers
 from deadreckon.data.arrow import compute as _compute
-from deadreckon.data.arrow import is_string
 from deadreckon.errors import UserError
 
 # Numbers with any marks, currencies and units of per cent; dates with any marks. RE2 knows no look-around.
-_NUMBER = r"^[+\-−]?[$€£]?\s?[.,]?\d[\d.,'’ \x{a0}\x{202f}]*(?:[eE][+-]?\d+)?\s?[%€$£\-]?$"
+_NUMBER = r"^\(?[+\-−]?[$€£]?\s?[.,]?\d[\d.,'’ \x{a0}\x{202f}]*(?:[eE][+-]?\d+)?\s?[kM]?\s?[%€$£\-]?\)?$"
+# One number, and no list, version or address: groups of thousands of one mark, and one mark of decimals.
+_ONE = (
+    r"^\(?[+\-−]?[$€£]?\s?"
+    r"(?:\d*(?:[.,]\d*)?|[1-9]\d{0,2}(?:(?:\.\d{3})+|(?:,\d{3})+|(?:['’ \x{a0}\x{202f}]\d{3})+)(?:[.,]\d*)?)"
+    r"(?:[eE][+-]?\d+)?\s?[kM]?\s?[%€$£\-]?\)?$"
+)
+# In which a column may be written.
+_FORMS = tuple(rf"^[+\-−]?(?:\d+{mark}?\d*|{mark}\d+)(?:[eE][+-]?\d+)?$" for mark in ("[.]", ","))
 _DATE = r"^(?:\d{1,4}[./-]\d{1,2}[./-]\d{1,4})(?:[ T].*)?$"
-_MOSTLY = 0.9  # share of numbers among a column's cells from which a text is taken for a mistake
-_FEW = 20  # distinct numbers up to which they may be levels, such as those of a storey or a grade
+MOSTLY = 0.9  # share of numbers among a column's cells from which a text is taken for a mistake
+FEW = 20  # different numbers up to which they may be levels, such as those of a storey or a grade, and actions discrete
 
 
 class Likeness(NamedTuple):
@@ -22,9 +30,10 @@ class Likeness(NamedTuple):
         cells: that are not missing.
         alike: of them look like numbers or dates.
         first: such a text.
-        row: of the first that does not, or -1.
+        row: of the first that does not or, where all do and are numbers, of the first that has another form than most; or -1.
         odd: that text.
         distinct: texts that look like numbers or dates.
+        numbers: whether all are numbers, although they cannot be read as such.
     """
 
     cells: int
@@ -33,11 +42,13 @@ class Likeness(NamedTuple):
     row: int
     odd: str
     distinct: int
+    numbers: bool
 
     @property
     def mistaken(self) -> bool:
-        """Whether the texts that do not look like numbers seem to be mistakes among numbers."""
-        return self.row >= 0 and self.alike >= _MOSTLY * self.cells and self.distinct > _FEW
+        """Whether the texts seem to be numbers that are written in several ways, or among which some are no numbers."""
+        many = self.distinct > FEW
+        return many and (self.numbers or (self.row >= 0 and MOSTLY * self.cells <= self.alike < self.cells))
 
 
 def likeness(values: Any) -> Likeness:
@@ -51,12 +62,27 @@ def likeness(values: Any) -> Likeness:
     alike = _compute.or_(_compute.match_substring_regex(found, _NUMBER), _compute.match_substring_regex(found, _DATE))
     cells, count = (_compute.sum(_compute.fill_null(each, False)).as_py() or 0 for each in (present, alike))
     if not count:
-        return Likeness(cells, 0, "", -1, "", 0)
+        return Likeness(cells, 0, "", -1, "", 0, False)
     numbers = found.filter(_compute.fill_null(alike, False))
     odd = _compute.fill_null(_compute.and_(present, _compute.invert(alike)), False)
     row = _compute.index(odd, pa.scalar(True)).as_py()
+    different = _compute.unique(numbers)
+    one = row < 0 and all_match(numbers, _ONE) and not says_numbers(different)
+    if one:
+        row = _other_form(found)
     text = "" if row < 0 else values[row].as_py()
-    return Likeness(cells, count, numbers[0].as_py(), row, text, len(_compute.unique(numbers)))
+    return Likeness(cells, count, numbers[0].as_py(), row, text, len(different), one)
+
+
+def _other_form(texts: Any) -> int:
+    """The first row whose number is not written as most are, with decimal points or with decimal commas."""
+    matches = [_compute.match_substring_regex(texts, form) for form in _FORMS]
+    usual = max(matches, key=lambda match: _compute.sum(match).as_py() or 0)
+    other = _compute.index(_compute.fill_null(_compute.invert(usual), False), pa.scalar(True)).as_py()
+    if other < 0:  # all are written alike, in a way that the file's other columns are not
+        plain = matches[1] if usual is matches[0] else matches[0]
+        other = _compute.index(_compute.fill_null(_compute.invert(plain), False), pa.scalar(True)).as_py()
+    return max(other, _compute.index(_compute.is_valid(texts), pa.scalar(True)).as_py())
 
 
 def refuse_mistaken(name: str, column: str, values: Any) -> None:
@@ -73,6 +99,12 @@ def refuse_mistaken(name: str, column: str, values: Any) -> None:
     if not is_string(values.type):
         return
     found = likeness(values)
+    if found.mistaken and found.numbers:
+        beside = f", beside {found.first!r}" if found.first != found.odd.strip() else ""
+        raise UserError(
+            f"{name}: column {column} holds texts that look like numbers and cannot be read as such: {found.odd[:40]!r} in row "
+            f"{found.row}{beside}; write all cells as plain numbers, give their levels in a schema, or ignore the column"
+        )
     if found.mistaken:
         raise UserError(
             f"{name}: column {column} holds a text in row {found.row}, {found.odd[:40]!r}, among {found.alike} numbers such as "

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 from deadreckon.data import roles
 from deadreckon.data.arrow import as_dates, decoded, distinct, is_text, levels_of_whole_numbers, says_numbers
-from deadreckon.data.kinds import FEW
-from deadreckon.data.likeness import likeness
+from deadreckon.data.likeness import FEW, likeness
 from deadreckon.data.schema import Kind, Role
 
 FREE_TEXT = 50  # different texts beyond which a column may be comments or identifiers: if there are fewer than ten rows of each
@@ -48,6 +47,6 @@ def rest(column: str, values: Any, kind: Kind | None) -> Rest:
     elif roles.IDENTITY.search(column.lower()):
         text = "looks like a name of someone or something, and is read as an observation"
         doubt = f"{text}: --keep {column} keeps it beside the log, --ignore {column} leaves it out"
-    elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values.drop_null()) or ()) <= FEW:
+    elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values, True) or ()) <= FEW:
         doubt = f"holds whole numbers that may be codes, and is read as a number (--kinds {column}=category)"
     return Rest("observation", "no other role", doubt)

@@ -25,6 +25,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "cost": ("number", "integer", "flag"), "weight": ("number", "integer"),
     "legal": ("category", "flag"), "next_legal": ("category", "flag"),
 }  # fmt: skip
+# What [table] may hold: the file, and the options of `formats.any_table.read_table`.
+_TABLE = ("path", "separator", "decimal", "thousands", "encoding", "dates", "sheet", "query", "table")
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,11 @@ class Schema:
     table: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
+        for key, value in self.table.items():
+            if key not in _TABLE:
+                raise UserError(f"schema, [table]: {unknown('entry', str(key), _TABLE)}")
+            if isinstance(value, bool) or not isinstance(value, str | int if key == "sheet" else str):
+                raise UserError(f"schema, [table]: {key} must be a text{' or a number' * (key == 'sheet')}, got {value!r}")
         names = [column.name for column in self.columns]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise UserError(f"schema: column {twice[0]} is described twice")
@@ -203,7 +210,7 @@ class Schema:
         if self.table:
             lines += ["[table]", *(f"{key} = {_value(value)}" for key, value in self.table.items()), ""]
         for column in self.columns:
-            lines.append(f"[columns.{json.dumps(column.name, ensure_ascii=False)}]")
+            lines.append(f"[columns.{_value(column.name)}]")
             # On one line whatever they quote, since what follows a line break would be no comment.
             lines += [f"# ? {' '.join(column.doubt.split())}"] if column.doubt else []
             lines += [f"# {' '.join(column.reason.split())}"] if column.reason else []

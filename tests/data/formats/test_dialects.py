@@ -250,3 +250,10 @@ def test_levels_of_which_some_are_numbers_stay_levels(tmp_path):
     log = read(path, action="arm", reward="r")
     assert log.observations.shape == (101, 6)
     assert any("column floor is read as texts: 100 of 101 cells" in line for line in log.warnings)
+
+
+def test_what_is_said_of_no_other_cell_is_said_of_the_rows_that_were_looked_at(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("x;action;reward\n" + "1.234;0;1\n" * 3_000)
+    words = "'1.234' is read as 1.234, not as 1234, and no other cell of the first 2,000 rows tells (--thousands point)"
+    assert words in read_table(path)[2]

@@ -1,4 +1,6 @@
 import gzip
+import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -102,3 +104,34 @@ def test_a_horizon_is_for_files_that_do_not_say(log, tmp_path):
     write_folder(log, tmp_path / "log")
     with pytest.raises(UserError, match="folder says where episodes end"):
         read(tmp_path / "log", horizon=3)
+
+
+def test_tables_that_begin_as_other_formats_do(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("when|x|action|reward\n2024-01-01 12:30:00|1.5|0|1\n2024-01-01 12:31:01|2.5|1|2\n")
+    assert io.sniff(path) == "csv"
+    assert read(path, time="when").observations[:, 0].tolist() == [1.5, 2.5]
+    path.write_text("1:2:0.5 |x a:1\n2:1:0.25 |x a:2\n")
+    assert io.sniff(path) == "vw"
+    assert io.sniff(path, "pipe") == "csv"
+    for name in ("(dose)", "(load)", "(index)"):
+        path.write_text(f"{name},action,reward\n1.5,0,1\n2.5,1,2\n")
+        assert read(path).provenance.extra["observation_names"] == [name]
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("value", [{"a": 1}, [1], [{"a": [1.5]}]])
+def test_pickles_are_known_by_what_they_begin_with(tmp_path, protocol, value):
+    path = tmp_path / "log"
+    path.write_bytes(pickle.dumps(value, protocol))
+    assert io.sniff(path) == "pickle"
+
+
+def test_a_zipped_table_is_unpacked_first(tmp_path):
+    path = tmp_path / "log.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("some/log.csv", "x,action,reward\n1,0,1\n")
+    with pytest.raises(UserError, match=f"^{path}: a zip archive that holds some/log.csv; unpack it first"):
+        read(path)
+    with pytest.raises(UserError, match="unpack it first"):
+        read(path, action="action", separator=",")

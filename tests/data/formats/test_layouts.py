@@ -1,3 +1,4 @@
+import json
 import pickle
 from dataclasses import replace
 
@@ -239,3 +240,28 @@ def test_a_layout_of_another_library_is_not_memory_mapped(tmp_path):
         del file["next/reward"]
     with pytest.raises(UserError, match="no column actions"):
         read(path)
+
+
+@pytest.mark.parametrize("ids", [["ep0", "ep1"], [2**64, 2**64 + 1], [2**63 - 1, 2**63], [2**63, "b"]])
+def test_names_of_episodes_may_be_texts_and_integers_of_any_size(ids, tmp_path):
+    path = tmp_path / "output-1.json"
+    batch = {"obs": [[0.5], [1.5]] * 2, "actions": [0, 1] * 2, "rewards": [1.0] * 4, "eps_id": [ids[0]] * 2 + [ids[1]] * 2}
+    path.write_text((json.dumps(batch) + "\n") * 2)
+    log = read(path)
+    assert log.lengths.tolist() == [4, 4]
+    assert log.rewards.sum() == 8
+    path.write_text(json.dumps({**batch, "eps_id": [*batch["eps_id"][:3], None]}))
+    with pytest.raises(UserError, match="column eps_id has None in row 3, the name of an episode is a text or an integer"):
+        read(path)
+
+
+@pytest.mark.parametrize("given", ["dict", "npz", "list"])
+def test_texts_that_name_episodes_of_rl_unplugged(given, tmp_path):
+    path = files.by_rl_unplugged(WORLD, tmp_path)
+    source = dict(np.load(path))
+    source["episode_id"] = np.array([f"episode {number}" for number in source["episode_id"]])
+    if given == "npz":
+        np.savez(path, **source)
+    elif given == "list":
+        source["episode_id"] = source["episode_id"].tolist()
+    check(read(path) if given == "npz" else Dataset.from_dict(source), WORLD)

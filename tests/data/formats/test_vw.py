@@ -126,3 +126,11 @@ def test_tables_of_open_bandit_are_known_by_their_names(tmp_path):
     assert log.warnings[0].startswith("read as Open Bandit's layout")
     mine = read(path, action="item_id", reward="click", observations="user_feature")
     assert "behavior_log_probs" not in mine.extras  # what is given counts alone
+
+
+def test_more_actions_than_are_read_are_refused(log_of):
+    with pytest.raises(UserError, match="line 6 has action 100000000, at most 10,000 are read"):
+        log_of(LINES + "100000000:1:0.5 | a\n")
+    with pytest.raises(UserError, match="line 6 has action 20000, at most 10,000"):
+        log_of(LINES + "20000 1:1:0.5 | a\n")
+    assert log_of(LINES + "10000:1:0.5 | a\n").action_space == Discrete(10_000)

@@ -36,8 +36,8 @@ def read_table(
         table: of a database: its name.
 
     Returns:
-        The table; the dialect of a text file, None for other formats; and one line for each thing that may be read otherwise
-        than it was meant.
+        The table; the dialect of a text file, of other formats the order of dates alone, None where there are no such dates;
+        and one line for each thing that may be read otherwise than it was meant.
 
     Raises:
         UserError: one line with the file; the file is no table, is damaged, or takes no such option.
@@ -49,10 +49,13 @@ def read_table(
     kind = sniff(path, separator)
     no_options(path, kind, given)
     asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
+    from deadreckon.data.formats.totals import of_totals
+
     if kind == "csv":
         from deadreckon.data.formats.delimited import read_delimited
 
-        return read_delimited(path, asked)
+        found, dialect, told = read_delimited(path, asked)
+        return found, dialect, told + of_totals(found)
     if kind == "parquet":
         from pyarrow import parquet
 
@@ -72,5 +75,5 @@ def read_table(
 
     from deadreckon.data.formats.cells import PLAIN, converted
 
-    found, _, lines = converted(found, replace(PLAIN, dates=dates))
-    return found, None, told + lines
+    found, order, lines = converted(found, replace(PLAIN, dates=dates))
+    return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.checks import SLACK
 from deadreckon.data.columns import LOG_PROBS, extra_name
 from deadreckon.data.formats.flatten import join_arrays
 from deadreckon.data.formats.layout_ends import MEANINGS, ends, in_episodes
-from deadreckon.data.formats.layout_rows import Parts, plain_name
-from deadreckon.data.formats.layouts import Layout, flat, layout_of, told
+from deadreckon.data.formats.layout_rows import Parts
+from deadreckon.data.formats.layouts import Layout, flat, layout_of, plain_name, told
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming
 
@@ -59,7 +60,24 @@ def arranged(path: Path | str, columns: Mapping[str, Any], done: str | None = No
         lines, extra = ([], {}) if layout is None else ([told(layout)], {"layout": layout.library})
         return Arranged(_plain(columns, done), lines, extra)
     with naming(path, ""):
+        given = {plain_name(key): value for key, value in flat(columns).items()}
+        for name in (name for name, role in layout.names.items() if role == "episode"):
+            if (codes := _codes(name, given.get(name))) is not None:
+                parts.arrays[name] = codes
+                parts.other.pop(name, None)
         return _read(layout, parts, done)
+
+
+def _codes(name: str, values: Any) -> np.ndarray | None:
+    """(rows,) numbers of names of episodes that are texts, or integers of any size; None where they are neither."""
+    if isinstance(values, np.ndarray):
+        values = values.reshape(-1).tolist() if values.dtype.kind in "OUS" and values.ndim else None
+    if not isinstance(values, list) or not any(isinstance(value, str | bytes | int) for value in values):
+        return None
+    if (row := next((row for row, value in enumerate(values) if not isinstance(value, str | bytes | int)), None)) is not None:
+        raise UserError(f"column {name} has {values[row]!r} in row {row}, the name of an episode is a text or an integer")
+    first = {value: number for number, value in enumerate(dict.fromkeys(values))}
+    return np.array([first[value] for value in values], np.int64)
 
 
 def _parts(columns: Mapping[str, Any]) -> Parts:
@@ -184,6 +202,10 @@ def _log_probs(roles: Mapping[str, np.ndarray], names: Mapping[str, str]) -> dic
     if not (probs > 0).all():
         row = int(np.argmin(probs > 0))
         raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a positive probability is needed")
+    large = np.log(probs) > SLACK
+    if roles["actions"].dtype.kind in "iub" and large.any():  # of other actions it may be a density
+        row = int(np.argmax(large))
+        raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a probability in (0, 1] is needed")
     return {LOG_PROBS: np.log(probs)}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from deadreckon.data.arrow import all_match, is_string
+from deadreckon.data.arrow import SAMPLE, all_match, is_string
 from deadreckon.data.arrow import compute as _compute
 from deadreckon.data.formats.dates import dates_of
 from deadreckon.data.formats.dialect import Dialect
@@ -22,7 +22,6 @@ _LONE = ("yes", "no", "ja", "nein", "oui", "true", "false")  # enough even if th
 _SPACES = " \\x{a0}\\x{202f}\\x{2009}"
 _THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}
 _SHOWN = 10  # lines on columns that stay texts
-_SAMPLE = 1_000  # rows that are looked at before all are
 
 
 def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str | None, list[str]]:
@@ -96,7 +95,7 @@ def _without(values: Any, words: tuple[str, ...]) -> Any:
 
 def _flags(texts: Any) -> tuple[Any, str] | None:
     """(rows,) truth values and the pair that stands for them, nothing for true and false, if the texts are all of one pair."""
-    for some in (texts[:_SAMPLE], texts):
+    for some in (texts[:SAMPLE], texts):
         words = {text.lower() for text in _compute.unique(some).to_pylist()[:9] if text is not None}
         if len(words) > 2:
             return None
@@ -152,8 +151,9 @@ def _of_texts(called: str, values: Any) -> list[str]:
         word = values.filter(gone)[0].as_py()
         told.append(f"{called}: {word!r} is a text like others in {_rows(count)}; empty such cells if they are missing")
     found = likeness(_without(values, (*MISSING, DASH)))
-    if found.alike and found.row < 0:
-        told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date")
+    if found.alike and (found.row < 0 or found.numbers):
+        where = f"; row {found.row} has {found.odd[:40]!r}" if found.numbers and found.odd != found.first else ""
+        told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date{where}")
     elif found.mistaken or 2 * found.alike >= found.cells > 0:
         told.append(
             f"{called} is read as texts: {found.alike} of {found.cells} cells look like numbers or dates, row {found.row} "

@@ -1,4 +1,7 @@
-"""Tables of SQLite and DuckDB files, whole or by a query, as pyarrow tables. Files are opened for reading alone."""
+"""Tables of SQLite and DuckDB files, whole or by a query, as pyarrow tables.
+
+Files are opened for reading alone, and neither a query nor a view can write or read another file.
+"""
 
 import contextlib
 import sqlite3
@@ -12,6 +15,10 @@ from deadreckon.data.formats.values import column_of
 from deadreckon.errors import UserError, reading, unknown
 
 _BATCH = 10_000  # rows that are fetched at once
+# What a query may do; VACUUM INTO and ATTACH would write files although the database is opened for reading alone.
+_MAY = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
+# A query, which may be somebody else's, and the views of a file read no other file, and no variables of Python.
+_CLOSED: dict[str, Any] = {"enable_external_access": False, "python_enable_replacements": False}
 
 
 def read_database(
@@ -47,9 +54,18 @@ def read_database(
 
 
 def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.Table, list[str]]:
+    denied: list[int] = []
+
+    def allowed(action: int, *_: Any) -> int:
+        if action in _MAY:
+            return sqlite3.SQLITE_OK
+        denied.append(action)
+        return sqlite3.SQLITE_DENY
+
     place = f"file:{quote(str(Path(path).absolute()))}?mode=ro"
     try:
         with contextlib.closing(sqlite3.connect(place, uri=True)) as base:
+            base.set_authorizer(allowed)
             if query is None:
                 listed = base.execute(
                     "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') AND name NOT LIKE 'sqlite_%' ORDER BY name"
@@ -64,10 +80,12 @@ def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
                 for values, more in zip(columns, zip(*batch, strict=True), strict=True):
                     values.extend(more)
     except (sqlite3.Error, sqlite3.Warning) as error:  # a Warning: of several statements
+        if denied:
+            raise UserError(f"{path}: --query takes a SELECT that only reads tables of the file, not {query!r:.80}") from error
         raise _wrong(path, "SQLite", error, query) from error
     arrays, told = [], []
     for name, values in zip(names, columns, strict=True):
-        array, lines = column_of(path, f"column {name}", values, lambda row: f"row {row}")
+        array, lines = column_of(path, f"column {name}", values, lambda row: f"row {row}", decimal=True)
         arrays.append(array)
         told += lines
     return pa.table(arrays, names=names), told
@@ -79,7 +97,7 @@ def _duckdb(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
     except ImportError as error:
         raise UserError(f"{path}: DuckDB's files are read with duckdb: pip install 'deadreckon[tables]'") from error
     try:
-        with contextlib.closing(duckdb.connect(str(path), read_only=True)) as base:
+        with contextlib.closing(duckdb.connect(str(path), read_only=True, config=_CLOSED)) as base:
             if query is None:
                 listed = base.execute("SELECT table_schema, table_name FROM information_schema.tables ORDER BY 1, 2").fetchall()
                 known = {

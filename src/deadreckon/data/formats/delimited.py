@@ -3,6 +3,7 @@
 import csv
 import io
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -44,6 +45,7 @@ def read_delimited(path: Path | str, asked: Dialect) -> tuple[pa.Table, Dialect,
         table = _named(path, table)
         table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
         told += lines
+        dialect = replace(dialect, encoding=None) if lines else dialect  # it has two
         table, lines = _without_empty(path, table)
         told += lines
         told += _of_quotes(path, table, dialect)

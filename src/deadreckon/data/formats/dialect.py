@@ -164,7 +164,7 @@ def sniff(path: Path | str, head: bytes, whole: bool, asked: Dialect) -> tuple[D
         told.append("texts stand in single quotes (')")
     _refuse_names(path, layout)
     names, *rows = [cells for _, cells in layout.rows]
-    marks = Marks.of(rows)
+    marks = Marks.of(rows, whole and len(rows) < _ROWS)
     decimal, thousands, lines = marks.resolve(asked.decimal, asked.thousands, separator)
     told += [*lines, *of_digits(names, rows)]
     return replace(Dialect(separator, decimal, thousands, encoding, quote), dates=asked.dates, skip=layout.skip), told

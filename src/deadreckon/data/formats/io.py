@@ -10,7 +10,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
-from deadreckon.data.formats.kind import TABLES, no_options, sniff
+from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, sniff
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.schema import Schema, as_schema
 from deadreckon.errors import UserError
@@ -53,10 +53,13 @@ def read(
             raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
         mapping["schema"] = schema = Schema.load(path)
         path = schema.file_beside(path)
+    ways: dict[str, Any] = {}
     if "schema" in mapping:
         mapping["schema"] = schema = as_schema(mapping["schema"])
-        mapping = schema.options() | mapping
-    kind = sniff(path, mapping.get("separator"))
+        ways = schema.options()
+    kind = sniff(path, mapping.get("separator", ways.get("separator")))
+    # A schema that was drafted for a CSV file is that of the same table in another format too, which needs no dialect.
+    mapping = {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
     mapping, told = open_bandit(path, kind, mapping)
     options = _options(path, kind, mmap, horizon, mapping)
     log = _reader(kind)(path, strict=strict, name=name, **options)

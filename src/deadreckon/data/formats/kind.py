@@ -2,6 +2,7 @@
 
 import gzip
 import pickle
+import re
 import zipfile
 import zlib
 from pathlib import Path
@@ -25,6 +26,7 @@ READING = {
     "dates": ("csv", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
+DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those which say how values are written
 _WORDS = {"csv": "CSV", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
 _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
           (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
@@ -72,11 +74,13 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         raise UserError(f"{path}: a gzipped {kind} file; unpack it first (gunzip)")
     if kind == "npz" and _is_spreadsheet(path, head):
         return "excel"
+    if kind == "npz" and (name := _no_array(path)) is not None:
+        raise UserError(f"{path}: a zip archive that holds {name}; unpack it first (unzip), and give the file in it")
     if kind:
         return kind
     if _is_pickle(head):
         return "pickle"
-    for kind, test in (("vw", is_vw), ("rllib", is_rllib)):
+    for kind, test in (("vw", is_vw), ("rllib", is_rllib)) if separator is None else ():
         if test(head):
             return kind
     if is_table(head, separator):
@@ -111,9 +115,20 @@ def _is_spreadsheet(path: Path, head: bytes) -> bool:
     return (_CONTENTS in names and any(name.startswith("xl/") for name in names)) or b"opendocument.spreadsheet" in head
 
 
+def _no_array(path: Path) -> str | None:
+    """The first file in a zip archive that holds files and none of them an array; None for others and for damaged ones."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name for name in archive.namelist() if not name.endswith("/")]
+    except (zipfile.BadZipFile, OSError):
+        return None
+    return None if not names or any(name.endswith(".npy") for name in names) else names[0]
+
+
 def _is_pickle(head: bytes) -> bool:
     """Protocols 2 and up begin with their number; older ones with the text of a list or a dict."""
     if head[:1] == pickle.PROTO and len(head) > 1:
         return head[1] <= pickle.HIGHEST_PROTOCOL
-    starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n")
-    return head[:2] in (b"(l", b"(d", b"(i", b"]q", b"}q") or head.startswith(starts)
+    starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n", b"]q", b"}q")
+    # Lists and dicts are memorised at once; a name such as (dose) begins alike and is no pickle.
+    return head.startswith(starts) or re.match(rb"\((?:[ld]p\d+\n|i[\w.]+\n\w+\n)", head) is not None

@@ -10,8 +10,6 @@ from deadreckon.data.formats.flatten import one_hot
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
-_PREFIXES = ("_meta/",)  # groups that hold the columns and mean nothing
-
 
 @dataclass
 class Parts:
@@ -36,10 +34,13 @@ class Parts:
         return [key for key in self.arrays if key == name or key.startswith(f"{name}/")]
 
     def number(self, *names: str) -> int | None:
-        """A single whole number under the first of `names` that is there."""
+        """A single whole number under the first of `names` that is there; anything else there is refused."""
         for name in names:
-            if name in self.other and np.ndim(self.other[name]) == 0:
-                return int(self.other[name])
+            value = self.other.get(name)
+            if value is not None and np.ndim(value) == 0:
+                if np.asarray(value).dtype.kind not in "iubf" or not float(value).is_integer():
+                    raise UserError(f"{name} must be a whole number, got {value!r}")
+                return int(value)
         return None
 
     def take(self, index: Any, rows: int) -> None:
@@ -52,23 +53,18 @@ def has(names: Iterable[str], name: str) -> bool:
     return name in names or any(key.startswith(f"{name}/") for key in names)
 
 
-def plain_name(name: str) -> str:
-    """A column's path without the group that buffers are stored in, and with slashes where TorchRL writes dots."""
-    for prefix in _PREFIXES:
-        name = name.removeprefix(prefix)
-    return name.replace(".", "/") if name.startswith(("next.", "collector.")) else name
-
-
 def d3rlpy_episodes(parts: Parts) -> None:
     """Joins `observations_0`, `actions_0`, `terminated_0`, ... of all episodes."""
     count = parts.number("num_episodes") or 0
     columns: dict[str, list[np.ndarray]] = {}
     for episode in range(count):
         for key in ("observations", "actions", "rewards"):
-            several = [f"{key}_{episode}_{part}" for part in range(len(parts.arrays))]
-            names = [f"{key}_{episode}"] if f"{key}_{episode}" in parts.arrays else [
-                name for name in several if name in parts.arrays
-            ]  # fmt: skip
+            names = [name for name in (f"{key}_{episode}",) if name in parts.arrays]
+            while not names or names[-1] != f"{key}_{episode}":  # else arrays of parts, counted from 0
+                following = f"{key}_{episode}_{len(names)}"
+                if following not in parts.arrays:
+                    break
+                names.append(following)
             if not names:
                 raise UserError(f"no column {key}_{episode}, but num_episodes is {count}")
             for number, name in enumerate(names):

@@ -12,6 +12,7 @@ _GYMNASIUM = {"observations": "observations", "actions": "actions", "rewards": "
               "next_observations": "next_observations"}  # fmt: skip
 _STEP = {"observation": "observations", "action": "actions", "reward": "rewards", "next_observation": "next_observations",
          "episode_id": "episode"}  # fmt: skip
+_PREFIXES = ("_meta/",)  # groups that hold the columns and mean nothing
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ _SEVERAL = Layout(
 
 def layout_of(names: Iterable[str]) -> Layout | None:
     """The layout that columns called `names` have; None where none is known, or they have our names."""
-    names = {rows.plain_name(name) for name in names}
+    names = {plain_name(name) for name in names}
     found = next((layout for layout in LAYOUTS if layout.fits(names)), None)
     several = (found is None or found.ours) and "observations" not in names and _SEVERAL.fits(names)
     return _SEVERAL if several else found
@@ -185,3 +186,10 @@ def flat(columns: Mapping[Any, Any]) -> dict[str, Any]:
         else:
             found[key] = value
     return found
+
+
+def plain_name(name: str) -> str:
+    """A column's path without the group that buffers are stored in, and with slashes where TorchRL writes dots."""
+    for prefix in _PREFIXES:
+        name = name.removeprefix(prefix)
+    return name.replace(".", "/") if name.startswith(("next.", "collector.")) else name

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 # 1,234 and 1.234.567 and 12'345.67: groups of three behind one to three digits, and perhaps decimals.
@@ -23,19 +23,22 @@ class Marks:
         decimals: cells whose mark is one of decimals (1,5 and 0,123 and 1234,567).
         thousands: cells whose mark is one of thousands (1.234,56 and 1.234.567 and 1 234).
         open: cells that may be either: 1,234 and 1.234.
+        rows: how many rows were looked at, where the file has more; else 0.
     """
 
     decimals: dict[str, dict[int, str]] = field(default_factory=lambda: {".": {}, ",": {}})
     thousands: dict[str, dict[int, str]] = field(default_factory=dict)
     open: dict[str, dict[int, str]] = field(default_factory=lambda: {".": {}, ",": {}})
+    rows: int = 0
 
     @classmethod
-    def of(cls, rows: Iterable[Sequence[str]]) -> "Marks":
-        """Of the cells of the rows, each a sequence of texts."""
-        marks, seen = cls(), 0
-        for row in rows:
+    def of(cls, rows: Sequence[Sequence[str]], whole: bool = True) -> "Marks":
+        """Of the cells of the rows, each a sequence of texts; `whole` says that the file has no more."""
+        marks, seen = cls(rows=0 if whole else len(rows)), 0
+        for index, row in enumerate(rows):
             seen += len(row)
             if seen > _MOST:
+                marks.rows = index
                 break
             for column, cell in enumerate(row):
                 if cell and not cell.isalnum():
@@ -93,6 +96,10 @@ class Marks:
             told.append(f"most numbers have decimal {WORDS[decimal]}, but {cell!r} has another mark (--decimal)")
         return decimal, thousands, told
 
+    @property
+    def _none(self) -> str:
+        return f"no other cell{f' of the first {self.rows:,} rows' if self.rows else ''} tells"
+
     def _of_decimals(self, decimal: str, evident: bool, separator: str) -> list[str]:
         cells = self.decimals[decimal] or self.open[decimal]
         if not cells:
@@ -103,10 +110,10 @@ class Marks:
             whole = cell.replace(",", "")
             return [
                 f"{cell!r} is read as {value}, not as {whole}: beside semicolons a comma is taken for decimals, "
-                "and no other cell tells (--thousands comma)"
+                f"and {self._none} (--thousands comma)"
             ]
         if not evident and separator != ",":
-            return [f"{cell!r} is read as {value}, not as {cell.replace('.', '')}, and no other cell tells (--thousands point)"]
+            return [f"{cell!r} is read as {value}, not as {cell.replace('.', '')}, and {self._none} (--thousands point)"]
         return [f"decimal commas: {cell!r} is read as {value} (--decimal)"] if decimal == "," else []
 
     def _of_thousands(self, decimal: str, thousands: str, evident: bool) -> list[str]:
@@ -116,7 +123,7 @@ class Marks:
         text = f"thousands are separated by {WORDS[thousands]}: {cell!r} is read as {value}"
         if shown or evident:
             return [f"{text} (--thousands)"]
-        return [f"{text}, not as {_value(cell, thousands)}, and no other cell tells (--decimal comma)"]
+        return [f"{text}, not as {_value(cell, thousands)}, and {self._none} (--decimal comma)"]
 
 
 def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

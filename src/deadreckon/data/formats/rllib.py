@@ -14,6 +14,7 @@ from deadreckon.errors import UserError, naming, reading
 
 _BATCHES = "output-*.json"  # the files in a folder that RLlib has written
 _NO_ARRAYS = ("type", "infos", "count")
+_EPISODE = "eps_id"  # texts, or integers that no array may hold
 
 
 def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
@@ -35,7 +36,9 @@ def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = Non
             for number, line in enumerate(lines, 1):
                 if line.strip():
                     _add(columns, _batch(line, number), number)
-    whole = {key: np.concatenate(values) for key, values in columns.items()}
+    whole: dict[str, Any] = {key: np.concatenate(values) for key, values in columns.items()}
+    if _EPISODE in whole:
+        whole[_EPISODE] = whole[_EPISODE].tolist()
     found = arranged(path, whole)
     if "layout" not in found.extra:
         raise UserError(f"{path}: JSON lines are read in RLlib's layout: obs, actions, rewards, ...; found {', '.join(whole)}")
@@ -82,10 +85,10 @@ def _add(columns: dict[str, list[np.ndarray]], batch: dict[str, Any], number: in
             raise UserError(f"column {key} is compressed in line {number}; write it with compress_columns=[] "
                             "(`output_compress_columns`), or read it with RLlib and save npz")  # fmt: skip
         try:
-            column = np.asarray(value)
+            column = np.asarray(value, object if key == _EPISODE else None)
         except ValueError as error:
             raise UserError(f"column {key} has entries of different shapes in line {number}") from error
-        if column.dtype.kind in "fiub" and column.ndim:
+        if (column.dtype.kind in "fiub" or key == _EPISODE) and column.ndim:
             given[key] = column
     missing = sorted(columns.keys() ^ given.keys()) if columns else []
     if missing:

@@ -8,13 +8,15 @@ from typing import Any
 import pyarrow as pa
 
 from deadreckon.data.formats.cells import DASH, MISSING
+from deadreckon.data.likeness import MOSTLY
 from deadreckon.errors import UserError
 
-_MOSTLY = 0.9  # share of one kind among the cells of a column from which another is taken for a mistake
 _LARGEST = 2**53  # up to which a float holds every integer
 
 
-def column_of(path: Any, called: str, values: Sequence[Any], where: Callable[[int], str]) -> tuple[Any, list[str]]:
+def column_of(
+    path: Any, called: str, values: Sequence[Any], where: Callable[[int], str], decimal: bool = False
+) -> tuple[Any, list[str]]:
     """A column as a pyarrow array: numbers, truth values, moments, durations, times of day, or texts.
 
     Cells that are empty or None are missing, and so are words such as NA among cells that are no texts. A column of several
@@ -25,6 +27,7 @@ def column_of(path: Any, called: str, values: Sequence[Any], where: Callable[[in
         called: what the column is called, in errors.
         values: (rows,) of it.
         where: what the cell of a row is called, in errors.
+        decimal: whether floats stay floats where all are whole; spreadsheets, which have no integers, do not tell them apart.
 
     Raises:
         UserError: nearly all cells are of one kind, and one is not; or a cell holds bytes.
@@ -41,10 +44,13 @@ def column_of(path: Any, called: str, values: Sequence[Any], where: Callable[[in
         del kinds["text"]
     usual, count = kinds.most_common(1)[0]
     if len(kinds) == 1:
-        return _array([None if _kind(value) == "" else value for value in values], usual), []
+        cells = [None if _kind(value) == "" else value for value in values]
+        if usual == "number":
+            return _numbers(cells, decimal), _inexact(called, cells, where)
+        return _array(cells, usual), []
     row = next(row for row, value in enumerate(values) if _kind(value) not in ("", usual))
     odd = f"{where(row)} holds {str(values[row])[:40]!r}, and most cells hold {_WORDS[usual]}"
-    if count >= _MOSTLY * (len(values) - missing) and usual != "text":
+    if count >= MOSTLY * (len(values) - missing) and usual != "text":
         raise UserError(f"{path}: {called}: {odd}; mend that cell (an empty one is missing), or make all of them texts")
     return _array([None if _kind(value) == "" else _text(value) for value in values], "text"), [
         f"{called} is read as texts: {odd}"
@@ -71,12 +77,26 @@ def _text(value: Any) -> str:
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
+def _numbers(values: list[Any], decimal: bool) -> Any:
+    """Integers where all are, exactly; floats otherwise."""
+    if all(value is None or isinstance(value, int) for value in values):
+        return pa.array(values, pa.int64())
+    if not decimal and all(value is None or (abs(value) < _LARGEST and float(value).is_integer()) for value in values):
+        return pa.array([None if value is None else int(value) for value in values], pa.int64())
+    return pa.array([None if value is None else float(value) for value in values], pa.float64())
+
+
+def _inexact(called: str, values: list[Any], where: Callable[[int], str]) -> list[str]:
+    """What to tell of integers that a float does not hold, beside numbers with decimals."""
+    if all(value is None or isinstance(value, int) for value in values):
+        return []
+    rows = [row for row, value in enumerate(values) if isinstance(value, int) and abs(value) > _LARGEST]
+    if not rows:
+        return []
+    return [f"{called} holds integers and decimals, and {where(rows[0])} has {values[rows[0]]}, which is rounded"]
+
+
 def _array(values: list[Any], kind: str) -> Any:
-    if kind == "number":
-        whole = all(value is None or (abs(value) < _LARGEST and float(value).is_integer()) for value in values)
-        if whole:
-            return pa.array([None if value is None else int(value) for value in values], pa.int64())
-        return pa.array([None if value is None else float(value) for value in values], pa.float64())
     if kind == "moment":
         full = [
             datetime.datetime.combine(value, datetime.time()) if type(value) is datetime.date else value for value in values

@@ -17,8 +17,10 @@ from deadreckon.files import unpacked
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LABEL = re.compile(rf"(\d+):({_NUMBER}):({_NUMBER})")
+# No time of day such as 12:30:00, which stands in tables with bars between columns.
+_NO_CLOCK = re.compile(rf"\d+:{_NUMBER}:(?![-+]?\d\d){_NUMBER}")
 _FIRST = re.compile(rf"\s*(?:shared\s[^|]*|(?:\d+\s+)*\d+:{_NUMBER}:{_NUMBER}(?:\s[^|]*)?|'?\S*\s*)\|".encode())
-_MOST = 10_000  # dimensions of an observation
+_MOST = 10_000  # dimensions of an observation, and actions
 
 
 @dataclass
@@ -73,7 +75,8 @@ def is_vw(head: bytes) -> bool:
     """Whether a text begins as one of VW's does, and some line of `head` has the label of a contextual bandit."""
     if b"\0" in head or not _FIRST.match(head):
         return False
-    return any(_LABEL.search(line.partition(b"|")[0].decode("latin1")) for line in head.split(b"\n") if b"|" in line)
+    heads = [line.partition(b"|")[0].decode("latin1") for line in head.split(b"\n") if b"|" in line]
+    return any(_NO_CLOCK.fullmatch(word) for text in heads for word in text.split())
 
 
 def _examples(lines: Iterator[str] | io.TextIOWrapper) -> tuple[list[_Example], int, bool]:
@@ -201,7 +204,10 @@ def _columns(examples: list[_Example]) -> tuple[dict[str, np.ndarray], list[str]
     index = {key: number for number, key in enumerate(names)}
     observations = np.zeros((rows, len(names)), np.float32)
     actions = 1 + max(max(example.action, *example.legal) if example.legal else example.action for example in examples)
-    legal = np.ones((rows, actions), bool)
+    if actions > _MOST:
+        line = next(example.line for example in examples if actions - 1 in (example.action, *example.legal))
+        raise UserError(f"line {line} has action {actions}, at most {_MOST:,} are read; number them from 1 without gaps")
+    legal = np.ones((rows, actions if any(example.legal for example in examples) else 0), bool)
     for row, example in enumerate(examples):
         observations[row, [index[key] for key in example.features]] = list(example.features.values())
         if example.legal:
