@@ -61,7 +61,7 @@ class Train:
     seed: int = 0  # first random seed
     task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
     out: str | None = None  # run folder; None: runs/AGENT-LOG
-    mmap: bool = False  # whether to memory-map the log, for logs larger than memory
+    mmap: bool = False  # whether to memory-map the log, for logs larger than memory; folders of more than 1 GiB always are
     settings: Annotated[_OnLog, tyro.conf.arg(name="")] = field(default_factory=_OnLog)
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
     """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""

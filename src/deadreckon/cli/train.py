@@ -74,7 +74,7 @@ def _train(name, parsed, preset):
     from deadreckon.runs.train import train as run_training
 
     log = load(
-        options.data, mmap=options.mmap, strict=options.settings.strict, horizon=options.horizon,
+        options.data, mmap=options.mmap or None, strict=options.settings.strict, horizon=options.horizon,
         **columns_of(options.map, options.holdout_by),
     )  # fmt: skip
     suspected = leaks(log) if "schema" in log.provenance.extra else ()  # files of simulators' logs have no columns to mistake

@@ -18,13 +18,14 @@ from deadreckon.progress import Progress, unwatched
 
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
+LARGE = 2**30  # bytes of a folder's columns beyond which they are memory-mapped where nobody says otherwise
 _TELLING = ("folder", "minari")  # say where episodes end
 
 
 def read(
     path: Path | str,
     *,
-    mmap: bool = False,
+    mmap: bool | None = None,
     strict: bool = False,
     name: str | None = None,
     horizon: int | None = None,
@@ -36,7 +37,8 @@ def read(
         path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, RLlib's JSON lines, VW's text,
             pickled demonstrations; CSV and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id (of a
             data set that is installed here, the id alone), or the TOML file of a schema that names a table beside it.
-        mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
+        mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can. None: folders whose
+            columns take more than 1 GiB are, whatever the machine, because what is held out by default follows from it.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
@@ -58,6 +60,8 @@ def read(
         mapping = schema.options() | mapping
     kind = sniff(path, mapping.get("separator"))
     mapping, told = open_bandit(path, kind, mapping)
+    if mmap is None:
+        mmap = kind == "folder" and folders.folder_bytes(path) > LARGE
     options = _options(path, kind, mmap, horizon, mapping)
     log = _reader(kind)(path, strict=strict, name=name, **options)
     return replace(log, warnings=(*told, *log.warnings))
