@@ -68,6 +68,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=100_000_000)
     parser.add_argument("--memory-rows", type=int, default=1_000_000, help="rows of the log in memory")
     parser.add_argument("--steps", type=int, default=5_000)
+    parser.add_argument("--episodes", type=int, default=50, help="held-out episodes that a policy is judged on")
     parser.add_argument("--pairs", type=int, default=3)
     given = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="larger-"))
@@ -92,6 +93,11 @@ def main() -> None:
             rates, peaks = zip(*(pair[which] for pair in pairs), strict=True)
             print(f"| TD3+BC, {name} | | {statistics.median(rates):,.1f} | {max(peaks):.2f} |")
         ratios = [large[0] / small[0] for large, small in pairs]
+        judged = folder / "judged"
+        updates(folder / "large", judged, 10, True)
+        asked = ("--policies", next(judged.iterdir()), "--estimators", "fqe", "--steps", "1000")
+        seconds, peak, _ = run("ope", *asked, "--data", folder / "large", "--episodes", str(given.episodes))
+        print(f"| ope (FQE), {given.episodes} held-out episodes | {seconds:.0f} | | {peak:.2f} |")
         print(f"\nRatio of the rates by pairs: {', '.join(f'{ratio:.2f}' for ratio in ratios)}")
     finally:
         shutil.rmtree(folder)

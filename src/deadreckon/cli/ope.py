@@ -49,6 +49,7 @@ def ope(args: Sequence[str]) -> None:
     from deadreckon.data import catalogue
     from deadreckon.ope.behavior_model import PROPENSITIES
     from deadreckon.ope.registry import titled, with_fields
+    from deadreckon.runs.gather import fresh, gather
     from deadreckon.runs.offline import checked, grounds, groups, judge, supports
 
     if options.estimators == "auto" and options.fits.given:
@@ -59,7 +60,8 @@ def ope(args: Sequence[str]) -> None:
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
             raise UserError(f"--episodes must be 1 .. {data.episodes}, the log's own, got {options.episodes}")
-        data = data.select(range(options.episodes))
+        held = fresh(gather(options.policies), data, options.settings.unseen).held
+        data = data.select(held[: options.episodes])
     with Watch() as watch:
         judged = judge(
             options.policies, data, wanted, task=options.task,

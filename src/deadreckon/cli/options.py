@@ -96,7 +96,7 @@ class Ope:
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
     map: Annotated[Mapping, tyro.conf.arg(name="")] = field(default_factory=Mapping)  # columns of a table
     log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
-    episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
+    episodes: int | None = None  # number of episodes to use, the first that no policy has learned from; None: all of these
     task: str | None = None  # simulator in which to check the decision, if there is one
     settings: Annotated[_Judge, tyro.conf.arg(name="")] = field(default_factory=_Judge)
     fits: Annotated[Fits, tyro.conf.arg(name="")] = field(default_factory=Fits)

@@ -118,7 +118,7 @@ def convert(
 ) -> Dataset:
     """Reads `source` and writes it as `target`; gives the log.
 
-    Logs in hdf5, and tables in Parquet and Arrow where the target is a folder, may be larger than memory.
+    Logs in hdf5, and tables in Parquet, Arrow and CSV where the target is a folder, may be larger than memory.
 
     Args:
         source: as for `read`.
@@ -146,9 +146,9 @@ def convert(
     if in_folder and not str(source).startswith(minaris.PREFIX):
         from deadreckon.data.formats.stream import convert_table, streamed_format
 
-        if (table := streamed_format(source)) is not None:
+        if (table := streamed_format(source, mapping.get("separator"))) is not None:
             given = {key: value for key, value in mapping.items() if value is not None}
-            no_options(source, "parquet", given)
+            no_options(source, "csv" if table == "csv" else "parquet", given)
             return convert_table(
                 source, target, table, force=force, strict=strict, horizon=horizon, progress=progress, **given
             )
