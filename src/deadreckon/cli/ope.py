@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from deadreckon.cli.data import mapping_options
+from deadreckon.cli.data import advise, mapping_options
 from deadreckon.cli.fits import NAMES, Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
@@ -56,6 +56,7 @@ def ope(args: Sequence[str]) -> None:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options.fits.given)
         raise UserError(f"{names}: sizes are set for estimators that are named (--estimators fqe), not for auto")
     wanted = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
+    advise(options.data, options.map)
     data = catalogue.load(options.data, horizon=options.log_horizon, **mapping_options(options.map))
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:

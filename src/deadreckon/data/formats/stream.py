@@ -33,6 +33,7 @@ _ROWS = 65_536  # of a batch
 _PART = 1_000_000  # rows of a part, at least
 _LARGE = 2**28  # bytes of a text file beyond which it is not read whole
 _PARTS = 256  # at most, because each is an open file
+SHARE = 0.1  # of the machine's memory beyond which a table should be a folder: reading and encoding take several copies
 _OURS = b"deadreckon"  # metadata of a Parquet file that holds a log with all that belongs to it
 _FORMATS = {b"PAR1": "parquet", b"ARROW1": "ipc"}
 
@@ -57,6 +58,27 @@ def streamed_format(source: Path | str, separator: str | None = None) -> str | N
     if kind is None and source.stat().st_size > _LARGE and sniff(source, separator) == "csv":
         return "csv"
     return kind
+
+
+def advice(source: Path | str, separator: str | None = None) -> str | None:
+    """A line that says to convert a table first, where it takes more than `SHARE` of this machine's memory; else None.
+
+    The size is that of a file on disk, of Parquet unpacked.
+    """
+    if (kind := streamed_format(source, separator)) is None:
+        return None
+    files = sorted(Path(source).rglob("*.parquet")) if Path(source).is_dir() else [Path(source)]
+    size, memory = sum(file.stat().st_size for file in files), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if kind == "parquet":
+        from pyarrow import parquet
+
+        with reading(source, "Parquet", pa.ArrowException):
+            about = [parquet.read_metadata(file) for file in files]
+        size = sum(each.row_group(group).total_byte_size for each in about for group in range(each.num_row_groups))
+    if size <= SHARE * memory:
+        return None
+    told = f"{size / 1e9:.1f} GB, more than {SHARE:.0%} of the memory"
+    return f"{source} holds {told}: `deadreckon data convert {source} FOLDER` first, and give FOLDER, which is not read whole"
 
 
 def convert_table(
