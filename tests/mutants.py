@@ -283,6 +283,15 @@ MUTANTS = (
         "what the log did next is that of another episode after a timeout", ("training/test_fit.py",),
     ),
     Mutant(
+        "hidden-rows", "data/batch.py", 'np.searchsorted(self._before, flat, side="right")',
+        "np.searchsorted(self._before, flat)",
+        "a row without a known successor is learned from in place of the one after it", ("training/test_fit.py",),
+    ),
+    Mutant(
+        "spooled-quotes", "data/formats/spool.py", """_compute.replace_substring(cells, b'"', b'""')""", "cells",
+        "a large text file loses quotes within its texts, or is refused", ("data/formats/test_spool.py",),
+    ),
+    Mutant(
         "usable-timeouts", "data/dataset.py", "self.final_known | self.terminals[self.ends]", "self.final_known | True",
         "rows without a known successor are learned from", ("data/test_dataset.py",),
     ),
