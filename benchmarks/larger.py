@@ -1,6 +1,7 @@
 """A Parquet table larger than memory: converted, described and trained on, with peaks of anonymous memory and rates.
 
     python benchmarks/larger.py [--rows 100000000]
+    python benchmarks/larger.py --rows 10000000 --pandas    # reading the table with pandas, and nothing else
 
 Each command is a process of its own, whose `RssAnon` is read 50 times a second. Updates per second are those that
 `train` tells at its end, which leave out start-up and compilation; runs on the folder and on a log in memory take turns.
@@ -21,6 +22,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 MAIN = "import sys; from deadreckon.cli.main import main; sys.exit(main(sys.argv[1:]))"
+PANDAS = "import sys, pandas; pandas.read_parquet(sys.argv[1])"
 GROUP, EPISODE = 500_000, 1_000  # rows of a row group, of an episode
 NAMED = ("--action", "a", "--reward", "r", "--episode", "episode", "--time", "t", "--terminal", "done")
 SIZES = [f"x{index}" for index in range(12)] + [f"a_{index}" for index in range(4)] + ["r"]
@@ -39,11 +41,11 @@ def make(path: Path, rows: int) -> None:
             writer.write_table(pa.table(columns, schema=schema))
 
 
-def run(*command: str | Path) -> tuple[float, float, str]:
+def run(*command: str | Path, main: str = MAIN) -> tuple[float, float, str]:
     """Seconds that a command takes, its peak of anonymous memory in GB, and what it tells."""
     start, peak = time.perf_counter(), 0
     with tempfile.TemporaryFile("w+") as told:
-        called = [sys.executable, "-c", MAIN, *map(str, command)]
+        called = [sys.executable, "-c", main, *map(str, command)]
         process = subprocess.Popen(called, stdout=subprocess.DEVNULL, stderr=told)
         while process.poll() is None:
             lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
@@ -68,14 +70,20 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=100_000_000)
     parser.add_argument("--memory-rows", type=int, default=1_000_000, help="rows of the log in memory")
     parser.add_argument("--steps", type=int, default=5_000)
+    parser.add_argument("--episodes", type=int, default=50, help="held-out episodes that a policy is judged on")
     parser.add_argument("--pairs", type=int, default=3)
+    parser.add_argument("--pandas", action="store_true", help="only read the table with pandas")
     given = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="larger-"))
     try:
         make(folder / "large.parquet", given.rows)
-        make(folder / "small.parquet", given.memory_rows)
         size = (folder / "large.parquet").stat().st_size / 1e9
         print("| what | seconds | rows/s or updates/s | peak of RssAnon, GB |\n| --- | ---: | ---: | ---: |")
+        if given.pandas:
+            seconds, peak, _ = run(folder / "large.parquet", main=PANDAS)
+            print(f"| pandas.read_parquet, {given.rows:,} x 20 | {seconds:.0f} | {given.rows / seconds:,.0f} | {peak:.2f} |")
+            return
+        make(folder / "small.parquet", given.memory_rows)
         seconds, peak, _ = run("data", "convert", folder / "large.parquet", folder / "large", *NAMED)
         what = f"convert {given.rows:,} x 20 ({size:.1f} GB)"
         print(f"| {what} | {seconds:.0f} | {given.rows / seconds:,.0f} | {peak:.2f} |", flush=True)
@@ -92,6 +100,11 @@ def main() -> None:
             rates, peaks = zip(*(pair[which] for pair in pairs), strict=True)
             print(f"| TD3+BC, {name} | | {statistics.median(rates):,.1f} | {max(peaks):.2f} |")
         ratios = [large[0] / small[0] for large, small in pairs]
+        judged = folder / "judged"
+        updates(folder / "large", judged, 10, True)
+        asked = ("--policies", next(judged.iterdir()), "--estimators", "fqe", "--steps", "1000")
+        seconds, peak, _ = run("ope", *asked, "--data", folder / "large", "--episodes", str(given.episodes))
+        print(f"| ope (FQE), {given.episodes} held-out episodes | {seconds:.0f} | | {peak:.2f} |")
         print(f"\nRatio of the rates by pairs: {', '.join(f'{ratio:.2f}' for ratio in ratios)}")
     finally:
         shutil.rmtree(folder)

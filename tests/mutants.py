@@ -283,6 +283,15 @@ MUTANTS = (
         "what the log did next is that of another episode after a timeout", ("training/test_fit.py",),
     ),
     Mutant(
+        "hidden-rows", "data/batch.py", 'np.searchsorted(self._before, flat, side="right")',
+        "np.searchsorted(self._before, flat)",
+        "a row without a known successor is learned from in place of the one after it", ("training/test_fit.py",),
+    ),
+    Mutant(
+        "spooled-quotes", "data/formats/spool.py", """_compute.replace_substring(cells, b'"', b'""')""", "cells",
+        "a large text file loses quotes within its texts, or is refused", ("data/formats/test_spool.py",),
+    ),
+    Mutant(
         "usable-timeouts", "data/dataset.py", "self.final_known | self.terminals[self.ends]", "self.final_known | True",
         "rows without a known successor are learned from", ("data/test_dataset.py",),
     ),
@@ -619,7 +628,7 @@ MUTANTS = (
         "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
-        "csv-empty-text", "data/formats/cells.py", 'values = _without(values, ("",))', "pass",
+        "csv-empty-text", "data/formats/cells.py", 'values = keep(_without(values, ("",)))', "values = keep(values)",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
     # ---- databases
@@ -805,12 +814,12 @@ MUTANTS = (
     ),
     Mutant(
         "csv-decimal", "data/formats/delimited.py",
-        "decimal_point=dialect.decimal, ", "",
+        '"decimal_point": dialect.decimal, ', "",
         "decimal commas are found and not used", ("data/formats/test_dialects.py",),
     ),
     Mutant(
         "csv-nulls", "data/formats/delimited.py",
-        "null_values=_NULLS", 'null_values=[""]',
+        '"null_values": _NULLS', '"null_values": [""]',
         "words for missing make numbers texts", ("data/formats/test_dialects.py",),
     ),
     Mutant(

@@ -77,6 +77,12 @@ def test_what_is_deployed_is_used_as_it_was_judged(made):
     assert use({"file": None, "run": "hopper snapshot-01", "seed": None}, ["hopper"], True) is None
 
 
+def test_episodes_are_counted_among_those_that_nobody_learned_from(made, capsys):
+    common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe", *SMALL]
+    assert main([*common, "--episodes", "3"]) == 0
+    assert "evaluated on: 3 episodes, none of which taught a policy" in capsys.readouterr().out
+
+
 def test_list(capsys):
     assert main(["ope", "--list"]) == 0
     out = capsys.readouterr().out

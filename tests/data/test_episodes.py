@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from small_logs import images, logs, make_log, quick, variants
 
+from deadreckon.data import episodes
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.formats.io import _writer, read
@@ -69,6 +70,25 @@ def test_memory_maps_bounds_and_parts_of_parts(tmp_path):
     for other in (part.loaded(), part.with_action_space(Box((-9, -9), (9, 9))), part.loaded().loaded()):
         np.testing.assert_array_equal(other.episode_ids, log.episode_ids[1:3])
     np.testing.assert_array_equal(part.select([1]).episode_ids, log.episode_ids[2:3])
+
+
+@quick
+@given(logs())
+def test_blocks_of_rows_change_nothing(log):
+    returns, ids = log.returns_to_go(0.9)[log.starts], log.episode_ids
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(episodes, "_ROWS", 3)
+        patched.setattr(episodes, "_TOGETHER", 3)
+        np.testing.assert_array_equal(replace(log).returns(0.9), returns)
+        np.testing.assert_array_equal(replace(log, part_of=None).episode_ids, ids)
+
+
+def test_large_folders_are_memory_mapped(tmp_path, monkeypatch):
+    write_folder(make_log(), tmp_path / "folder")
+    assert not isinstance(read(tmp_path / "folder").observations, np.memmap)
+    monkeypatch.setattr("deadreckon.data.formats.io.LARGE", 100)
+    assert isinstance(read(tmp_path / "folder").observations, np.memmap)
+    assert not isinstance(read(tmp_path / "folder", mmap=False).observations, np.memmap)
 
 
 def test_episodes_that_are_alike_are_counted():

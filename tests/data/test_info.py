@@ -3,7 +3,7 @@ import pytest
 from small_logs import images, make_log
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.info import describe, render, warnings_for
+from deadreckon.data.info import _quantiles, _quantiles_of, describe, render, warnings_for
 from deadreckon.data.spec import Box, Discrete
 
 
@@ -42,6 +42,12 @@ def test_a_good_log_gives_no_advice():
 
 def _observations(scale):
     return np.random.default_rng(0).normal(size=(40, 3)) * scale
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4, 5, 1000])
+def test_quantiles_of_a_column(rows):
+    column = np.random.default_rng(rows).normal(size=rows).astype(np.float32)
+    assert _quantiles_of(column) == _quantiles(column)
 
 
 @pytest.mark.parametrize(

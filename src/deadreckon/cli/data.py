@@ -148,6 +148,14 @@ def mapping_options(given: Mapping) -> dict[str, Any]:
     return {key: value for key, value in vars(given).items() if value is not None}
 
 
+def advise(source: str, given: Mapping) -> None:
+    """Says that a table which is large for this machine should be converted first; before it is read."""
+    from deadreckon.data.formats.stream import advice
+
+    if (line := advice(source, given.separator)) is not None:
+        print(f"! {line}", file=sys.stderr, flush=True)
+
+
 def data(args: Sequence[str]) -> None:
     """Runs one of the data commands."""
     if not args or args[0] in ("-h", "--help"):
@@ -233,6 +241,7 @@ def _info(options: Info) -> None:
 
     if options.html is not None and Path(options.html).suffix.lower() not in (".html", ".htm"):
         raise UserError(f"--html {options.html}: the page is HTML, and its name must end in .html")
+    advise(options.file, options.map)
     log = load(options.file, horizon=options.horizon, **mapping_options(options.map))
     info = describe(log)
     warnings = (*warnings_for(log, info), *leaks(log))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from deadreckon.cli.data import mapping_options
+from deadreckon.cli.data import advise, mapping_options
 from deadreckon.cli.fits import NAMES, Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
@@ -49,17 +49,20 @@ def ope(args: Sequence[str]) -> None:
     from deadreckon.data import catalogue
     from deadreckon.ope.behavior_model import PROPENSITIES
     from deadreckon.ope.registry import titled, with_fields
+    from deadreckon.runs.gather import fresh, gather
     from deadreckon.runs.offline import checked, grounds, groups, judge, supports
 
     if options.estimators == "auto" and options.fits.given:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options.fits.given)
         raise UserError(f"{names}: sizes are set for estimators that are named (--estimators fqe), not for auto")
     wanted = options.estimators if options.estimators == "auto" else estimators(options.estimators, options.fits)
+    advise(options.data, options.map)
     data = catalogue.load(options.data, horizon=options.log_horizon, **mapping_options(options.map))
     if options.episodes is not None:
         if not 1 <= options.episodes <= data.episodes:
             raise UserError(f"--episodes must be 1 .. {data.episodes}, the log's own, got {options.episodes}")
-        data = data.select(range(options.episodes))
+        held = fresh(gather(options.policies), data, options.settings.unseen).held
+        data = data.select(held[: options.episodes])
     with Watch() as watch:
         judged = judge(
             options.policies, data, wanted, task=options.task,

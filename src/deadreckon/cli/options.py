@@ -61,7 +61,7 @@ class Train:
     seed: int = 0  # first random seed
     task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
     out: str | None = None  # run folder; None: runs/AGENT-LOG
-    mmap: bool = False  # whether to memory-map the log, for logs larger than memory
+    mmap: bool = False  # whether to memory-map the log, for logs larger than memory; folders of more than 1 GiB always are
     settings: Annotated[_OnLog, tyro.conf.arg(name="")] = field(default_factory=_OnLog)
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
     """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
@@ -96,7 +96,7 @@ class Ope:
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
     map: Annotated[Mapping, tyro.conf.arg(name="")] = field(default_factory=Mapping)  # columns of a table
     log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
-    episodes: int | None = None  # number of episodes of the log to use, from the first; None: all
+    episodes: int | None = None  # number of episodes to use, the first that no policy has learned from; None: all of these
     task: str | None = None  # simulator in which to check the decision, if there is one
     settings: Annotated[_Judge, tyro.conf.arg(name="")] = field(default_factory=_Judge)
     fits: Annotated[Fits, tyro.conf.arg(name="")] = field(default_factory=Fits)

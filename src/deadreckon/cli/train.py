@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from deadreckon.cli.data import Mapping, mapping_options
+from deadreckon.cli.data import Mapping, advise, mapping_options
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar
 from deadreckon.errors import UserError
@@ -73,8 +73,9 @@ def _train(name, parsed, preset):
     from deadreckon.data.leaks import leaks
     from deadreckon.runs.train import train as run_training
 
+    advise(options.data, options.map)
     log = load(
-        options.data, mmap=options.mmap, strict=options.settings.strict, horizon=options.horizon,
+        options.data, mmap=options.mmap or None, strict=options.settings.strict, horizon=options.horizon,
         **columns_of(options.map, options.holdout_by),
     )  # fmt: skip
     suspected = leaks(log) if "schema" in log.provenance.extra else ()  # files of simulators' logs have no columns to mistake

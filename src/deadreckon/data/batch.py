@@ -8,12 +8,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.episodes import index_type
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError, unknown
 from deadreckon.randomness import generator
 
+_BLOCK = 262_144  # rows looked at together
 REVISION = 1  # of what batches hold for given rows; raised where their numbers change (see bench/identity.py)
 
 
@@ -152,11 +152,13 @@ class TransitionSource:
         looks_ahead = "next_observation" in needs.columns
         usable = log.usable if looks_ahead else np.ones(len(log), bool)
         if looks_ahead and needs.n_step > 1:
-            usable = usable[self.last(np.arange(len(log)))]
-        everything = needs.window or usable.all()
-        self._index = None if everything else np.flatnonzero(usable).astype(index_type(len(log)))
+            blocks = (np.arange(start, min(start + _BLOCK, len(log))) for start in range(0, len(log), _BLOCK))
+            usable = np.concatenate([usable[self.last(rows)] for rows in blocks])
+        # Rows that are not shown are few, and those that are follow from them: an index of these would grow with the log.
+        self._hidden = np.zeros(0, np.int64) if needs.window else np.flatnonzero(~usable)
+        self._before = self._hidden - np.arange(len(self._hidden))  # rows that are shown before each hidden one
         self._blind = looks_ahead & ~log.usable[log.ends]  # (episodes,) whose last row has no known successor
-        self.count = len(log) if self._index is None else len(self._index)
+        self.count = len(log) - len(self._hidden)
         if self.count == 0 or not usable.any():
             raise UserError(f"{log.name}: no row has a known successor")
         self.initial: dict[str, np.ndarray] | None = None
@@ -179,17 +181,16 @@ class TransitionSource:
     def take(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Columns at these indices (any shape, each in 0 .. count - 1), the index's axes first."""
         flat = index.reshape(-1)
-        rows = flat if self._index is None else self._index[flat]
+        rows = flat if not len(self._hidden) else flat + np.searchsorted(self._before, flat, side="right")
         columns = {name: _COLUMNS[name](self, rows) for name in self.needs.columns}
         columns |= {name: column[rows] for name, column in self.extra.items()}
         if self.needs.window:
-            columns["_left"] = (self._left[rows] - self._blind[self.log.episode_of[rows]]).astype(np.float32)
+            columns["_left"] = (self._left(rows) - self._blind[self.log.episode_at(rows)]).astype(np.float32)
         return {name: column.reshape(*index.shape, *column.shape[1:]) for name, column in columns.items()}
 
-    @cached_property
-    def _left(self) -> np.ndarray:
-        """(rows,) steps that follow in the same episode."""
-        return self.log.ends[self.log.episode_of] - np.arange(len(self.log))
+    def _left(self, rows: np.ndarray) -> np.ndarray:
+        """Steps that follow each row in the same episode."""
+        return self.log.ends[self.log.episode_at(rows)] - rows
 
     @cached_property
     def _returns_to_go(self) -> np.ndarray:
@@ -197,7 +198,7 @@ class TransitionSource:
 
     def span(self, rows: np.ndarray) -> np.ndarray:
         """Steps that an n-step backup from each row takes: n, or fewer at an episode's end."""
-        return np.minimum(self.needs.n_step, self._left[rows] + 1)
+        return np.minimum(self.needs.n_step, self._left(rows) + 1)
 
     def reward(self, rows: np.ndarray) -> np.ndarray:
         """Discounted sum of the rewards over the n-step span."""
@@ -244,6 +245,6 @@ _COLUMNS: dict[str, Callable[[TransitionSource, np.ndarray], np.ndarray]] = {
     "next_action": _next_action,
     "follows": lambda r, i: (~r.log._is_end[i]).astype(np.float32),
     "return_to_go": lambda r, i: r._returns_to_go[i],
-    "time": lambda r, i: (i - r.log.starts[r.log.episode_of[i]]).astype(np.float32),
+    "time": lambda r, i: (i - r.log.starts[r.log.episode_at(i)]).astype(np.float32),
     "behavior_log_prob": _behavior_log_prob,
 }

@@ -198,7 +198,7 @@ def at_hand(found: Entry) -> list[str]:
     return [kind for kind in (found.version, *found.sources) if cached_path(f"{found.name}@{kind}").exists()]
 
 
-def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: Any) -> Dataset:
+def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **options: Any) -> Dataset:
     """The log `name` from the cache, or the log in the file `name`.
 
     A plain name such as `hopper-medium-v2` means the first that is there of the log collected by our recipe
@@ -207,7 +207,7 @@ def load(name: Path | str, mmap: bool = False, strict: bool = False, **options: 
 
     Args:
         name: from the catalogue, or an existing file or folder, or `minari:` and an id.
-        mmap: memory-map the columns.
+        mmap: memory-map the columns; see `read`.
         strict: refuse actions out of bounds instead of warning.
         **options: more that `read` takes.
 

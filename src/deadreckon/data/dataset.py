@@ -9,7 +9,7 @@ import numpy as np
 
 from deadreckon.data.checks import bounds_warnings, checked_columns, if_needed
 from deadreckon.data.columns import given_columns, in_memory, unmarked
-from deadreckon.data.episodes import content_ids, fingerprint, index_type, returns_to_go, rows_of
+from deadreckon.data.episodes import content_ids, episode_returns, fingerprint, index_type, returns_to_go, rows_of
 from deadreckon.data.legal import check_masks, joined_masks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
@@ -195,6 +195,10 @@ class Dataset:
         """(rows,) int32 index of the episode that a row belongs to; int64 of more than 2^31 episodes."""
         return np.repeat(np.arange(self.episodes, dtype=index_type(self.episodes)), self.lengths)
 
+    def episode_at(self, rows: np.ndarray) -> np.ndarray:
+        """`episode_of[rows]`, the episode that each of `rows` belongs to, without a number for every row of the log."""
+        return np.searchsorted(self.ends, rows)
+
     @cached_property
     def spec(self) -> Spec:
         """Shape, bounds and statistics of the log."""
@@ -240,7 +244,7 @@ class Dataset:
 
     def returns(self, discount: float = 1.0) -> np.ndarray:
         """(episodes,) float64 return of each episode: the sum of discount^t times reward, up to its last row."""
-        return self.returns_to_go(discount)[self.starts]
+        return episode_returns(self.rewards, self.ends, self.lengths, discount)
 
     def returns_to_go(self, discount: float = 1.0) -> np.ndarray:
         """(rows,) float64 return from each row to the end of its episode; nothing is added beyond a timeout."""
@@ -258,16 +262,13 @@ class Dataset:
             raise UserError(f"{self.name}: a part with no episodes was asked for")
         rows = rows_of(self.starts[episodes], self.lengths[episodes])
         observations, terminals, timeouts = self.observations[rows], self.terminals[rows], self.timeouts[rows]
-        own = self.successors
-        successors = None if own is None else if_needed(own[rows], observations, terminals | timeouts)
+        following = None if self.successors is None else self.successors[rows]
         return replace(
-            self,
-            observations=observations, actions=self.actions[rows], rewards=self.rewards[rows],
-            terminals=terminals, timeouts=timeouts,
+            self, observations=observations, actions=self.actions[rows], rewards=self.rewards[rows],
+            terminals=terminals, timeouts=timeouts, name=name or self.name,
             final_observations=self.final_observations[episodes], final_known=self.final_known[episodes],
-            successors=successors,
+            successors=None if following is None else if_needed(following, observations, terminals | timeouts),
             extras={key: value[rows] for key, value in self.extras.items()},
-            name=name or self.name,
             part_of=lambda: self.episode_ids[episodes],
         )  # fmt: skip
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 _BLOCK = 2**22  # bytes looked at together: they stay in the processor's cache, and no memory-mapped column is loaded whole
 _ROWS = 262_144  # looked at together, likewise
+_TOGETHER = 4_194_304  # rows whose returns are made together, or one episode where that is longer
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -42,27 +43,26 @@ def content_ids(log: "Dataset") -> np.ndarray:
     without, and its episodes are the same. The numbers are the same on every machine and in every version; they are no
     protection against somebody who wants two episodes to look alike.
     """
-    rows = np.zeros(len(log), np.uint64)
-    for name in ("observations", "actions", "rewards"):
-        _add(rows, name, getattr(log, name))
-    for start in range(0, len(log), _ROWS):
-        block = slice(start, start + _ROWS)
-        rows[block] += _mixed(_seed("ends") ^ (log.terminals[block] + np.uint64(2) * log.timeouts[block]))
-    if log.successors is not None:
-        # Only where they say something new: a part in which they do not has no such column.
-        new = np.zeros(len(log), bool)
-        for start in range(0, len(log), 65_536):
-            part = np.arange(start, min(start + 65_536, len(log) - 1))
-            new[part] = (log.successors[part] != log.observations[part + 1]).reshape(len(part), -1).any(1)
-        new[log.ends] = False
-        found = np.zeros(int(new.sum()), np.uint64)
-        _add(found, "successors", log.successors[new])
-        rows[new] += found
+    ids = np.zeros(log.episodes, np.uint64)
     for start in range(0, len(log), _ROWS):
         row = np.arange(start, min(start + _ROWS, len(log)))
-        place = (row - log.starts[np.searchsorted(log.ends, row)]).astype(np.uint64)
-        rows[row[0] : row[-1] + 1] = _mixed(rows[row[0] : row[-1] + 1] ^ _places("step", place))
-    ids = np.add.reduceat(rows, log.starts)
+        block, episode = slice(start, start + len(row)), log.episode_at(row)
+        rows = np.zeros(len(row), np.uint64)
+        for name in ("observations", "actions", "rewards"):
+            _add(rows, name, getattr(log, name)[block])
+        rows += _mixed(_seed("ends") ^ (log.terminals[block] + np.uint64(2) * log.timeouts[block]))
+        if log.successors is not None:
+            # Only where they say something new: a part in which they do not has no such column.
+            new = np.zeros(len(row), bool)
+            inside = row[row < len(log) - 1]
+            said = log.successors[block][: len(inside)] != log.observations[start + 1 : start + 1 + len(inside)]
+            new[: len(inside)] = said.reshape(len(inside), -1).any(1) & ~log._is_end[inside]
+            found = np.zeros(int(new.sum()), np.uint64)
+            _add(found, "successors", log.successors[block][new])
+            rows[new] += found
+        rows = _mixed(rows ^ _places("step", (row - log.starts[episode]).astype(np.uint64)))
+        first = np.flatnonzero(np.append(True, episode[1:] != episode[:-1]))
+        ids[episode[first]] += np.add.reduceat(rows, first)
     last = np.zeros(log.episodes, np.uint64)
     _add(last, "final_observations", log.final_observations)
     ids = _mixed(ids + np.where(log.final_known, _mixed(last), np.uint64(0)))
@@ -86,6 +86,20 @@ def returns_to_go(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, di
         rows = ends[: np.searchsorted(-lengths, -back, side="left")] - back
         to_go[rows] += discount * to_go[rows + 1]
     return to_go
+
+
+def episode_returns(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, discount: float) -> np.ndarray:
+    """(episodes,) float64 return of each episode, made for some episodes at a time; arguments as for `returns_to_go`."""
+    out = np.empty(len(ends))
+    first = 0
+    while first < len(ends):
+        begin = int(ends[first] - lengths[first] + 1)
+        stop = max(int(np.searchsorted(ends, begin + _TOGETHER)), first + 1)
+        own = slice(first, stop)
+        to_go = returns_to_go(np.asarray(rewards[begin : ends[stop - 1] + 1]), ends[own] - begin, lengths[own], discount)
+        out[own] = to_go[ends[own] - lengths[own] + 1 - begin]
+        first = stop
+    return out
 
 
 def rows_of(starts: np.ndarray, lengths: np.ndarray) -> Any:

@@ -67,7 +67,6 @@ class Histories:
     def __init__(self, log: Dataset, steps: int, view: Normalizer):
         spec: Spec = log.spec
         self.log, self.steps, self.view = log, steps, view
-        self.starts = log.starts[log.episode_of]  # (rows,) first row of each row's episode
         self.actions = spec.action_size if spec.discrete else 0
         self.shape = len(log), history_size(spec.observation_size, spec.action_size, steps)
 
@@ -86,7 +85,7 @@ class Histories:
         rows = np.flatnonzero(rows) if rows.dtype == bool else np.where(rows < 0, rows + len(self), rows)
         flat = rows.reshape(-1)
         newest = np.asarray(self.log.observations[flat], np.float32)
-        return self._before(flat, self.starts[flat], newest).reshape(*rows.shape, self.shape[1])
+        return self._before(flat, self.log.starts[self.log.episode_at(flat)], newest).reshape(*rows.shape, self.shape[1])
 
     def final(self) -> np.ndarray:
         """(episodes, history_size) histories after each episode's last action."""

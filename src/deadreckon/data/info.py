@@ -82,7 +82,7 @@ class Info:
 def describe(log: Dataset) -> Info:
     """The numbers of `log`; about a second for a million rows."""
     spec, terminal = log.spec, np.asarray(log.terminals)[log.ends]
-    returns, rewards = log.returns(), np.asarray(log.rewards)
+    returns = log.returns()
     saturated, outside, unused = _actions(log)
     std = spec.observation.std.ravel()
     constant = (spec.observation.min == spec.observation.max).ravel()
@@ -103,11 +103,11 @@ def describe(log: Dataset) -> Info:
         timeout_share=float((~terminal).mean()),
         returns=_quantiles(returns),
         mean_return=float(returns.mean()),
-        rewards=_quantiles(rewards),
+        rewards=_quantiles_of(log.rewards),
         reward_mean=float(spec.reward.mean),
         reward_std=float(spec.reward.std),
-        reward_zero_share=float((rewards == 0).mean()),
-        reward_values=len(np.unique(rewards[sample])),
+        reward_zero_share=_zeros(log.rewards) / len(log),
+        reward_values=len(np.unique(log.rewards[sample])),
         saturated_share=saturated,
         out_of_bounds=outside,
         unused_actions=unused,
@@ -213,7 +213,7 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         text = f"{info.saturated_share:.0%} of the action entries are at the bounds ({_shortened(action_names(log))})"
         out.append(f"{text}: log-probabilities of tanh policies are uncertain there; check that the bounds are right")
     if info.unused_actions:
-        names, used = action_names(log), np.unique(log.actions)
+        names, used = action_names(log), _used(log)
         unused = [name for i, name in enumerate(names) if i not in used]
         text = f"{info.unused_actions} of the actions never occur in the log ({_shortened(unused)})"
         out.append(f"{text}: nothing is known about them")
@@ -232,7 +232,7 @@ def _actions(log: Dataset) -> tuple[float, int, int]:
     """Share of entries at a bound or beyond, rows beyond a bound, and discrete actions never taken."""
     space = log.action_space
     if not isinstance(space, Box):
-        return 0.0, 0, space.n - len(np.unique(log.actions))
+        return 0.0, 0, space.n - len(_used(log))
     low, high = np.asarray(space.low, np.float32), np.asarray(space.high, np.float32)
     entries = outside = 0
     for start in range(0, len(log), _SAMPLE):
@@ -240,6 +240,15 @@ def _actions(log: Dataset) -> tuple[float, int, int]:
         entries += int(((part <= low) | (part >= high)).sum())
         outside += int(((part < low) | (part > high)).any(1).sum())
     return entries / log.actions.size, outside, 0
+
+
+def _used(log: Dataset) -> np.ndarray:
+    """The discrete actions that occur."""
+    return np.unique(np.concatenate([np.unique(log.actions[start : start + _SAMPLE]) for start in range(0, len(log), _SAMPLE)]))
+
+
+def _zeros(column: np.ndarray) -> int:
+    return sum(int((column[start : start + _SAMPLE] == 0).sum()) for start in range(0, len(column), _SAMPLE))
 
 
 def _duplicates(log: Dataset, rows: slice) -> int:
@@ -252,10 +261,10 @@ def _duplicates(log: Dataset, rows: slice) -> int:
 def _own_successors(log: Dataset) -> int:
     if log.successors is None:
         return 0
-    inside = np.setdiff1d(np.arange(len(log) - 1), log.ends)
     count = 0
-    for start in range(0, len(inside), _SAMPLE):
-        rows = inside[start : start + _SAMPLE]
+    for start in range(0, len(log) - 1, _SAMPLE):
+        rows = np.arange(start, min(start + _SAMPLE, len(log) - 1))
+        rows = np.setdiff1d(rows, log.ends)
         differs = log.successors[rows] != log.observations[rows + 1]
         count += int(differs.reshape(len(rows), -1).any(1).sum())
     return count
@@ -263,6 +272,16 @@ def _own_successors(log: Dataset) -> int:
 
 def _quantiles(values: np.ndarray) -> tuple[float, ...]:
     return tuple(np.quantile(np.asarray(values, np.float64), _QUANTILES).tolist())
+
+
+def _quantiles_of(column: np.ndarray) -> tuple[float, ...]:
+    """`_quantiles` of a column that has a float32 for each row, which is copied once and no more."""
+    at = [share * (len(column) - 1) for share in _QUANTILES]
+    beside = [(int(place), min(int(place) + 1, len(column) - 1)) for place in at]
+    part = np.array(column)
+    part.partition(sorted({place for pair in beside for place in pair}))
+    found = [np.quantile(np.asarray(part[list(pair)], np.float64), place - pair[0]) for pair, place in zip(beside, at)]
+    return tuple(map(float, found))
 
 
 def _action_words(log: Dataset) -> str:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from deadreckon.data.dataset import Dataset
 
 RANDOM, TIME = "random", "time"
+_BLOCK = 262_144  # rows looked at together
 
 
 class Parts(NamedTuple):
@@ -123,16 +124,19 @@ def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
     if by not in columns:
         known = unknown("column", by, columns) if columns else f"unknown column {by!r}"
         raise UserError(f"{log.name}: {known}; columns of a table are known if it was read with --keep {by}")
-    values, codes = np.unique(np.asarray(columns[by]).reshape(-1), return_inverse=True)
-    first = codes[log.starts]
-    changed = np.flatnonzero(codes != first[log.episode_of])
-    if len(changed):
-        row = int(changed[0])
-        episode = int(log.episode_of[row])
-        told = f"{values[first[episode]]} in row {log.starts[episode]} and {values[codes[row]]} in row {row}"
-        raise UserError(f"{log.name}: column {by} changes within episode {episode} ({told}); one value an episode is needed")
-    there, first = np.unique(first, return_inverse=True)
-    return values[there], first
+    column = columns[by].reshape(-1)
+    first = np.asarray(column[log.starts])
+    for start in range(0, len(log), _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, len(log)))
+        episodes = log.episode_at(rows)
+        changed = np.flatnonzero(column[rows] != first[episodes])
+        if len(changed):
+            row, episode = int(rows[changed[0]]), int(episodes[changed[0]])
+            told = f"{first[episode]} in row {log.starts[episode]} and {column[row]} in row {row}"
+            text = f"column {by} changes within episode {episode} ({told})"
+            raise UserError(f"{log.name}: {text}; one value an episode is needed")
+    values, codes = np.unique(first, return_inverse=True)
+    return values, codes
 
 
 def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray:

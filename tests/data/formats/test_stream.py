@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import feather, parquet
 
+from deadreckon.cli.main import main
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import stream
 from deadreckon.data.formats.build import columns_of
@@ -151,6 +152,20 @@ def test_parts_of_another_source_are_not_taken(tmp_path):
     parquet.write_table(the_table(seed=1), source, row_group_size=25)
     convert(source, tmp_path / "log", **ASKED["bandit"])
     same(read_folder(tmp_path / "log"), Dataset.from_frame(the_table(seed=1), **ASKED["bandit"]))
+
+
+def test_tables_that_are_large_for_the_memory_are_told(tmp_path, monkeypatch, capsys):
+    parquet.write_table(the_table(), tmp_path / "log.parquet")
+    words = ["data", "info", str(tmp_path / "log.parquet"), "--action", "a", "--reward", "r"]
+    assert main(words) == 0
+    assert "data convert" not in capsys.readouterr().err
+    monkeypatch.setattr(stream, "SHARE", 1e-9)
+    assert main(words) == 0
+    told = f"! {tmp_path / 'log.parquet'} holds 0.0 GB, more than 0% of the memory: `deadreckon data convert"
+    assert told in capsys.readouterr().err
+    convert(tmp_path / "log.parquet", tmp_path / "log", action="a", reward="r")
+    assert main(["data", "info", str(tmp_path / "log")]) == 0
+    assert "data convert" not in capsys.readouterr().err
 
 
 BOUND = """

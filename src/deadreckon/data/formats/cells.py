@@ -10,6 +10,7 @@ from deadreckon.data.arrow import SAMPLE, all_match, is_string
 from deadreckon.data.arrow import compute as _compute
 from deadreckon.data.formats.dates import dates_of
 from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.formats.spool import Spool
 from deadreckon.data.likeness import likeness
 
 # Texts that stand for a missing value among numbers, dates and flags.
@@ -24,7 +25,9 @@ _THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}
 _SHOWN = 10  # lines on columns that stay texts
 
 
-def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str | None, list[str]]:
+def converted(
+    table: pa.Table, dialect: Dialect = PLAIN, spool: Spool | None = None
+) -> tuple[pa.Table, str | None, list[str]]:
     """The table, where each column of texts that all stand for numbers, flags or dates holds those.
 
     A cell that is empty is missing. Among flags, numbers and dates so are the words of `MISSING`; in a column that stays text
@@ -33,10 +36,12 @@ def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str 
     Args:
         table: of any columns; those that hold no texts stay as they are.
         dialect: marks of numbers, and the order of dates where it is told.
+        spool: where columns are kept; None: in memory.
 
     Returns:
         The table, the order of dates that was taken (None: there was none to take), and what to tell.
     """
+    keep = spool.keep if spool is not None else lambda values: values
     told: list[str] = []
     done: dict[str, Any] = {}
     texts: dict[str, Any] = {}  # of the columns that may hold dates, without what is missing
@@ -50,30 +55,30 @@ def converted(table: pa.Table, dialect: Dialect = PLAIN) -> tuple[pa.Table, str 
         if present.null_count == len(present):
             continue
         if (found := _flags(present)) is not None:
-            done[name], words = found
+            done[name], words = keep(found[0]), found[1]
             flags += [f"{name} ({words})"] if words else []
         elif (number := _numbers(_without(trimmed, (*MISSING, DASH)), dialect)) is not None:
-            done[name], lines, marked = number
+            done[name], lines, marked = keep(number[0]), *number[1:]
             told += [f"column {name}: {line}" for line in lines]
             grouped += [name] if marked else []
             dashes = done[name].null_count - present.null_count
             told += [f"column {name}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
         else:
-            texts[name] = present
+            texts[name] = keep(present)
     if flags:
         told.append(f"read as true and false: {', '.join(flags)}")
     if grouped:
         told.append(f"marks of thousands are taken out of the numbers in {', '.join(grouped)}")
     european = dialect.separator == ";" or dialect.decimal == ","
     moments, order, lines = dates_of(texts, dialect.dates, european)
-    done |= moments
+    done |= {name: keep(values) for name, values in moments.items()}
     told += lines
     columns, lines = [], []
     for name, values in zip(table.column_names, table.columns, strict=True):
         if name in done:
             values = done[name]
         elif is_string(values.type):
-            values = _without(values, ("",))
+            values = keep(_without(values, ("",)))
             lines += _of_texts(f"column {name}", values)
         columns.append(values)
     told += lines[:_SHOWN]

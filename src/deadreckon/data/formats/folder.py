@@ -85,6 +85,11 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
     return build(path, columns, header, name=name, strict=strict)
 
 
+def folder_bytes(path: Path | str) -> int:
+    """Bytes that the column files of a folder take."""
+    return sum(file.stat().st_size for file in Path(path).glob("*.npy"))
+
+
 def _put(folder: Path, path: Path) -> None:
     """Renames `folder` to `path`; what was there comes back if that fails. Memory maps of it stay readable."""
     if not path.exists():

@@ -18,13 +18,14 @@ from deadreckon.progress import Progress, unwatched
 
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
+LARGE = 2**30  # bytes of a folder's columns beyond which they are memory-mapped where nobody says otherwise
 _TELLING = ("folder", "minari")  # say where episodes end
 
 
 def read(
     path: Path | str,
     *,
-    mmap: bool = False,
+    mmap: bool | None = None,
     strict: bool = False,
     name: str | None = None,
     horizon: int | None = None,
@@ -36,7 +37,8 @@ def read(
         path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, RLlib's JSON lines, VW's text,
             pickled demonstrations; CSV and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id (of a
             data set that is installed here, the id alone), or the TOML file of a schema that names a table beside it.
-        mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can.
+        mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can. None: folders whose
+            columns take more than 1 GiB are, whatever the machine, because what is held out by default follows from it.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
@@ -61,6 +63,8 @@ def read(
     # A schema that was drafted for a CSV file is that of the same table in another format too, which needs no dialect.
     mapping = {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
     mapping, told = open_bandit(path, kind, mapping)
+    if mmap is None:
+        mmap = kind == "folder" and folders.folder_bytes(path) > LARGE
     options = _options(path, kind, mmap, horizon, mapping)
     log = _reader(kind)(path, strict=strict, name=name, **options)
     return replace(log, warnings=(*told, *log.warnings))
@@ -117,7 +121,7 @@ def convert(
 ) -> Dataset:
     """Reads `source` and writes it as `target`; gives the log.
 
-    Logs in hdf5, and tables in Parquet and Arrow where the target is a folder, may be larger than memory.
+    Logs in hdf5, and tables in Parquet, Arrow and CSV where the target is a folder, may be larger than memory.
 
     Args:
         source: as for `read`.
@@ -145,9 +149,9 @@ def convert(
     if in_folder and not str(source).startswith(minaris.PREFIX):
         from deadreckon.data.formats.stream import convert_table, streamed_format
 
-        if (table := streamed_format(source)) is not None:
+        if (table := streamed_format(source, mapping.get("separator"))) is not None:
             given = {key: value for key, value in mapping.items() if value is not None}
-            no_options(source, "parquet", given)
+            no_options(source, "csv" if table == "csv" else "parquet", given)
             return convert_table(
                 source, target, table, force=force, strict=strict, horizon=horizon, progress=progress, **given
             )

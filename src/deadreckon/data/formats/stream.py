@@ -1,4 +1,4 @@
-"""Tables larger than memory as logs: Parquet, also as a folder of files, and Arrow become a folder of .npy columns.
+"""Tables larger than memory as logs: Parquet, also as a folder of files, Arrow and CSV become a folder of .npy columns.
 
 The table is first copied, some row groups at a time, to parts that Arrow maps into memory as they lie on disk; a conversion
 that was killed goes on after the last finished part. The mapped table is then read by the code that reads tables in memory, so
@@ -16,8 +16,14 @@ from pyarrow import dataset
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build
+from deadreckon.data.formats.delimited import read_delimited
+from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.folder import HEADER, write_folder
+from deadreckon.data.formats.kind import READING, sniff
+from deadreckon.data.formats.open_bandit import open_bandit
+from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.spread import from_anybody
+from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
@@ -25,13 +31,15 @@ from deadreckon.progress import Progress, unwatched
 
 _ROWS = 65_536  # of a batch
 _PART = 1_000_000  # rows of a part, at least
+_LARGE = 2**28  # bytes of a text file beyond which it is not read whole
 _PARTS = 256  # at most, because each is an open file
+SHARE = 0.1  # of the machine's memory beyond which a table should be a folder: reading and encoding take several copies
 _OURS = b"deadreckon"  # metadata of a Parquet file that holds a log with all that belongs to it
 _FORMATS = {b"PAR1": "parquet", b"ARROW1": "ipc"}
 
 
-def streamed_format(source: Path | str) -> str | None:
-    """`parquet` or `ipc` where a table can be converted part by part; None of what is read whole."""
+def streamed_format(source: Path | str, separator: str | None = None) -> str | None:
+    """`parquet`, `ipc` or `csv` (large files) where a table can be converted part by part; None of what is read whole."""
     source = Path(source)
     if source.is_dir():
         if (source / HEADER).is_file():
@@ -47,7 +55,30 @@ def streamed_format(source: Path | str) -> str | None:
 
         with reading(source, "Parquet", pa.ArrowException):
             return None if _OURS in (parquet.read_schema(source).metadata or {}) else kind
+    if kind is None and source.stat().st_size > _LARGE and sniff(source, separator) == "csv":
+        return "csv"
     return kind
+
+
+def advice(source: Path | str, separator: str | None = None) -> str | None:
+    """A line that says to convert a table first, where it takes more than `SHARE` of this machine's memory; else None.
+
+    The size is that of a file on disk, of Parquet unpacked.
+    """
+    if (kind := streamed_format(source, separator)) is None:
+        return None
+    files = sorted(Path(source).rglob("*.parquet")) if Path(source).is_dir() else [Path(source)]
+    size, memory = sum(file.stat().st_size for file in files), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if kind == "parquet":
+        from pyarrow import parquet
+
+        with reading(source, "Parquet", pa.ArrowException):
+            about = [parquet.read_metadata(file) for file in files]
+        size = sum(each.row_group(group).total_byte_size for each in about for group in range(each.num_row_groups))
+    if size <= SHARE * memory:
+        return None
+    told = f"{size / 1e9:.1f} GB, more than {SHARE:.0%} of the memory"
+    return f"{source} holds {told}: `deadreckon data convert {source} FOLDER` first, and give FOLDER, which is not read whole"
 
 
 def convert_table(
@@ -67,15 +98,15 @@ def convert_table(
     A call that is killed leaves a hidden folder beside `target`, and the next call with the same source goes on from there.
 
     Args:
-        source: Parquet file, folder of Parquet files (`name=value` folders are columns) or Arrow (Feather) file.
+        source: Parquet file, folder of Parquet files (`name=value` folders are columns), Arrow (Feather) file or text file.
         target: folder to write.
         kind: of the source, by `streamed_format`.
         force: replace `target` if it exists.
         strict: refuse actions out of bounds.
         name: of the log; the source's if absent.
         horizon: as for `read_tabular`.
-        progress: called after each of several parts with the rows that are read, and the rows in all.
-        **mapping: which column is what, as for `from_frame`.
+        progress: called after each of several parts with the rows that are read, and the rows in all where they are known.
+        **mapping: which column is what, as for `from_frame`, and how a text file is read, as for `read_table`.
 
     Returns:
         The log, memory-mapped from `target`.
@@ -87,13 +118,17 @@ def convert_table(
     work = target.with_name(f".{target.name}.stream")
     with alone(work, what=str(target)):
         try:
-            table = _spooled(source, kind, work, progress)
+            told: list[str] = []
+            if kind == "csv":
+                mapping, table, told = _of_text(source, work, mapping, progress)
+            else:
+                table = _spooled(source, kind, work, progress)
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
             columns.mkdir()
             found, extra, warnings, space = from_anybody(source, table, mapping, horizon, Scratch(columns))
             log = build(
-                source, found, source=kind, extra=extra, warnings=warnings, strict=strict, name=name, horizon=horizon,
+                source, found, source=kind, extra=extra, warnings=[*told, *warnings], strict=strict, name=name, horizon=horizon,
                 action_space=space,
             )  # fmt: skip
             write_folder(log, target, force=force)
@@ -105,6 +140,22 @@ def convert_table(
             raise UserError(f"cannot write {target}: {error.strerror or error}") from error
         shutil.rmtree(work, ignore_errors=True)
     return log
+
+
+def _of_text(
+    source: Path | str, work: Path, mapping: dict[str, Any], progress: Progress
+) -> tuple[dict[str, Any], pa.Table, list[str]]:
+    """Which column is what, the table that a text file holds, memory-mapped from files below `work`, and what to tell."""
+    if "schema" in mapping:
+        mapping["schema"] = as_schema(mapping["schema"])
+        mapping = mapping["schema"].options() | mapping
+    mapping, known = open_bandit(source, "csv", mapping)
+    ways = {key: mapping.pop(key) for key in READING if key in mapping}
+    cells = work / "cells"
+    shutil.rmtree(cells, ignore_errors=True)  # of a call that was killed
+    cells.mkdir(parents=True)
+    table, _, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress))
+    return mapping, table, [*known, *told]
 
 
 def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> pa.Table:
