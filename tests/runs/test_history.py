@@ -94,6 +94,7 @@ def test_policies_of_fewer_steps_act_on_the_newest(log, run):
     np.testing.assert_array_equal(done, np.tile([1, 0], log.episodes))
 
 
+@pytest.mark.slow
 def test_judged_on_held_out_episodes_as_any_other(log, run):
     found = judge(run, log, [LinearFQE()], discount=DISCOUNT, greedy=True, counted=False, accept_model_based=True)
     assert found.estimates[0].value[0] == pytest.approx(BEST, abs=0.05)
@@ -102,6 +103,7 @@ def test_judged_on_held_out_episodes_as_any_other(log, run):
     assert new.estimates[0].value[0] == pytest.approx(BEST, abs=0.1)
 
 
+@pytest.mark.slow
 def test_cross_fits_and_resumed_runs_keep_their_history(log, run, tmp_path):
     with pytest.raises(UserError, match="history was 2, now None"):
         train(AGENT, log, out=run.path, resume=True, **OPTIONS)
