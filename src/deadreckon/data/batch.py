@@ -9,11 +9,11 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.scratch import BLOCK
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError, unknown
 from deadreckon.randomness import generator
 
-_BLOCK = 262_144  # rows looked at together
 REVISION = 1  # of what batches hold for given rows; raised where their numbers change (see bench/identity.py)
 
 
@@ -152,7 +152,7 @@ class TransitionSource:
         looks_ahead = "next_observation" in needs.columns
         usable = log.usable if looks_ahead else np.ones(len(log), bool)
         if looks_ahead and needs.n_step > 1:
-            blocks = (np.arange(start, min(start + _BLOCK, len(log))) for start in range(0, len(log), _BLOCK))
+            blocks = (np.arange(start, min(start + BLOCK, len(log))) for start in range(0, len(log), BLOCK))
             usable = np.concatenate([usable[self.last(rows)] for rows in blocks])
         # Rows that are not shown are few, and those that are follow from them: an index of these would grow with the log.
         self._hidden = np.zeros(0, np.int64) if needs.window else np.flatnonzero(~usable)

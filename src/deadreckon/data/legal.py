@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.columns import MASKS
+from deadreckon.data.scratch import BLOCK
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-
-_BLOCK = 262_144  # rows looked at together
 
 
 def joined_masks(
@@ -142,12 +141,12 @@ def check_masks(log: str, observations: np.ndarray, actions: np.ndarray, space: 
     if observations.ndim != 2 or observations.shape[1] < space.n:
         raise UserError(f"{log}: observations of shape {observations.shape} cannot end in the mask of {space.n} actions")
     count, first = 0, -1
-    for start in range(0, len(actions), _BLOCK):
-        mask = np.asarray(observations[start : start + _BLOCK, -space.n :])
+    for start in range(0, len(actions), BLOCK):
+        mask = np.asarray(observations[start : start + BLOCK, -space.n :])
         if (wrong := ~np.isin(mask, (0, 1)).all(1)).any():
             row = start + int(np.argmax(wrong))
             raise UserError(f"{log}: the observation of row {row} does not end in the mask of {space.n} actions, 0 or 1 each")
-        illegal = mask[np.arange(len(mask)), np.asarray(actions[start : start + _BLOCK])] == 0
+        illegal = mask[np.arange(len(mask)), np.asarray(actions[start : start + BLOCK])] == 0
         first = start + int(np.argmax(illegal)) if first < 0 and illegal.any() else first
         count += int(illegal.sum())
     if count:

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError, unknown
 
 if TYPE_CHECKING:
     from deadreckon.data.dataset import Dataset
 
 RANDOM, TIME = "random", "time"
-_BLOCK = 262_144  # rows looked at together
 
 
 class Parts(NamedTuple):
@@ -126,8 +126,8 @@ def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
         raise UserError(f"{log.name}: {known}; columns of a table are known if it was read with --keep {by}")
     column = columns[by].reshape(-1)
     first = np.asarray(column[log.starts])
-    for start in range(0, len(log), _BLOCK):
-        rows = np.arange(start, min(start + _BLOCK, len(log)))
+    for start in range(0, len(log), BLOCK):
+        rows = np.arange(start, min(start + BLOCK, len(log)))
         episodes = log.episode_at(rows)
         changed = np.flatnonzero(column[rows] != first[episodes])
         if len(changed):
