@@ -29,7 +29,7 @@ class Predict:
     sampled: bool = False  # whether to sample actions instead of taking the deterministic (greedy) ones
     seed: int = 0  # random seed of sampled actions
     outside: Literal["raise", "flag"] = "raise"
-    """what happens to rows with unknown levels or values out of range: raise refuses the table, flag marks them in the column
+    """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
     outside_the_log, together with those beyond the ranges of the log"""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="COLUMN [COLUMN ...]")] = ()
     """columns of the table to copy beside the actions, such as an id"""

@@ -7,7 +7,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.policies import portable
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.runs.folder import Folder
+from deadreckon.runs.folder import Folder, policy_seed
 
 ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose choice is taken
 CROSS_FIT = "crossfit.json"
@@ -73,26 +73,6 @@ def _of_decision(path: Path) -> Chosen:
     if file is None or not Path(file).exists():
         raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {file}; name its run")
     return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}")
-
-
-def policy_seed(name: str, seeds: list[int], failures: list, seed: int | None) -> int:
-    """The seed of a run whose policy is used: the one that is asked for, else the first that has not failed.
-
-    Args:
-        name: of the run, for errors.
-        seeds: its seeds.
-        failures: of each, None where it has not failed.
-        seed: that is asked for.
-
-    Raises:
-        UserError: the run has no such seed, or all have failed.
-    """
-    if seed is not None and seed not in seeds:
-        raise UserError(f"{name} has no policy of seed {seed}; its seeds are {', '.join(map(str, seeds))}")
-    healthy = [each for each, failure in zip(seeds, failures) if failure is None]
-    if seed is None and not healthy:
-        raise UserError(f"all seeds of {name} have failed; name one, whose last good policy is used")
-    return healthy[0] if seed is None else seed
 
 
 def predictor(file: Path, name: str = "rows") -> Predictor:

@@ -12,8 +12,7 @@ from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.loaded import TablePolicy
-from deadreckon.runs.folder import Folder
-from deadreckon.runs.player import policy_seed
+from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.training.fit import Failure
 
 
