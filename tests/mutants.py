@@ -253,6 +253,53 @@ MUTANTS = (
         "batch.next_observation, batch.reward", "models learn the next observation instead of its change",
         ("dynamics/test_ensemble.py::test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations",),
     ),
+    # ---- policies in use
+    Mutant(
+        "unknown-level-passes", "policies/table_columns.py", "elif flag:\n                outside[row] = True",
+        "elif True:\n                outside[row] = True", "an unknown level becomes no level without a word",
+        ("policies/test_table_encoder.py::test_rows_that_are_refused",),
+    ),
+    Mutant(
+        "fill-forgotten", "policies/table_columns.py", "np.where(absent, self.fill, values)", "np.where(absent, 0.0, values)",
+        "missing values are 0 at use and the mean in training", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "marks-forgotten", "policies/table_encoder.py", "out[:, place + 1] = absent[:, index]", "out[:, place + 1] = 0.0",
+        "nothing says at use where a value was missing", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "outside-at-the-end", "policies/table_columns.py", "(values > self.seen_high)", "(values >= self.seen_high)",
+        "the largest value of a log lies outside it", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "past-not-taken", "policies/table_predict.py", "taken if episodes.logged is None else episodes.logged[rows]", "taken",
+        "a history has what the policy would have done in place of what was done",
+        ("runs/test_predict.py::test_policies_on_histories_take_the_logged_past",),
+    ),
+    Mutant(
+        "sampled-evenly", "policies/table_predict.py", "np.cumsum(probs.astype(np.float64), 1)",
+        "np.cumsum(np.ones(probs.shape), 1)", "sampled actions all have the same probability",
+        ("runs/test_predict.py::test_probabilities_by_name_and_what_is_sampled_from_them",),
+    ),
+    Mutant(
+        "member-of-each-row", "policies/table_predict.py", "size=len(found))[episodes.number]", "size=len(found))",
+        "a mixture changes its member within an episode",
+        ("runs/test_predict.py::test_a_cross_fit_keeps_its_member_for_an_episode",),
+    ),
+    Mutant(
+        "texts-guessed-anew", "data/formats/any_table.py", "read_delimited(path, asked, known=known)",
+        "read_delimited(path, asked)", "a column of texts is read as numbers or truth values in a table of few rows",
+        ("cli/test_predict.py::test_a_file_of_a_few_rows_is_read_as_the_log_was",),
+    ),
+    Mutant(
+        "columns-for-a-row", "runs/service.py", "given = [rows] if single else rows", "given = rows",
+        "a service takes a dictionary of columns, of as many rows as it has", ("runs/test_service.py",),
+    ),
+    Mutant(
+        "body-without-limit", "runs/service.py", "if size > most:", "if size > 1_000 * most:",
+        "a body whose length is not said has no limit",
+        ("runs/test_service.py::test_large_bodies_are_refused_before_they_are_whole",),
+    ),
     # ---- networks
     Mutant(
         "tanh-correction", "nets/distributions.py", "return (normal - squash).sum(-1)", "return (normal + squash).sum(-1)",
@@ -743,7 +790,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-lone", "data/formats/cells.py",
-        "and words <= set(_LONE)", "",
+        "(known or words <= set(_LONE))", "True",
         "a column of one letter is a flag", ("data/formats/test_dialects.py",),
     ),
     Mutant(

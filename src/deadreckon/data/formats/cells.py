@@ -72,7 +72,7 @@ def converted(
             continue
         if (found := _flags(present, name in known.flags)) is not None:
             done[name], words = keep(found[0]), found[1]
-            flags += [f"{name} ({words})"] if words else []
+            flags += [f"{name} ({words})"] if words and name not in known.flags else []
         elif (number := _numbers(_without(trimmed, (*MISSING, DASH)), dialect)) is not None:
             done[name], lines, marked = keep(number[0]), *number[1:]
             told += [f"column {name}: {line}" for line in lines]
