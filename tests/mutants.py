@@ -284,7 +284,7 @@ MUTANTS = (
     Mutant(
         "member-of-each-row", "policies/table_predict.py", "size=len(found))[episodes.number]", "size=len(found))",
         "a mixture changes its member within an episode",
-        ("runs/test_predict.py::test_a_cross_fit_keeps_its_member_for_an_episode",),
+        ("runs/test_predict.py::test_a_mixture_keeps_its_member_for_an_episode",),
     ),
     Mutant(
         "texts-guessed-anew", "data/formats/any_table.py", "read_delimited(path, asked, known=known)",

@@ -13,9 +13,11 @@ import deadreckon as dr
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
 from deadreckon.policies import portable, store
+from deadreckon.policies.table_predict import Predictor
 from deadreckon.policies.table_rows import RowsError
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.reading import noted
 from deadreckon.runs.train import train
 
 SHORT = {"steps": 3, "task": False, "seeds": 1}
@@ -283,16 +285,39 @@ def test_policies_on_histories_refuse_rows_without_order(history):
         assert len(run.predict(open_.assign(dose=[10, 40, 20, None]))) == 4
 
 
-def test_a_cross_fit_keeps_its_member_for_an_episode(tmp_path):
-    table, how, agent = TABLES["patients"]
-    cross = cross_fit(agent, dr.Dataset.from_frame(table(), **how), folds=2, out=tmp_path / "cross", **SHORT)
+class Constant:
+    """A player that always does the same."""
+
+    steps, action_size, member = 1, 0, None
+
+    def __init__(self, code, members=()):
+        self.code, self.members = code, list(members)
+
+    def act(self, observations, rng, greedy):
+        return np.full(len(observations), self.code)
+
+    def probs(self, observations):
+        return np.eye(2)[np.full(len(observations), self.code)]
+
+
+def test_a_mixture_keeps_its_member_for_an_episode():
+    """Rows of one episode have one member; without the column of the episode each row is one of its own."""
+    frame = pd.DataFrame({"day": np.arange(200) // 4, "x": 0.0, "action": [0, 1] * 100, "reward": 0.0})
+    policy = Predictor(Constant(None, [Constant(0), Constant(1)]), noted(dr.Dataset.from_frame(frame, episode="day")))
+    days = policy.predict(frame, seed=1).reshape(50, 4)
+    assert (days == days[:, :1]).all()
+    assert 10 < days[:, 0].sum() < 40
+    assert 70 < policy.predict({"x": [0.0] * 200}).sum() < 130
+    told = policy.predict(frame, probabilities=True, greedy=False).probabilities
+    np.testing.assert_array_equal([told[0], told[1]], np.full((2, 200), 0.5))
+
+
+def test_the_mixture_of_a_cross_fit_is_a_file_like_others(tmp_path):
+    log = dr.Dataset.from_frame(offers(), action="offer", reward="paid")
+    cross = cross_fit(dr.agents.BC(**NETS), log, folds=2, out=tmp_path / "cross", **SHORT)
     policy, play = dr.load_policy(cross.policy_path), portable.load(cross.policy_path)
-    members = [run.predict(table(1)) for run in cross.runs]
-    for act in (policy.predict, play.predict):
-        found = act(table(1), seed=4)
-        for start in range(0, ROWS, 4):
-            part = slice(start, start + 4)
-            assert any((found[part] == member[part]).all() for member in members)
-        assert set(act(table(1).drop(columns="patient"))) <= {10, 20, 40}
-        told = act(table(1), probabilities=True).probabilities
-        np.testing.assert_allclose(sum(told.values()), 1.0, atol=1e-6)
+    members = np.stack([run.predict(offers(1)) for run in cross.runs])
+    for seed in range(3):
+        found = policy.predict(offers(1), seed=seed)
+        np.testing.assert_array_equal(play.predict(offers(1), seed=seed), found)
+        assert (found == members).any(0).all()
