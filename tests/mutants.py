@@ -1056,9 +1056,21 @@ MUTANTS = (
         "late rewards are compared with their own row only", ("data/test_leaks.py",),
     ),
     Mutant(
+        "leak-behind-empty-cells", "data/leaks.py",
+        "return flat[:, column.dimensions[-1]] == 0 if column.marked else np.ones(len(flat), bool)",
+        "return np.ones(len(flat), bool)",
+        "one empty cell hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "leak-behind-rounding", "data/relations.py",
+        "if 0 < unit <= _ROUGH * y.std() and off <= unit + exact:",
+        "if 0 < unit <= _ROUGH * y.std() and off <= exact:",
+        "rounding hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
         "leak-lagged-column", "data/leaks.py",
-        "if len(np.unique(start)) < 2 or (start == ahead[first]).all():",
-        "if (start == ahead[first]).all():",
+        "if filled or (behind[first] == ahead[first]).all():",
+        "if (behind[first] == ahead[first]).all():",
         "a column of earlier values is accused", ("data/test_leaks.py",),
     ),
     Mutant(
