@@ -1056,6 +1056,12 @@ MUTANTS = (
         "late rewards are compared with their own row only", ("data/test_leaks.py",),
     ),
     Mutant(
+        "copies-of-people", "data/copies.py",
+        "if len(kinds) >= _OWN * (rows - found) and (kinds != np.floor(kinds)).any():",
+        "if (kinds != np.floor(kinds)).any():",
+        "equal people are taken for a table that was stored twice", ("data/test_info.py",),
+    ),
+    Mutant(
         "leak-behind-empty-cells", "data/leaks.py",
         "return flat[:, column.dimensions[-1]] == 0 if column.marked else np.ones(len(flat), bool)",
         "return np.ones(len(flat), bool)",
