@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet
 import pytest
 
 from deadreckon.data.dataset import Dataset
@@ -263,6 +264,53 @@ def test_dates_as_texts_order_rows_from_pandas_too():
     table = pd.DataFrame({"when": ["2026-01-03", "2026-01-01", "2026-01-02"], "x": [3, 1, 2], "a": [0, 1, 0], "r": [0, 0, 1]})
     log = Dataset.from_frame(table, time="when", action="a", reward="r")
     assert log.observations[:, 0].tolist() == [1, 2, 3]
+
+
+DAYS = [dt.date(2024, 1, 28) + dt.timedelta(days=int(i)) for i in range(N)]
+ASK = {"%d.%m.%Y": "month-first", "%d/%m/%Y": "month-first", "%m/%d/%Y": "day-first", "%d.%m.%Y %H:%M": "month-first"}
+
+
+@pytest.mark.parametrize("made", [pd.DataFrame, pa.table, dict, lambda t: pd.DataFrame(t).astype({"day": "category"})])
+@pytest.mark.parametrize("form", ASK)
+def test_texts_of_dates_in_frames_are_read_as_in_text_files(form, made):
+    order = RNG.permutation(N)
+    texts = [DAYS[i].strftime(form) for i in order]
+    table = made({"day": texts, "x": np.arange(N)[order] * 1.0, "action": order % 3, "reward": R[order]})
+    log = Dataset.from_frame(table, time="day")
+    np.testing.assert_array_equal(log.observations[:, 0], np.arange(N))
+    assert told(log, rf"dates such as '{re.escape(texts[0])}' are read as .* \(--dates {ASK[form]}\): column day")
+    left = Dataset.from_frame(table)
+    assert named(left) == ["x"]
+    assert told(left, r"timestamps are left out of the observations: day \(--time day\)")
+    again = Dataset.from_frame(table, schema=log.provenance.extra["schema"])
+    assert again.fingerprint == log.fingerprint
+
+
+def test_episodes_of_dates_in_frames_are_in_the_order_of_their_dates():
+    days = [DAYS[i].strftime("%d.%m.%Y") for i in EPISODE]
+    table = pd.DataFrame({"day": days, "t": STEP, "x": np.arange(N), "action": np.arange(N) % 3, "reward": R})
+    log = Dataset.from_frame(table, episode="day", time="t")
+    np.testing.assert_array_equal(log.observations[:, 0], np.arange(N))
+    short = table.assign(day=[day[:6] + day[8:] for day in days])  # years of two digits
+    log = Dataset.from_frame(short, episode="day", time="t")
+    assert told(log, "column day holds texts that look like numbers or dates, such as '28.01.24': .* alphabetical order")
+    with pytest.raises(UserError, match="column day orders rows, and holds neither numbers nor dates .*; row 0 has '28.01.24'"):
+        Dataset.from_frame(short, time="day")
+
+
+def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(tmp_path):
+    days = [f"{1 + i % 12:02d}/{1 + i // 12:02d}/2024" for i in range(N)]
+    table = pa.table({"day": days, "x": np.arange(N) * 1.0, "action": np.arange(N) % 3, "reward": R})
+    path = tmp_path / "log.parquet"
+    pa.parquet.write_table(table, path)
+    by_month = np.lexsort((np.arange(N) // 12, np.arange(N) % 12))
+    for source in (lambda **more: Dataset.from_frame(table, **more), lambda **more: read(path, **more)):
+        open_one = source(time="day")
+        np.testing.assert_array_equal(open_one.observations[:, 0], by_month)
+        assert told(open_one, r"month/day/year, and no cell tells whether that is right \(--dates day-first\): column day")
+        np.testing.assert_array_equal(source(time="day", dates="day-first").observations[:, 0], np.arange(N))
+        with pytest.raises(UserError, match="column day orders rows, and holds neither numbers nor dates"):
+            source(time="day", dates="iso")
 
 
 def test_groups_are_kept_and_held_out_together():

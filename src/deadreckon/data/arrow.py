@@ -165,7 +165,7 @@ def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.nd
     elif pa.types.is_null(kind):
         return np.full(len(values), np.nan), np.ones(len(values), bool)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else _first_text(values)
+        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else first_text(values)
         raise UserError(f"{name}: column {column} holds {kind}, numbers are needed{hint}")
     out = values.to_numpy(zero_copy_only=False).astype(np.float64)
     return out, np.isnan(out)
@@ -225,7 +225,7 @@ def sorted_indices(values: Any) -> np.ndarray:
     return compute.sort_indices(values).to_numpy()
 
 
-def _first_text(values: Any) -> str:
+def first_text(values: Any) -> str:
     """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
     for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
         if isinstance(value, str) and not is_number(value):

@@ -13,6 +13,7 @@ from deadreckon.data.arrow import (
     category_codes,
     codes_of,
     decoded,
+    first_text,
     flags,
     flat,
     is_category,
@@ -274,6 +275,9 @@ class Encoder:
             # Only the order matters; int64 counts of the type's own unit keep it exactly.
             width = pa.int32() if dates.type.bit_width == 32 else pa.int64()
             return np.asarray(dates.view(width).to_numpy(zero_copy_only=False), np.int64)
+        if odd := first_text(values):
+            text = "orders rows, and holds neither numbers nor dates in a form that is read"
+            raise UserError(f"{self.name}: column {column} {text}{odd}; write dates as 2024-04-03 or 2024-04-03 14:30")
         return numbers(self.name, self.table, column)
 
     def complete(self, column: str) -> Any:

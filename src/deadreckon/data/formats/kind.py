@@ -23,7 +23,7 @@ TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # columns have names o
 # How a file is read, and the formats that can be read so.
 READING = {
     "separator": ("csv",), "decimal": ("csv",), "thousands": ("csv",), "encoding": ("csv",),
-    "dates": ("csv", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
+    "dates": ("csv", "parquet", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
 DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those which say how values are written
