@@ -313,6 +313,34 @@ def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(
             source(time="day", dates="iso")
 
 
+def by_schema(table, **columns):
+    given = {"x": {"role": "observation"}, "action": {"role": "action", "kind": "integer"}, "reward": {"role": "reward"}}
+    return Dataset.from_frame(table, schema={"columns": given | columns})
+
+
+@pytest.mark.parametrize(
+    ("column", "words"),
+    [
+        ({"action": {"role": "action", "kind": "integer", "levels": [0, 1, 1.0, 2]}}, "a level is listed twice: 0, 1, 1.0, 2"),
+        ({"action": {"role": "action", "kind": "flag", "levels": [True, "true"]}}, "a level is listed twice"),
+        ({"action": {"role": "action", "kind": "number", "levels": [2, 1, 0]}}, r"levels go with a discrete action \(kind int"),
+        ({"x": {"role": "observation", "kind": "integer", "levels": [0, 1]}}, "levels go with kind category, not with kind int"),
+    ],
+)
+def test_levels_that_would_be_read_otherwise_are_refused(column, words):
+    with pytest.raises(UserError, match=words):
+        by_schema(base(), **column)
+
+
+def test_what_lies_outside_of_what_the_schema_says_is_told():
+    ranged = {"action": {"role": "action", "kind": "integer", "low": 0, "high": 1}, "reward": {"role": "reward", "low": R[1]}}
+    log = by_schema(base(reward=[R[1] - 2.5, *R[1:]]), x={"role": "observation", "kind": "integer"}, **ranged)
+    assert told(log, "column action is outside 0 .. 1 in 40 rows, first 2 in row 2")
+    assert told(log, rf"column reward is outside {R[1]:g} .. inf in .* rows, first {R[1] - 2.5:g} in row 0")
+    assert told(log, rf"column x is of kind integer and has {X[0]:g} in row 0, which is not rounded")
+    assert not told(by_schema(base(x=[None, *range(N - 1)]), x={"role": "observation", "kind": "integer"}), "which is not")
+
+
 def test_groups_are_kept_and_held_out_together():
     from deadreckon.runs.holdout import divided
 

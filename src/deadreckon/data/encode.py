@@ -132,6 +132,9 @@ class Encoder:
         if column.kind == "flag" and not np.isin(number[~absent], (0, 1)).all():
             row = int(np.argmax(~absent & ~np.isin(number, (0, 1))))
             raise UserError(f"{self.name}: column {name} has {number[row]:g} in row {row}, a flag is 0 or 1")
+        if column.kind == "integer" and (broken := ~absent & (number != np.floor(number))).any():
+            row = int(np.argmax(broken))
+            self.warnings.append(f"column {name} is of kind integer and has {number[row]:g} in row {row}, which is not rounded")
         if column.fill is None and absent.all():
             raise UserError(f"{self.name}: column {name} is empty; leave it out of the observations")
         if absent.any():
@@ -221,6 +224,7 @@ class Encoder:
         if found is None:
             raise UserError(f"{self.name}: column {column.name} holds other than whole numbers, as discrete actions must be")
         codes = values.cast(pa.int64()).to_numpy(zero_copy_only=False)
+        self._in_range(column, codes)
         if column.levels is not None:
             codes, column = self._codes(column, values.cast(pa.int64()))
             self.extra["action_levels"] = list(column.levels or ())
@@ -232,6 +236,12 @@ class Encoder:
         text = f"actions are {len(found)} integers from {found[0]} to {found[-1]}"
         self.warnings.append(f"{text}; they are numbered 0 .. {len(found) - 1}")
         return np.searchsorted(found, codes)
+
+    def rewards(self, column: Column) -> np.ndarray:
+        """(rows,) float64 of a column of numbers."""
+        values = numbers(self.name, self.table, column.name)
+        self._in_range(column, values)
+        return values
 
     def flags(self, column: Column | None) -> np.ndarray:
         """(rows,) bool of a flag; all false where there is no such column."""
