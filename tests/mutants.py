@@ -807,6 +807,16 @@ MUTANTS = (
         "dates as texts in data frames order episodes alphabetically", ("data/test_misreadings.py",),
     ),
     Mutant(
+        "placeholder-far", "data/placeholders.py",
+        "0 < high - low < max(low - end, end - high)", "True",
+        "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/backwards.py",
+        " and not (steps > 0).any()", "",
+        "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
+    ),
+    Mutant(
         "dates-first-wrong", "data/formats/dates.py",
         "(low, middle) if _moments(some, month, day) is None else (middle, high)",
         "(low, middle) if _moments(some, month, day) is not None else (middle, high)",

@@ -218,6 +218,29 @@ CASES = {
         {"terminated": [1, None] * 60}, {}, ["x"], None, "column terminated is named like a flag of true ends of epi",
     ),
     "rows that are episodes": ({}, {}, ["x"], None, "each row is read as an episode of one step"),
+    "starts of episodes": (
+        {"is_first": STEP == 0}, {}, ["x"], None, "column is_first marks starts of episodes and is left out: --episode",
+    ),
+    "numbers of customers": (
+        {"customer_no": EPISODE + 7}, {}, ["x", "customer_no"], None, "column customer_no looks like a name of someone",
+    ),
+    "an empty text as a level": (
+        {"zone": ["a", "", "b"] * (N // 3)}, {}, ["x", "zone=", "zone=a", "zone=b"], None,
+        "column zone has the empty text '' as a level",
+    ),
+    "an empty text as an action": (
+        {"action": ["go", " "] * (N // 2)}, {}, ["x"], Discrete(2), "column action has the empty text ' ' as a level",
+    ),
+    "a placeholder": (
+        {"y": np.where(STEP == 3, -999.0, X)}, {}, ["x", "y"], None, "column y has -999 in 10 rows, far from its other values",
+    ),
+    "a placeholder of counts": (
+        {"y": [9999, None, 9999, *range(N - 3)]}, {}, None, None, "column y has 9999 in 2 rows, far from .*, 0 .. 116",
+    ),
+    "a placeholder that is a number": (
+        {"y": np.where(STEP == 3, -999.0, X)}, {"kinds": {"y": "number"}}, ["x", "y"], None, None,
+    ),
+    "values that are no placeholders": ({"y": np.arange(N) % 60 * 20 - 999}, {}, ["x", "y"], None, None),
     "missing cells": (
         {"y": [None, None, *range(N - 2)], "z": [None, *range(N - 1)]}, {}, ["x", "y", "y_missing", "z", "z_missing"], None,
         "3 missing values in 2 of 120 rows .* y 2, z 1",
@@ -313,6 +336,18 @@ def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(
             source(time="day", dates="iso")
 
 
+def test_dates_that_only_fall_within_episodes_are_told():
+    def of(days, **more):
+        return Dataset.from_frame(base(ep=EPISODE, day=pa.array(days, pa.date32())), **more)
+
+    falling = [dt.date(2024, 3, 1) + dt.timedelta(days=int(i)) for i in EPISODE * 30 - STEP]
+    assert told(of(falling), r"column day falls in 110 of 110 steps within episodes and never rises: .* \(--time day\)")
+    assert not told(of(falling, time="day"), "never rises")
+    assert not told(of(DAYS), "never rises")
+    for _ in range(50):
+        assert not told(of([DAYS[i] for i in RNG.permutation(N)]), "never rises")
+
+
 def by_schema(table, **columns):
     given = {"x": {"role": "observation"}, "action": {"role": "action", "kind": "integer"}, "reward": {"role": "reward"}}
     return Dataset.from_frame(table, schema={"columns": given | columns})
@@ -324,7 +359,7 @@ def by_schema(table, **columns):
         ({"action": {"role": "action", "kind": "integer", "levels": [0, 1, 1.0, 2]}}, "a level is listed twice: 0, 1, 1.0, 2"),
         ({"action": {"role": "action", "kind": "flag", "levels": [True, "true"]}}, "a level is listed twice"),
         ({"action": {"role": "action", "kind": "number", "levels": [2, 1, 0]}}, r"levels go with a discrete action \(kind int"),
-        ({"x": {"role": "observation", "kind": "integer", "levels": [0, 1]}}, "levels go with kind category, not with kind int"),
+        ({"x": {"role": "observation", "kind": "integer", "levels": [0, 1]}}, "levels go with kind category, not with kind"),
     ],
 )
 def test_levels_that_would_be_read_otherwise_are_refused(column, words):

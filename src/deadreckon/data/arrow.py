@@ -109,6 +109,12 @@ def as_dates(values: Any) -> Any | None:
     return None
 
 
+def ordered_moments(dates: Any) -> np.ndarray:
+    """(rows,) int64 counts of the type's own unit, which keep the order of dates exactly; none is missing."""
+    width = pa.int32() if dates.type.bit_width == 32 else pa.int64()
+    return np.asarray(dates.view(width).to_numpy(zero_copy_only=False), np.int64)
+
+
 def levels_of_whole_numbers(values: Any, missing: bool = False) -> list[int] | None:
     """The different values of a column of whole numbers, ascending; None where it has others.
 

@@ -20,6 +20,7 @@ from deadreckon.data.arrow import (
     is_missing,
     levels_of_whole_numbers,
     numbers,
+    ordered_moments,
     some_numbers,
     sorted_indices,
 )
@@ -282,9 +283,7 @@ class Encoder:
         values = self.complete(column)
         dates = as_dates(values)
         if dates is not None:
-            # Only the order matters; int64 counts of the type's own unit keep it exactly.
-            width = pa.int32() if dates.type.bit_width == 32 else pa.int64()
-            return np.asarray(dates.view(width).to_numpy(zero_copy_only=False), np.int64)
+            return ordered_moments(dates)
         if odd := first_text(values):
             text = "orders rows, and holds neither numbers nor dates in a form that is read"
             raise UserError(f"{self.name}: column {column} {text}{odd}; write dates as 2024-04-03 or 2024-04-03 14:30")

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from deadreckon.data.arrow import log_probabilities, numbers, to_arrow
 from deadreckon.data.asked import Asked
+from deadreckon.data.backwards import backwards
 from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
@@ -170,6 +171,8 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     if not (ordered or terminal or timeout or following):
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
+    if codes is not None and time is None:
+        encoder.warnings += backwards(table, schema.named("ignore", "keep"), codes)
     order, ends = _order(table.num_rows, codes, moments)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:

@@ -18,6 +18,7 @@ from deadreckon.data.arrow import (
 )
 from deadreckon.data.legal_columns import is_list
 from deadreckon.data.likeness import FEW, likeness
+from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
@@ -70,6 +71,8 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
         return kind, reason, _alphabetical(values)
     if role == "observation" and kind == "category":
         return kind, reason, _alike(values)
+    if role == "observation" and (doubt := placeholder(values)):
+        return kind, reason, doubt
     # What does not go with the role is refused when it is encoded, with the value that is wrong.
     return (kind, reason, "") if kind in ALLOWED.get(role, KINDS) else ("number", reason, "")
 
@@ -103,10 +106,12 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
 
 
 def _alike(values: Any) -> str:
-    """What to say of texts that differ in blanks or in upper and lower case alone, and are probably one level."""
+    """What to say of texts that are empty, or differ in blanks or in upper and lower case alone and are probably one level."""
     found: dict[str, str] = {}
     levels = decoded(values).drop_null().unique()
     for level in levels.to_pylist() if len(levels) <= MOST_LEVELS and is_text(levels.type) else ():
+        if not level.strip():
+            return f"has the empty text {level!r} as a level like others; make it a missing value if it stands for none"
         other = found.setdefault(" ".join(level.lower().split()), level)
         if other != level:
             return f"has levels that differ in blanks or capitals alone, such as {other!r} and {level!r}"
