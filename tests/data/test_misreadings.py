@@ -336,6 +336,26 @@ def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(
             source(time="day", dates="iso")
 
 
+@pytest.mark.parametrize("last", ["04998", " 04998", "4998"])
+def test_zeros_in_front_are_told_where_they_stand_behind_the_head(tmp_path, last):
+    rows = 3_000
+    cells = [f"{50_000 + i % 9},{i % 7},{i % 3},1" for i in range(rows)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["code,x,action,reward", *cells, f"{last},0,1,2"]))
+    assert told(read(path), "column code: '04998' is read as the number 4998; put a letter before") == ("0" in last)
+    assert not told(read(path), "column x:")
+
+
+@pytest.mark.parametrize("last", [2**63 + 1, 2**63 - 1])
+def test_integers_beyond_all_integers_are_told_where_they_stand_behind_the_head(tmp_path, last):
+    cells = [f"{2**53 + 1 + i},{i % 7},{i % 3},1" for i in range(3_000)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["code,x,action,reward", *cells, f"{last},0,1,2"]))
+    log = read(path, episode="code")
+    assert told(log, f"column code: '{last}' is rounded, as no integer is so large; put a letter before") == (last >= 2**63)
+    assert (log.episodes == 3_001) == (last < 2**63)
+
+
 def test_dates_that_only_fall_within_episodes_are_told():
     def of(days, **more):
         return Dataset.from_frame(base(ep=EPISODE, day=pa.array(days, pa.date32())), **more)
