@@ -356,6 +356,33 @@ def test_integers_beyond_all_integers_are_told_where_they_stand_behind_the_head(
     assert (log.episodes == 3_001) == (last < 2**63)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[{"x": 1, "action": 0, "reward": 2}]', r"a list in JSON, which is not read; in Python, .*read_json\('rows'\)"),
+        ('{"x": 1, "action": 0, "reward": 2}\n', r"rows of a table; in Python, .*read_json\('rows', lines=True\)"),
+        ("x,action,reward\n12:30,0,2\n13:45,1,3\n", r"no column is left .* \(timestamps are left out .*: x \(--time x\)\)"),
+    ],
+)
+def test_files_that_hold_no_log_say_what_they_hold(tmp_path, text, words):
+    path = tmp_path / "rows"
+    path.write_text(text)
+    with pytest.raises(UserError, match=words):
+        read(path)
+
+
+def test_arrays_of_other_shapes_are_told_by_their_names():
+    end = STEP == 11
+    buffer = {"observations": WALK, "actions": WALK, "dones": end[:, None], "timeouts": end[:, None]}
+    with pytest.raises(UserError, match=r"column observations has shape \(120, 2\), rewards have \(120, 1\); both are"):
+        Dataset.from_dict({**buffer, "rewards": R[:, None]})
+    ragged = {"obs": [[1, 2], [3]], "act": [[1], [2]], "rew": [1.0, 2.0], "terminated": [0, 1], "truncated": [0, 0]}
+    with pytest.raises(UserError, match="column obs is no array of numbers in which every row has the same shape"):
+        Dataset.from_dict(ragged)
+    with pytest.raises(UserError, match=r"not a table of plain columns \(Could not convert 'a' .* column y with type object\)"):
+        Dataset.from_frame(pd.DataFrame(base(y=pd.Series([1, "a"] * (N // 2), dtype=object))))
+
+
 def test_dates_that_only_fall_within_episodes_are_told():
     def of(days, **more):
         return Dataset.from_frame(base(ep=EPISODE, day=pa.array(days, pa.date32())), **more)

@@ -261,7 +261,7 @@ def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
     except (pa.ArrowException, TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        raise UserError(f"{name}: not a table of plain columns ({' '.join(str(error).split())})") from error
+        raise UserError(f"{name}: not a table of plain columns ({' '.join(' '.join(map(str, error.args)).split())})") from error
     names = table.column_names
     twice = sorted({column for column in names if names.count(column) > 1}) if len(set(names)) < len(names) else []
     if twice:

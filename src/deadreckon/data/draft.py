@@ -274,7 +274,7 @@ class _Maker:
                 f"schema ({listed(self.names)})"
             )
         if not self.having("observation"):
-            why = "".join(f" (column {column} {text})" for column, text in list(self.doubts.items())[:1])
+            why = next((f" ({line})" for line in self.told if "left out" in line), "")
             raise UserError(f"{self.name}: no column is left to be an observation; name them with observations{why}")
 
     def drafted(self) -> Drafted:
