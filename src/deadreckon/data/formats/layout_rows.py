@@ -110,7 +110,7 @@ def sb3(parts: Parts) -> None:
         if key in parts.arrays and key not in stacked:
             raise UserError(
                 f"column {key} has shape {parts.arrays[key].shape}, rewards have {rewards.shape}; both are (steps, "
-                f"environments, ...) in a replay buffer; rewards of shape ({steps},) are those of one environment without that dimension"
+                f"environments, ...) in a replay buffer; rewards of shape ({steps},) leave the environments out"
             )
     parts.arrays = {
         key: np.swapaxes(column[order], 0, 1).reshape(environments * len(order), *column.shape[2:])
