@@ -56,8 +56,8 @@ def test_merged_cells_below_the_names_are_told(tmp_path):
     path = write_xlsx(tmp_path / "log.xlsx", {"Log": rows}, first="A2", merged=("A1:C1", "A5:A6", "A3:A4"))
     table, _, told = read_table(path)
     assert table["site"].to_pylist() == ["a", None, "b", None]
-    assert told == ["2 ranges of cells are merged, such as A3:A4, and only the first cell of each has its value; unmerge them and "
-                    "fill the others, or they are missing"]  # fmt: skip
+    assert len(told) == 1
+    assert told[0].startswith("2 ranges of cells are merged, such as A3:A4, and only the first cell of each has its value; ")
 
 
 def test_which_sheet(tmp_path):

@@ -51,7 +51,7 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
 
 
 def _of_merged(ranges: list[tuple[tuple[int, int], tuple[int, int]]]) -> list[str]:
-    """What to tell of merged cells below the line of names: ((row, column), (row, column)) of the first and the last of each."""
+    """What to tell of merged cells below the line of names: (row, column) of the first and the last cell of each range."""
     if not ranges:
         return []
     shown = ":".join(f"{letters_of(column)}{row + 1}" for row, column in ranges[0])
