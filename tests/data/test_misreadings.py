@@ -237,6 +237,11 @@ CASES = {
     "a placeholder of counts": (
         {"y": [9999, None, 9999, *range(N - 3)]}, {}, None, None, "column y has 9999 in 2 rows, far from .*, 0 .. 116",
     ),
+    "dates as integers": (
+        {"date": 20_240_101 + STEP}, {}, ["x", "date"], None,
+        "column date holds whole numbers beyond 16,777,216, of which 5 become equal to others in float32",
+    ),
+    "large integers that float32 tells apart": ({"y": 2**25 + STEP * 1024}, {}, ["x", "y"], None, None),
     "a placeholder that is a number": (
         {"y": np.where(STEP == 3, -999.0, X)}, {"kinds": {"y": "number"}}, ["x", "y"], None, None,
     ),
