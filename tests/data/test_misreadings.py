@@ -411,10 +411,11 @@ def by_schema(table, **columns):
         ({"action": {"role": "action", "kind": "integer", "levels": [0, 1, 1.0, 2]}}, "a level is listed twice: 0, 1, 1.0, 2"),
         ({"action": {"role": "action", "kind": "flag", "levels": [True, "true"]}}, "a level is listed twice"),
         ({"action": {"role": "action", "kind": "number", "levels": [2, 1, 0]}}, r"levels go with a discrete action \(kind int"),
+        ({"action": {"role": "action", "kind": "number", "low": -5}}, "a continuous action needs both of low and high"),
         ({"x": {"role": "observation", "kind": "integer", "levels": [0, 1]}}, "levels go with kind category, not with kind"),
     ],
 )
-def test_levels_that_would_be_read_otherwise_are_refused(column, words):
+def test_levels_and_bounds_that_would_be_read_otherwise_are_refused(column, words):
     with pytest.raises(UserError, match=words):
         by_schema(base(), **column)
 

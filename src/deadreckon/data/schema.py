@@ -79,6 +79,8 @@ class Column:
                 raise UserError(f"{where}: {key} must be a finite number, got {value!r}")
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise UserError(f"{where}: low must be smaller than high, got {self.low:g} and {self.high:g}")
+        if self.role == "action" and self.kind == "number" and (self.low is None) != (self.high is None):
+            raise UserError(f"{where}: a continuous action needs both of low and high, or neither (the range of the table)")
         if self.levels is not None:
             if not isinstance(self.levels, list | tuple) or not self.levels:
                 raise UserError(f"{where}: levels must be a list of the values that the column may have, got {self.levels!r}")
