@@ -420,6 +420,13 @@ def test_levels_and_bounds_that_would_be_read_otherwise_are_refused(column, word
         by_schema(base(), **column)
 
 
+def test_bounds_of_some_actions_alone_are_refused():
+    bounded = {"role": "action", "kind": "number", "low": -5, "high": 5}
+    with pytest.raises(UserError, match="bounds of some actions and not of b; give low and high of all, or none"):
+        by_schema(base(b=R), action=bounded, b={"role": "action"})
+    assert by_schema(base(b=R), action=bounded, b=bounded).action_space == Box((-5.0, -5.0), (5.0, 5.0))
+
+
 def test_what_lies_outside_of_what_the_schema_says_is_told():
     ranged = {"action": {"role": "action", "kind": "integer", "low": 0, "high": 1}, "reward": {"role": "reward", "low": R[1]}}
     log = by_schema(base(reward=[R[1] - 2.5, *R[1:]]), x={"role": "observation", "kind": "integer"}, **ranged)
