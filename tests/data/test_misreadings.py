@@ -422,7 +422,7 @@ def test_levels_and_bounds_that_would_be_read_otherwise_are_refused(column, word
 
 def test_bounds_of_some_actions_alone_are_refused():
     bounded = {"role": "action", "kind": "number", "low": -5, "high": 5}
-    with pytest.raises(UserError, match="bounds of some actions and not of b; give low and high of all, or none"):
+    with pytest.raises(UserError, match="bounds of some actions, not of b; give low and high of all, or none"):
         by_schema(base(b=R), action=bounded, b={"role": "action"})
     assert by_schema(base(b=R), action=bounded, b=bounded).action_space == Box((-5.0, -5.0), (5.0, 5.0))
 

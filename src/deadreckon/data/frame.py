@@ -130,7 +130,7 @@ def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
             raise UserError(f"{name}: the schema gives no column the role {role}, and a log needs one")
     free = [column.name for column in schema.having("action") if column.low is None]
     if 0 < len(free) < len(schema.having("action")):
-        raise UserError(f"{name}: the schema gives bounds of some actions and not of {free[0]}; give low and high of all, or none")
+        raise UserError(f"{name}: the schema gives bounds of some actions, not of {free[0]}; give low and high of all, or none")
     known = {column.name for column in schema.columns}
     other = [column for column in table.column_names if column not in known]
     return [f"the schema does not have these columns, which are left out: {', '.join(other)}"] if other else []
