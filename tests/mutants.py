@@ -628,7 +628,7 @@ MUTANTS = (
         "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
-        "csv-empty-text", "data/formats/cells.py", 'values = keep(_without(values, ("",)))', "values = keep(values)",
+        "csv-empty-text", "data/formats/cells.py", 'values = keep(without(values, ("",)))', "values = keep(values)",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
     # ---- databases
@@ -763,7 +763,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-dashes", "data/formats/cells.py",
-        "_without(trimmed, (*MISSING, DASH)), dialect", "_without(trimmed, MISSING), dialect",
+        "without(trimmed, (*MISSING, DASH)), dialect", "without(trimmed, MISSING), dialect",
         "a dash makes numbers texts", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -800,6 +800,21 @@ MUTANTS = (
         "dates-half", "data/formats/dates.py",
         "_compute.if_else(_compute.equal(number, 12), 0, number)", "number",
         "half an hour past midnight is past noon", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-frames", "data/text_dates.py",
+        "if all_match(_texts(values[:SAMPLE]), _WRITTEN)", "if False",
+        "dates as texts in data frames order episodes alphabetically", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "placeholder-far", "data/placeholders.py",
+        "0 < high - low < max(low - end, end - high)", "True",
+        "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/backwards.py",
+        " and not (steps > 0).any()", "",
+        "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
     Mutant(
         "dates-first-wrong", "data/formats/dates.py",
