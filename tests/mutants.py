@@ -284,7 +284,7 @@ MUTANTS = (
     Mutant(
         "member-of-each-row", "policies/table_predict.py", "size=len(found))[episodes.number]", "size=len(found))",
         "a mixture changes its member within an episode",
-        ("runs/test_predict.py::test_a_mixture_keeps_its_member_for_an_episode",),
+        ("policies/test_table_predict.py::test_a_mixture_keeps_its_member_for_an_episode",),
     ),
     Mutant(
         "texts-guessed-anew", "data/formats/any_table.py", "read_delimited(path, asked, known=known)",
@@ -675,7 +675,7 @@ MUTANTS = (
         "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
-        "csv-empty-text", "data/formats/cells.py", 'values = keep(_without(values, ("",)))', "values = keep(values)",
+        "csv-empty-text", "data/formats/cells.py", 'values = keep(without(values, ("",)))', "values = keep(values)",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
     # ---- databases
@@ -810,7 +810,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-dashes", "data/formats/cells.py",
-        "_without(trimmed, (*MISSING, DASH)), dialect", "_without(trimmed, MISSING), dialect",
+        "without(trimmed, (*MISSING, DASH)), dialect", "without(trimmed, MISSING), dialect",
         "a dash makes numbers texts", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -847,6 +847,21 @@ MUTANTS = (
         "dates-half", "data/formats/dates.py",
         "_compute.if_else(_compute.equal(number, 12), 0, number)", "number",
         "half an hour past midnight is past noon", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-frames", "data/text_dates.py",
+        "if all_match(_texts(values[:SAMPLE]), _WRITTEN)", "if False",
+        "dates as texts in data frames order episodes alphabetically", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "placeholder-far", "data/placeholders.py",
+        "0 < high - low < max(low - end, end - high)", "True",
+        "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/backwards.py",
+        " and not (steps > 0).any()", "",
+        "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
     Mutant(
         "dates-first-wrong", "data/formats/dates.py",
@@ -1103,9 +1118,27 @@ MUTANTS = (
         "late rewards are compared with their own row only", ("data/test_leaks.py",),
     ),
     Mutant(
+        "copies-of-people", "data/copies.py",
+        "if len(kinds) >= _OWN * (rows - found) and (kinds != np.floor(kinds)).any():",
+        "if (kinds != np.floor(kinds)).any():",
+        "equal people are taken for a table that was stored twice", ("data/test_info.py",),
+    ),
+    Mutant(
+        "leak-behind-empty-cells", "data/leaks.py",
+        "return flat[:, column.dimensions[-1]] == 0 if column.marked else np.ones(len(flat), bool)",
+        "return np.ones(len(flat), bool)",
+        "one empty cell hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "leak-behind-rounding", "data/relations.py",
+        "if 0 < unit <= _ROUGH * y.std() and off <= unit + exact:",
+        "if 0 < unit <= _ROUGH * y.std() and off <= exact:",
+        "rounding hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
         "leak-lagged-column", "data/leaks.py",
-        "if len(np.unique(start)) < 2 or (start == ahead[first]).all():",
-        "if (start == ahead[first]).all():",
+        "if filled or (behind[first] == ahead[first]).all():",
+        "if (behind[first] == ahead[first]).all():",
         "a column of earlier values is accused", ("data/test_leaks.py",),
     ),
     Mutant(

@@ -197,7 +197,7 @@ def test_what_is_noticed():
         ({"done": [0, 1, 2, 0, 0]}, {}, "column done has 2 in row 2, 0 or 1 is needed"),
         ({"who": ["a", "b", None, "a", "a"]}, {}, "column who is empty in row 2"),
         ({"when": [1, 2, 3, None, 4]}, {}, "column when is empty in row 3"),
-        ({"when": list("abcde")}, {}, "column when holds string, numbers are needed"),
+        ({"when": list("abcde")}, {}, "column when orders rows, and holds neither numbers nor dates"),
         ({"action_1": [0, None, 0, 0, 0]}, {}, "column action_1 is empty in row 1"),
         ({"x": [1, 2, float("inf"), 4, 5]}, {}, "column x has inf in row 2"),
         ({"x": [None] * 5}, {"observations": "x"}, "column x is empty; leave it out"),

@@ -13,11 +13,9 @@ import deadreckon as dr
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
 from deadreckon.policies import portable, store
-from deadreckon.policies.table_predict import Predictor
 from deadreckon.policies.table_rows import RowsError
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.folder import Folder
-from deadreckon.runs.reading import noted
 from deadreckon.runs.train import train
 
 SHORT = {"steps": 3, "task": False, "seeds": 1}
@@ -283,33 +281,6 @@ def test_policies_on_histories_refuse_rows_without_order(history):
         with pytest.raises(UserError, match="row 1 does not say what was done, and its episode goes on"):
             run.predict(open_)
         assert len(run.predict(open_.assign(dose=[10, 40, 20, None]))) == 4
-
-
-class Constant:
-    """A player that always does the same."""
-
-    steps, action_size, member = 1, 0, None
-
-    def __init__(self, code, members=()):
-        self.code, self.members = code, list(members)
-
-    def act(self, observations, rng, greedy):
-        return np.full(len(observations), self.code)
-
-    def probs(self, observations):
-        return np.eye(2)[np.full(len(observations), self.code)]
-
-
-def test_a_mixture_keeps_its_member_for_an_episode():
-    """Rows of one episode have one member; without the column of the episode each row is one of its own."""
-    frame = pd.DataFrame({"day": np.arange(200) // 4, "x": 0.0, "action": [0, 1] * 100, "reward": 0.0})
-    policy = Predictor(Constant(None, [Constant(0), Constant(1)]), noted(dr.Dataset.from_frame(frame, episode="day")))
-    days = policy.predict(frame, seed=1).reshape(50, 4)
-    assert (days == days[:, :1]).all()
-    assert 10 < days[:, 0].sum() < 40
-    assert 70 < policy.predict({"x": [0.0] * 200}).sum() < 130
-    told = policy.predict(frame, probabilities=True, greedy=False).probabilities
-    np.testing.assert_array_equal([told[0], told[1]], np.full((2, 200), 0.5))
 
 
 def test_the_mixture_of_a_cross_fit_is_a_file_like_others(tmp_path):
