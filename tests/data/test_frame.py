@@ -345,3 +345,12 @@ def test_dimensions_of_one_name_are_refused():
     table = pa.table({"x": [1.0, None, 3.0], "x_missing": [5.0, 6.0, 7.0], "a": [0.5, 0.6, 0.7], "r": [1.0, 2.0, 3.0]})
     with pytest.raises(UserError, match="two dimensions of the observation are called x_missing"):
         Dataset.from_frame(table, action="a", reward="r")
+
+
+def test_categories_as_polars_has_them():
+    """Dictionaries of a kind of text that pyarrow can hardly work with."""
+    modes = pa.DictionaryArray.from_arrays([0, 1, 0, None], pa.array(["x", "y"], pa.string_view()))
+    table = pa.table({"mode": modes, "action": [0, 1, 0, 1], "reward": [0.0] * 4})
+    log = Dataset.from_frame(table)
+    assert log.provenance.extra["observation_levels"] == {"mode": ["x", "y"]}
+    assert log.observations.tolist() == [[1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1]]

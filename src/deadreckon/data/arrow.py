@@ -85,7 +85,11 @@ def distinct(values: Any) -> int:
 
 def decoded(values: Any) -> Any:
     """The values of a dictionary array, or the array itself."""
-    return values.dictionary_decode() if isinstance(values, pa.DictionaryArray) else values
+    if not isinstance(values, pa.DictionaryArray):
+        return values
+    if pa.types.is_string_view(values.type.value_type):  # polars' categories; pyarrow cannot take from these yet
+        values = pa.DictionaryArray.from_arrays(values.indices, values.dictionary.cast(pa.large_string()))
+    return values.dictionary_decode()
 
 
 def says_numbers(values: Any) -> bool:
