@@ -812,7 +812,19 @@ MUTANTS = (
         "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
     ),
     Mutant(
-        "backwards-rises", "data/backwards.py",
+        "actions-that-nobody-took", "data/encode.py",
+        "if found == list(range(len(found))):",
+        "if found[0] >= 0 and found[-1] < 2 * len(found):",
+        "numbers between the actions of a table become actions", ("data/test_frame.py",),
+    ),
+    Mutant(
+        "steps-out-of-order", "data/row_order.py",
+        "if (falls & inside).any() and",
+        "if not (falls & inside).any() and",
+        "shuffled steps are not told by the column that counts them", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/row_order.py",
         " and not (steps > 0).any()", "",
         "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
