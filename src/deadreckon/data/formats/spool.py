@@ -12,12 +12,12 @@ import pyarrow as pa
 from pyarrow import csv
 
 from deadreckon.data.arrow import compute as _compute
+from deadreckon.data.scratch import BLOCK
 from deadreckon.progress import Progress, unwatched
 
 # In the order in which pyarrow tries them ("Column type inference" in its documentation).
 _KINDS = (pa.null(), pa.int64(), pa.bool_(), pa.date32(), pa.time32("s"), pa.timestamp("s"), pa.timestamp("s", "UTC"),
           pa.timestamp("ns"), pa.timestamp("ns", "UTC"), pa.float64(), pa.string(), pa.binary())  # fmt: skip
-_ROWS = 262_144  # of a batch of a column
 
 
 class Spool:
@@ -34,7 +34,7 @@ class Spool:
     def keep(self, values: Any) -> pa.ChunkedArray:
         """A column, mapped from a file."""
         values = values if isinstance(values, pa.ChunkedArray) else pa.chunked_array([values])
-        chunks = (chunk.slice(start, _ROWS) for chunk in values.chunks for start in range(0, len(chunk), _ROWS))
+        chunks = (chunk.slice(start, BLOCK) for chunk in values.chunks for start in range(0, len(chunk), BLOCK))
         return self._column(chunks, values.type)
 
     def read(self, source: Any, read: csv.ReadOptions, parse: csv.ParseOptions, convert: dict[str, Any]) -> pa.Table:
