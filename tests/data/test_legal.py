@@ -143,8 +143,8 @@ def test_tables_say_it_in_many_ways(way):
 
 
 @pytest.mark.parametrize(("names", "cell"), [
-    (["f(x)", "b"], "f(x)|b"), (["O'Neil", "b"], "O'Neil, b"), (["a, x", "b"], '["a, x", "b"]'), (["New York", "b"], "(New York;b)"),
-    (["a", "b"], "['a' 'b']"), (["New York", "b"], '{"New York",b}'),
+    (["f(x)", "b"], "f(x)|b"), (["O'Neil", "b"], "O'Neil, b"), (["a, x", "b"], '["a, x", "b"]'),
+    (["New York", "b"], "(New York;b)"), (["a", "b"], "['a' 'b']"), (["New York", "b"], '{"New York",b}'),
 ])  # fmt: skip
 def test_brackets_and_quotes_of_a_list_are_no_part_of_names_and_others_are(names, cell):
     taken = names * 3

@@ -109,9 +109,8 @@ def _cells(name: str, table: pa.Table, column: str) -> list[list[str] | None]:
         return [None if missing else [_text(each) for each in cell] for cell, missing in zip(cells, gone)]
     plain = [text for text in texts.values() if isinstance(text, str)]
     separator = next((each for each in _SEPARATORS if any(each in text for text in plain)), None)
-    listed = {
-        cell: _parts(text, separator) if isinstance(text, str) else [_text(each) for each in text] for cell, text in texts.items()
-    }
+    parts = {cell: _parts(text, separator) if isinstance(text, str) else text for cell, text in texts.items()}
+    listed = {cell: [_text(each) for each in part] for cell, part in parts.items()}
     return [None if missing else listed[cell] for cell, missing in zip(cells, gone)]
 
 
@@ -128,11 +127,11 @@ def _unwrapped(cell: str) -> str | list[Any]:
     return inner if wrapped else text
 
 
-def _parts(text: str, separator: str | None) -> list[str]:
+def _parts(text: str, separator: str | None) -> list[Any]:
     """The actions that a text lists, without the quotes around each."""
     parts = [part.strip() for part in text.split(separator)]
     bare = [part[1:-1] if len(part) > 1 and part[0] == part[-1] and part[0] in "'\"" else part for part in parts]
-    return [_text(_number(part)) for part in bare if part]
+    return [_number(part) for part in bare if part]
 
 
 def _number(text: str) -> Any:
