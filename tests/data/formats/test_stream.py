@@ -163,6 +163,9 @@ def test_tables_that_are_large_for_the_memory_are_told(tmp_path, monkeypatch, ca
     assert main(words) == 0
     told = f"! {tmp_path / 'log.parquet'} holds 0.0 GB, more than 0% of the memory: `deadreckon data convert"
     assert told in capsys.readouterr().err
+    parquet.write_table(the_table(), tmp_path / "a log.parquet")
+    line = stream.advice(tmp_path / "a log.parquet")
+    assert f"`deadreckon data convert '{tmp_path / 'a log.parquet'}' FOLDER`" in str(line)
     convert(tmp_path / "log.parquet", tmp_path / "log", action="a", reward="r")
     assert main(["data", "info", str(tmp_path / "log")]) == 0
     assert "data convert" not in capsys.readouterr().err

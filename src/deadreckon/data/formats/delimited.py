@@ -3,6 +3,7 @@
 import csv
 import io
 import zlib
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -43,6 +44,7 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
         table = _parsed(path, source, dialect, spool)
+        told += _of_zeros(source, table, dialect, spool)
         told += _of_names(path, table.column_names)
         table = _named(path, table)
         table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
@@ -68,10 +70,15 @@ def _head(source: BinaryIO) -> tuple[bytes, bool]:
     return head, not source.read(1)
 
 
-def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None) -> pa.Table:
+def _options(dialect: Dialect) -> tuple[arrow.ReadOptions, arrow.ParseOptions]:
+    """How pyarrow reads and splits a file."""
     read = arrow.ReadOptions(encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK)
     # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
-    parse = arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
+    return read, arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
+
+
+def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None) -> pa.Table:
+    read, parse = _options(dialect)
     convert: dict[str, Any] = {"decimal_point": dialect.decimal, "null_values": _NULLS}
     try:
         if spool is not None:
@@ -119,6 +126,36 @@ def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) ->
         else:
             text = f"a text in quotes does not end at a separator ({error})"
         raise UserError(f"{path}: in line {line} {text}; a quote within a text is written twice") from error
+
+
+def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool | None) -> list[str]:
+    """What to tell of columns of whole numbers of which some are written with zeros in front, as codes are.
+
+    Numbers no longer show it, so the columns are read once more, as they stand.
+    """
+    names = [name for name in table.column_names if table.column_names.count(name) == 1]
+    names = [name for name in names if pa.types.is_integer(table.schema.field(name).type)]
+    found: dict[str, str] = {}
+    if not names:
+        return []
+    if spool is not None:
+        batches: Iterable[pa.RecordBatch] = spool.cells.select(names).to_batches()
+    else:
+        source.seek(0)
+        texts = dict.fromkeys(names, pa.binary())
+        convert = arrow.ConvertOptions(column_types=texts, include_columns=names)
+        batches = arrow.open_csv(source, *_options(dialect), convert)
+    row = 0
+    for batch in batches:
+        for name in (name for name in names if name not in found):
+            cells = batch.column(name)
+            at = _compute.index(_compute.match_substring_regex(cells, r"^\s*0\d"), pa.scalar(True)).as_py()
+            if at >= 0:
+                cell = cells[at].as_py().decode().strip()
+                text = f"{cell!r} is read as the number {int(cell)} (row {row + at}); put a letter before codes"
+                found[name] = f"column {_clean(name)}: {text}"
+        row += batch.num_rows
+    return list(found.values())
 
 
 def _of_names(path: Path | str, names: list[str]) -> list[str]:

@@ -127,7 +127,7 @@ class Marks:
 
 
 def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """What to tell of columns of digits that lose something as numbers: zeros in front, or places that no integer has.
+    """What to tell of columns of digits that lose something as numbers, because no integer has so many places.
 
     Args:
         names: of the columns.
@@ -138,8 +138,6 @@ def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
         found = [cell for cell in map(str.strip, cells) if cell]
         if not all(cell.isdecimal() for cell in found):
             continue
-        if zeros := [cell for cell in found if cell[0] == "0" and len(cell) > 1]:
-            told.append(f"column {name}: {zeros[0]!r} is read as the number {int(zeros[0])}; put a letter before codes")
         if large := [cell for cell in found if int(cell) >= 2**63]:
             told.append(f"column {name}: {large[0]!r} is rounded, as no integer is so large; put a letter before codes")
     return told

@@ -26,7 +26,12 @@ class Spool:
     Args:
         folder: that takes the files.
         progress: called with the rows that are read, after some more of them.
+
+    Attributes:
+        cells: of the file that was read, as they stand in it.
     """
+
+    cells: pa.Table
 
     def __init__(self, folder: Path, progress: Progress = unwatched):
         self.folder, self.progress, self.count = folder, progress, 0
@@ -50,8 +55,8 @@ class Spool:
         source.seek(0)
         as_it_stands = csv.ConvertOptions(column_types=dict.fromkeys(names, pa.binary()))
         batches = csv.open_csv(source, read, parse, as_it_stands)
-        cells = self._mapped(self._watched(batches), batches.schema)
-        return pa.table([self._typed(column, convert) for column in cells.columns], names=names)
+        self.cells = self._mapped(self._watched(batches), batches.schema)
+        return pa.table([self._typed(column, convert) for column in self.cells.columns], names=names)
 
     def _watched(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         rows = 0

@@ -6,6 +6,7 @@ that both give one log; what has as many rows as the table goes to files, but fo
 """
 
 import os
+import shlex
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.spread import from_anybody
+from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
 from deadreckon.errors import UserError, reading
@@ -78,7 +80,8 @@ def advice(source: Path | str, separator: str | None = None) -> str | None:
     if size <= SHARE * memory:
         return None
     told = f"{size / 1e9:.1f} GB, more than {SHARE:.0%} of the memory"
-    return f"{source} holds {told}: `deadreckon data convert {source} FOLDER` first, and give FOLDER, which is not read whole"
+    command = f"deadreckon data convert {shlex.quote(str(source))} FOLDER"
+    return f"{source} holds {told}: `{command}` first, and give FOLDER, which is not read whole"
 
 
 def convert_table(
@@ -109,7 +112,8 @@ def convert_table(
         **mapping: which column is what, as for `from_frame`, and how a text file is read, as for `read_table`.
 
     Returns:
-        The log, memory-mapped from `target`.
+        The log, as `target` holds it. Its columns are memory-mapped from files that are no longer in any folder, and take
+        room on the disk as long as it lives.
 
     Raises:
         UserError: one line with file, column and row. Nothing is left behind.
@@ -155,7 +159,7 @@ def _of_text(
     shutil.rmtree(cells, ignore_errors=True)  # of a call that was killed
     cells.mkdir(parents=True)
     table, _, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress))
-    return mapping, table, [*known, *told]
+    return mapping, table, [*known, *told, *of_totals(table)]
 
 
 def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> pa.Table:
