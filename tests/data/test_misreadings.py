@@ -285,12 +285,20 @@ def written(tmp_path, **columns):
     return path
 
 
+def test_a_reward_of_percentages_says_what_to_do():
+    table = {"x": np.arange(30.0), "action": np.arange(30) % 2, "reward": [f"{i}%" for i in range(30)]}
+    with pytest.raises(UserError, match="column reward holds string, numbers are needed; row 0 has '0%'; write all cells as"):
+        Dataset.from_frame(table, action="action", reward="reward")
+
+
 @pytest.mark.parametrize(
     ("cells", "odd"),
     [
         ([*map(str, range(N - 1)), "1,5"], "'1,5' in row 119, beside '0'"),
         ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"), ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
-        ([f"{i}k" for i in range(N)], "'0k' in row 0;"), ([f"{i}.5 %" for i in range(N)], "'0.5 %' in row 0;"),
+        ([f"{i}k" for i in range(N)], "'0k' in row 0;"),
+        ([f"{i}.5 %" for i in range(N)], r"'0.5 %' in row 0; write its cells as plain numbers without %, .* \(--ignore y\)"),
+        ([f"€{i}" for i in range(N)], "'€0' in row 0; write its cells as plain numbers without €,"),
         ([f"1,{i}00,5" for i in range(N)], None), ([f"10.{i}.0.1" for i in range(N)], None),
     ],
 )
