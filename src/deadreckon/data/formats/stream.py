@@ -5,6 +5,7 @@ that was killed goes on after the last finished part. The mapped table is then r
 that both give one log; what has as many rows as the table goes to files, but for the column at work.
 """
 
+import functools
 import os
 import shlex
 import shutil
@@ -122,11 +123,10 @@ def convert_table(
     work = target.with_name(f".{target.name}.stream")
     with alone(work, what=str(target)):
         try:
-            told: list[str] = []
             if kind == "csv":
                 mapping, table, told = _of_text(source, work, mapping, progress)
             else:
-                table = _spooled(source, kind, work, progress)
+                table, told = _spooled(source, kind, work, progress)
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
             columns.mkdir()
@@ -162,11 +162,16 @@ def _of_text(
     return mapping, table, [*known, *told, *of_totals(table)]
 
 
-def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> pa.Table:
-    """The table, memory-mapped from parts below `work`, of which those that are there already are kept."""
+def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> tuple[pa.Table, list[str]]:
+    """The table, memory-mapped from parts below `work`, of which those that are there already are kept, and what to tell."""
     hive = dataset.HivePartitioning.discover(infer_dictionary=True)  # as pyarrow.parquet.read_table has it
     with reading(source, "a table", pa.ArrowException):
-        found: Any = dataset.dataset(source, format=kind, partitioning=hive if Path(source).is_dir() else None)
+        opened: Any = functools.partial(
+            dataset.dataset, source, format=kind, partitioning=hive if Path(source).is_dir() else None
+        )
+        found = opened()
+        schema, told = _all_columns(source, found)
+        found = found if schema is None else opened(schema=schema)
         groups = _groups(found, kind)
     rows = sum(count for _, count in groups)
     if not rows:
@@ -194,7 +199,29 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> p
         done += count
         if count < rows:  # of one part there is nothing to wait for
             progress(done, rows)
-    return pa.concat_tables(parts)
+    return pa.concat_tables(parts), told
+
+
+def _all_columns(source: Path | str, found: Any) -> tuple[pa.Schema | None, list[str]]:
+    """The columns of all files where these differ, of types that hold the values of all, and what to tell of those they lack.
+
+    Without this the first file would say which columns there are.
+    """
+    files = {fragment.path: fragment.physical_schema.remove_metadata() for fragment in found.get_fragments()}
+    first = next(iter(files.values()), None)
+    if first is None or all(schema.equals(first) for schema in files.values()):
+        return None, []
+    try:
+        schema = pa.unify_schemas([found.schema, *files.values()], promote_options="permissive")
+    except pa.ArrowException as error:
+        raise UserError(f"{source}: its files hold different types in a column ({' '.join(str(error).split())})") from error
+    told = []
+    for name in dict.fromkeys(name for each in files.values() for name in each.names):
+        lacking = [path for path, each in files.items() if name not in each.names]
+        if lacking:
+            where = f"{len(lacking)} of {len(files)} files, such as {Path(lacking[0]).name}"
+            told.append(f"column {name} is missing in {where}, and its cells are empty there")
+    return schema, told
 
 
 def _groups(found: Any, kind: str) -> list[tuple[Any, int]]:
