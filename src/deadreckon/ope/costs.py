@@ -84,7 +84,7 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
     pairs: list[tuple[str, Any]] = []
     if isinstance(given, Mapping):
         pairs = list(given.items())
-    elif isinstance(given, Real):
+    elif isinstance(given, int | float | Real):  # NumPy's numbers are Real
         pairs = [("", given)]
     elif given is not None:
         pairs = [(column, limit) for column, _, limit in (str(each).rpartition("=") for each in given)]
@@ -96,7 +96,7 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
             raise UserError(f"--cost-limit {limit}: a cost needs its limit beside it, such as {limit}=25")
         if not column and len(columns) > 1:
             raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {columns[0]}={limit}")
-        column = column or columns[0]
+        column = column or next(iter(columns))
         if column not in found:
             raise UserError(f"{log.name}: {unknown('cost', column, columns)}")
         if found[column] is not None:
