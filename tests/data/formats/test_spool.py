@@ -75,6 +75,21 @@ def test_zeros_in_front_are_told_wherever_they_are(tmp_path, monkeypatch, encodi
     assert told == ["column zip: '00123' is read as the number 123 (row 2300); put a letter before codes"]
 
 
+@pytest.mark.parametrize("place", range(8, 14))
+def test_zeros_at_the_edge_of_what_is_read_at_once_are_told(tmp_path, monkeypatch, place):
+    name = "n" * place
+    path = tmp_path / "log.csv"
+    path.write_text(f"{name},x\n007,1\n" + "1,2\n" * 9)
+    monkeypatch.setattr(delimited, "_BLOCK", 16)
+    found = []
+    with open(path, "rb") as file:
+        found.append(delimited._may_have_zeros(file, Dialect(",", ".", "", "utf-8", '"')))
+    path.write_text(f"{name},x\n7.007,1e-05\n" + "100,2\n" * 9)
+    with open(path, "rb") as file:
+        found.append(delimited._may_have_zeros(file, Dialect(",", ".", "", "utf-8", '"')))
+    assert found == [True, False]
+
+
 def test_a_total_in_the_last_row_is_told(tmp_path, monkeypatch):
     source = tmp_path / "log.csv"
     source.write_text("day,x,a,r\n" + "".join(f"d{row % 3},{row}.5,{row % 2},1\n" for row in range(90)) + "Total,9,1,90\n")

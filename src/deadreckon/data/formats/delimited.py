@@ -1,5 +1,6 @@
 """Text files of tables (CSV and its dialects, plain or gzipped) as pyarrow tables."""
 
+import codecs
 import csv
 import io
 import zlib
@@ -8,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow
 
@@ -136,7 +138,7 @@ def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool 
     names = [name for name in table.column_names if table.column_names.count(name) == 1]
     names = [name for name in names if pa.types.is_integer(table.schema.field(name).type)]
     found: dict[str, str] = {}
-    if not names:
+    if not names or not _may_have_zeros(source, dialect):
         return []
     if spool is not None:
         batches: Iterable[pa.RecordBatch] = spool.cells.select(names).to_batches()
@@ -156,6 +158,24 @@ def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool 
                 found[name] = f"column {_clean(name)}: {text}"
         row += batch.num_rows
     return list(found.values())
+
+
+def _may_have_zeros(source: BinaryIO, dialect: Dialect) -> bool:
+    """Whether a cell may begin with a zero and another digit, by a look at the bytes that takes a fraction of the parsing."""
+    if codecs.lookup(dialect.encoding or "utf-8").name not in ("utf-8", "cp1252", "iso8859-1", "ascii"):
+        return True
+    before = np.zeros(256, bool)
+    before[list(f"{dialect.separator}{dialect.quote}\r\n\t ".encode())] = True
+    source.seek(0)
+    last = b"\n"
+    while block := source.read(_BLOCK):
+        seen = np.frombuffer(last + block, np.uint8)
+        zeros = np.flatnonzero(seen[1:-1] == ord("0")) + 1
+        following = seen[zeros + 1]
+        if (before[seen[zeros - 1]] & (following >= ord("0")) & (following <= ord("9"))).any():
+            return True
+        last = seen[-2:].tobytes()
+    return False
 
 
 def _of_names(path: Path | str, names: list[str]) -> list[str]:
