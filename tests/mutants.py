@@ -1211,6 +1211,27 @@ MUTANTS = (
         "legal-by-name", "data/legal_columns.py", "if own and any(len(cell)", "if any(len(cell)",
         "a column is believed by its name alone", ("data/test_legal.py",),
     ),
+    Mutant(
+        "legal-empty", "data/legal_columns.py", "if isinstance(found, list) and None in found:", "if False:",
+        "an empty entry of a list of legal actions is an action called None",
+        ("data/test_legal.py::test_an_empty_entry_of_a_list_is_no_action",),
+    ),
+    # ---- what is told of tables
+    Mutant(
+        "zeros-rows", "data/formats/delimited.py", "        row += batch.num_rows\n", "        break\n",
+        "codes with zeros in front are looked for in the first rows alone",
+        ("data/formats/test_spool.py::test_zeros_in_front_are_told_wherever_they_are",),
+    ),
+    Mutant(
+        "stream-columns", "data/formats/stream.py", "found if schema is None else opened(schema=schema)", "found",
+        "a folder of files has the columns of the first file",
+        ("data/formats/test_stream.py::test_files_with_other_columns_and_types",),
+    ),
+    Mutant(
+        "recommend-leaks", "runs/recommend.py", 'told["choice"]["warnings"] += state.get("leaks", [])', "pass",
+        "suspected leaks are not on the card of a recommendation",
+        ("runs/test_recommend.py::test_suspected_leaks_are_on_the_card_once",),
+    ),
     # ---- costs
     Mutant(
         "cost-upper", "ope/costs.py", "if self.limit is None or high <= self.limit:",

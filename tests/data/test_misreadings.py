@@ -347,7 +347,7 @@ def test_zeros_in_front_are_told_where_they_stand_behind_the_head(tmp_path, last
     cells = [f"{50_000 + i % 9},{i % 7},{i % 3},1" for i in range(rows)]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["code,x,action,reward", *cells, f"{last},0,1,2"]))
-    assert told(read(path), "column code: '04998' is read as the number 4998; put a letter before") == ("0" in last)
+    assert told(read(path), "column code: '04998' is read as the number 4998 \\(row 3000\\); put a letter before") == ("0" in last)
     assert not told(read(path), "column x:")
 
 
@@ -456,6 +456,12 @@ def written(tmp_path, **columns):
     return path
 
 
+def test_a_reward_of_percentages_says_what_to_do():
+    table = {"x": np.arange(30.0), "action": np.arange(30) % 2, "reward": [f"{i}%" for i in range(30)]}
+    with pytest.raises(UserError, match="column reward holds string, numbers are needed; row 0 has '0%'; write all cells as"):
+        Dataset.from_frame(table, action="action", reward="reward")
+
+
 @pytest.mark.parametrize(
     ("cells", "odd"),
     [
@@ -463,7 +469,8 @@ def written(tmp_path, **columns):
         ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"),
         ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
         ([f"{i}k" for i in range(N)], "'0k' in row 0;"),
-        ([f"{i}.5 %" for i in range(N)], "'0.5 %' in row 0;"),
+        ([f"{i}.5 %" for i in range(N)], r"'0.5 %' in row 0; write its cells as plain numbers without %, .* \(--ignore y\)"),
+        ([f"€{i}" for i in range(N)], "'€0' in row 0; write its cells as plain numbers without €,"),
         ([f"1,{i}00,5" for i in range(N)], None),
         ([f"10.{i}.0.1" for i in range(N)], None),
     ],

@@ -1,12 +1,13 @@
 """Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
 from deadreckon.data.formats.dialect import Dialect
-from deadreckon.data.formats.kind import no_options, sniff
+from deadreckon.data.formats.kind import READING, no_options, sniff
 from deadreckon.errors import UserError, reading
 
 
@@ -42,12 +43,25 @@ def read_table(
     Raises:
         UserError: one line with the file; the file is no table, is damaged, or takes no such option.
     """
-    given: dict[str, Any] = {
+    ways = {
         "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
         "sheet": sheet, "query": query, "table": table,
     }  # fmt: skip
-    kind = sniff(path, separator)
-    no_options(path, kind, given)
+    return table_of_kind(path, sniff(path, separator), ways)
+
+
+def table_of_kind(
+    path: Path | str, kind: str, ways: Mapping[str, Any]
+) -> tuple[pa.Table, Dialect | None, list[str]]:
+    """See `read_table`.
+
+    Args:
+        path: of the file.
+        kind: its format, as `kind.sniff` tells it.
+        ways: {keyword of `read_table`: its value}; those that are absent are found.
+    """
+    no_options(path, kind, dict(ways))
+    separator, decimal, thousands, encoding, dates, sheet, query, table = map(ways.get, READING)
     asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
     from deadreckon.data.formats.totals import of_totals
 
