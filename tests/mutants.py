@@ -859,7 +859,19 @@ MUTANTS = (
         "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
     ),
     Mutant(
-        "backwards-rises", "data/backwards.py",
+        "actions-that-nobody-took", "data/encode.py",
+        "if found == list(range(len(found))):",
+        "if found[0] >= 0 and found[-1] < 2 * len(found):",
+        "numbers between the actions of a table become actions", ("data/test_frame.py",),
+    ),
+    Mutant(
+        "steps-out-of-order", "data/row_order.py",
+        "if (falls & inside).any() and",
+        "if not (falls & inside).any() and",
+        "shuffled steps are not told by the column that counts them", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/row_order.py",
         " and not (steps > 0).any()", "",
         "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
@@ -1245,6 +1257,27 @@ MUTANTS = (
     Mutant(
         "legal-by-name", "data/legal_columns.py", "if own and any(len(cell)", "if any(len(cell)",
         "a column is believed by its name alone", ("data/test_legal.py",),
+    ),
+    Mutant(
+        "legal-empty", "data/legal_columns.py", "if isinstance(found, list) and None in found:", "if False:",
+        "an empty entry of a list of legal actions is an action called None",
+        ("data/test_legal.py::test_an_empty_entry_of_a_list_is_no_action",),
+    ),
+    # ---- what is told of tables
+    Mutant(
+        "zeros-rows", "data/formats/delimited.py", "        row += batch.num_rows\n", "        break\n",
+        "codes with zeros in front are looked for in the first rows alone",
+        ("data/formats/test_spool.py::test_zeros_in_front_are_told_wherever_they_are",),
+    ),
+    Mutant(
+        "stream-columns", "data/formats/stream.py", "found if schema is None else opened(schema=schema)", "found",
+        "a folder of files has the columns of the first file",
+        ("data/formats/test_stream.py::test_files_with_other_columns_and_types",),
+    ),
+    Mutant(
+        "recommend-leaks", "runs/recommend.py", 'told["choice"]["warnings"] += state.get("leaks", [])', "pass",
+        "suspected leaks are not on the card of a recommendation",
+        ("runs/test_recommend.py::test_suspected_leaks_are_on_the_card_once",),
     ),
     # ---- costs
     Mutant(

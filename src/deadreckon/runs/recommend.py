@@ -171,6 +171,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
         told = _unjudged(out, log, again, found, clock)
     elif found.fault is not None:
         told["choice"]["warnings"].append(f"what follows judging was not done: {found.fault}")
+    told["choice"]["warnings"] += state.get("leaks", [])
     told["recommend"] = mine
     write_json(path, told)
     return told

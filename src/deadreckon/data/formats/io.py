@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,9 @@ def _reader(kind: str) -> Callable[..., Dataset]:
     elif kind == "vw":
         from deadreckon.data.formats.vw import read_vw as reader
     else:
-        from deadreckon.data.formats.tables import read_tabular as reader
+        from deadreckon.data.formats.tables import read_tabular
+
+        return partial(read_tabular, kind=kind)
     return reader
 
 
