@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
     from deadreckon.policies.library import load_policies
     from deadreckon.report.recommended import recommend
+    from deadreckon.runs.callback import StopTraining
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
@@ -35,6 +36,7 @@ _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
     "Designs": ("mbo.designs", "Designs"),
     "Run": ("runs.train", "Run"),
+    "StopTraining": ("runs.callback", "StopTraining"),
     "collect_log": ("collect.recipes", "collect"),
     "cross_fit": ("runs.crossfit", "cross_fit"),
     "dope": ("runs.dope", "dope"),
@@ -51,7 +53,7 @@ _HOMES = {
 }
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
-    "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
+    "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
     "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend",
     "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip

@@ -27,6 +27,8 @@ from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.settings import TrainOptions, TrainSettings
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -103,8 +105,8 @@ def train(
         seed: the first random seed.
         task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
-        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history` and `watch`;
-            see `runs.settings.TrainSettings`.
+        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `callback`,
+            `track` and `watch`; see `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
@@ -177,6 +179,7 @@ def _train(
     judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
     folders, resume = [Folder(path) for path in asked], settings.resume
+    trackers = trackers_of(settings.track, len(folders))
     before = folders[0].read_config() if resume and folders[0].config.exists() else None
     part = divided(log, settings.holdout, judge, before)
     seen = stacked(part.learning, settings.history)
@@ -232,9 +235,10 @@ def _train(
         folders, job, judge, part.learning, every, settings.episodes, part.taught, part.held, settings.history
     )
     try:
-        recorder.picture(part.learning)
-        recorder.catch_up()
-        recorder.follow(settings.watch)
+        with tracked(folders, trackers) as tracking:
+            recorder.picture(part.learning)
+            recorder.catch_up()
+            recorder.follow(settings, tracking)
     finally:
         recorder.close()
     return [load(folder.path) for folder in folders]
