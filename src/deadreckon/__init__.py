@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from deadreckon._version import __version__
 from deadreckon.errors import UserError
+from deadreckon.provided import provide
 
 if TYPE_CHECKING:
     from deadreckon import agents, bench, collect, data, mbo, ope, policies, report, runs, tasks, theory
@@ -51,12 +52,24 @@ _HOMES = {
     "train_online": ("runs.online", "train_online"),
     "train_together": ("runs.train", "train_together"),
 }
+# What lower layers ask for by name (`deadreckon.provided`), since they import nothing above them.
+_PROVIDED = {"fit": ("runs.fit", "fit"), "notebook": ("report.notebook", "html")}
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
-    "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
-    "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend",
-    "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
+    "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log",
+    "cross_fit", "data", "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope",
+    "policies", "read", "recommend", "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
+
+
+def _found(home: tuple[str, str]):
+    """What has a name in a module, both as in `_HOMES`."""
+    module, attribute = home
+    return getattr(importlib.import_module(f"deadreckon.{module}"), attribute)
+
+
+for _name, _home in _PROVIDED.items():
+    provide(_name, lambda home=_home: _found(home))
 
 
 def __dir__() -> list[str]:
@@ -65,8 +78,7 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str):
     if name in _HOMES:
-        module, attribute = _HOMES[name]
-        return getattr(importlib.import_module(f"deadreckon.{module}"), attribute)
+        return _found(_HOMES[name])
     if name in _PACKAGES:
         return importlib.import_module(f"deadreckon.{name}")
     raise AttributeError(f"module 'deadreckon' has no attribute {name!r}")

@@ -1,6 +1,5 @@
 """Trackers show what the run folder holds, once each, and callbacks end runs."""
 
-import json
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -25,8 +24,9 @@ def log():
     rng = np.random.default_rng(0)
     rows, ends = 200, np.arange(200) % 20 == 19
     return dr.Dataset.from_arrays(
-        observations=rng.normal(size=(rows, 3)), actions=rng.uniform(-1, 1, (rows, 1)), rewards=rng.normal(size=rows), timeouts=ends
-    )
+        observations=rng.normal(size=(rows, 3)), actions=rng.uniform(-1, 1, (rows, 1)), rewards=rng.normal(size=rows),
+        timeouts=ends,
+    )  # fmt: skip
 
 
 def agent():
@@ -78,7 +78,7 @@ def test_a_tracker_is_told_everything_once_and_in_order(whole):
     assert [(step, seed) for step, seed, _ in kept.points] == [(s, seed) for s in (20, 30, 50, 60) for seed in (0, 1)]
     metrics, evaluations = run.metrics.to_pydict(), run.evaluations.to_pydict()
     for step, seed, point in kept.points:
-        row = [i for i in range(8) if (metrics["step"][i], metrics["seed"][i]) == (step, seed)][0]
+        row = next(i for i in range(8) if (metrics["step"][i], metrics["seed"][i]) == (step, seed))
         assert point["train/critic_loss"] == metrics["critic_loss"][row]
         judged = [i for i, at in enumerate(evaluations["step"]) if (at, evaluations["seed"][i]) == (step, seed)]
         assert ("evaluation/mmd_to_data" in point) == bool(judged) == (step in (30, 60))
@@ -335,8 +335,8 @@ def test_a_callback_may_raise_and_must_not_return_something_else(log, tmp_path):
 def test_online_runs_are_tracked_from_their_first_policy_on(tmp_path):
     kept, steps = Kept(), []
     run = dr.train_online(
-        dr.agents.SAC(hidden=(16, 16), batch_size=32), "maze2d-umaze", steps=300, evaluate_every=100, episodes=2, out=tmp_path / "r",
-        settings=dr.online.Online(copies=2, explore=100, block=50), track=kept,
+        dr.agents.SAC(hidden=(16, 16), batch_size=32), "maze2d-umaze", steps=300, evaluate_every=100, episodes=2,
+        out=tmp_path / "r", settings=dr.online.Online(copies=2, explore=100, block=50), track=kept,
         callback=lambda progress: steps.append(progress.step),
     )  # fmt: skip
     first, *others = kept.points

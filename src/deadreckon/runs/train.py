@@ -18,9 +18,10 @@ from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
-from deadreckon.files import file_part, read_json, safe_name
+from deadreckon.files import copy_folder, file_part, read_json, safe_name
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.provided import Shown
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
@@ -38,7 +39,7 @@ from deadreckon.versions import versions
 
 
 @dataclasses.dataclass
-class Run:
+class Run(Shown):
     """A finished (or failed) run: its folder, and what it learned.
 
     Attributes:
@@ -79,6 +80,19 @@ class Run:
     def held(self) -> np.ndarray | None:
         """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
         return Folder(self.path).episodes("held")
+
+    def save(self, path: Path | str) -> Path:
+        """Copies the whole run folder, with which it can be loaded and resumed, to a new place; gives the copy's path.
+
+        Raises:
+            UserError: there is something already, or it cannot be written.
+        """
+        return copy_folder(self.path, path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Run":
+        """A run that was saved, or its own folder; the same as `deadreckon.load_run`."""
+        return load(path)
 
     def __repr__(self) -> str:
         return f"Run({self.path}, {self.config['agent']['name']}, seeds {self.seeds})"

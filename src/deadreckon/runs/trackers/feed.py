@@ -42,7 +42,8 @@ class Tracking:
         if not path.exists():
             write_json(path, {"id": uuid.uuid4().hex[:12]})
         whole = self.folder.path.absolute()
-        config = read_json(known.config) | {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": read_json(path)["id"]}
+        named = {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": read_json(path)["id"]}
+        config = read_json(known.config) | named
         self.seeds, self.started = config["seeds"], True
         for tracker in self.trackers:
             try:

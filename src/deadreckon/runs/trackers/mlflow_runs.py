@@ -47,9 +47,8 @@ class MLflow:
         run = self.client.create_run(experiment, tags=tags, run_name=f"{config['name']} seed {seed}").info.run_id
         told = {"agent": config["agent"]["name"], "data": config["data"]["name"], "task": config["task"], "seed": seed}
         told |= {f"agent.{name}": value for name, value in config["agent"]["fields"].items()}
-        parameters = [
-            self.mlflow.entities.Param(name, str(value)[:_LONGEST]) for name, value in {**told, "steps": config["steps"]}.items()
-        ]
+        told["steps"] = config["steps"]
+        parameters = [self.mlflow.entities.Param(name, str(value)[:_LONGEST]) for name, value in told.items()]
         for first in range(0, len(parameters), _PARAMETERS):
             self.client.log_batch(run, params=parameters[first : first + _PARAMETERS])
         return run

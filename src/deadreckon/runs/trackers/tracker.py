@@ -9,7 +9,11 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.imports import imported
 
 # name on the command line: (module beside this one, class)
-TRACKERS = {"tensorboard": ("tensorboard", "TensorBoard"), "wandb": ("wandb_runs", "WandB"), "mlflow": ("mlflow_runs", "MLflow")}
+TRACKERS = {
+    "tensorboard": ("tensorboard", "TensorBoard"),
+    "wandb": ("wandb_runs", "WandB"),
+    "mlflow": ("mlflow_runs", "MLflow"),
+}
 _METHODS = ("start", "log", "finish")
 
 

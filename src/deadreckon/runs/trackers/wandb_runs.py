@@ -59,8 +59,9 @@ class WandB:
 def _answers(url: str) -> bool:
     """Whether a server can be reached."""
     place = urllib.parse.urlsplit(url)
+    port = place.port or (80 if place.scheme == "http" else 443)
     try:
-        socket.create_connection((place.hostname or "", place.port or (80 if place.scheme == "http" else 443)), _SECONDS).close()
+        socket.create_connection((place.hostname or "", port), _SECONDS).close()
     except OSError:
         return False
     return True
