@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
+    from deadreckon.runs.hub import from_hub, push_to_hub
     from deadreckon.runs.online import train_online
     from deadreckon.runs.train import Run, train, train_together
     from deadreckon.runs.train import load as load_run
@@ -42,10 +43,12 @@ _HOMES = {
     "cross_fit": ("runs.crossfit", "cross_fit"),
     "dope": ("runs.dope", "dope"),
     "evaluate": ("runs.evaluate", "evaluate"),
+    "from_hub": ("runs.hub", "from_hub"),
     "load": ("data.catalogue", "load"),
     "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
     "load_run": ("runs.train", "load"),
+    "push_to_hub": ("runs.hub", "push_to_hub"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
     "train": ("runs.train", "train"),
@@ -57,8 +60,9 @@ _PROVIDED = {"fit": ("runs.fit", "fit"), "notebook": ("report.notebook", "html")
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log",
-    "cross_fit", "data", "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope",
-    "policies", "read", "recommend", "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
+    "cross_fit", "data", "dope", "evaluate", "from_hub", "load", "load_cross_fit", "load_policies", "load_run", "mbo",
+    "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs", "tasks", "theory", "train", "train_online",
+    "train_together",
 ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What objects show of themselves in notebooks: whole HTML without scripts, names escaped, and nothing of the page around it."""
+"""What objects show of themselves in notebooks: whole HTML without scripts, names escaped, styles for the cell alone."""
 
 import html.parser
 import re
