@@ -149,7 +149,7 @@ class Recorder:
         for future in self.pending:
             future.result()
         table = folder.table("evaluations")
-        return table if not table.num_rows else table.filter(pc.less_equal(table["step"], step))
+        return table if not table.num_rows else table.filter(pc.field("step") <= step)
 
     def record(self, progress: Chunk) -> None:
         """Called after every chunk, before its checkpoint is written."""
