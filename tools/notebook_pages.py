@@ -16,7 +16,7 @@ from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS, PAGES = ROOT / "examples" / "notebooks", ROOT / "docs" / "use"
-SECONDS = 300  # for one cell; a notebook takes less than a minute on an idle machine
+SECONDS = 1_200  # for one cell; a notebook takes less than a minute on an idle machine
 
 
 def executed(path: Path, folder: Path) -> Any:

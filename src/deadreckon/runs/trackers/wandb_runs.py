@@ -11,6 +11,8 @@ from typing import Any
 from deadreckon.runs.trackers.tracker import files_of, needed
 
 _SECONDS = 3.0  # that its server may take to answer
+# It captures what is printed and copies the calling script where it is not asked to leave both.
+_SETTINGS = {"silent": True, "console": "off", "save_code": False, "symlink": False}
 
 
 class WandB:
@@ -37,7 +39,7 @@ class WandB:
             seed: self.wandb.init(
                 mode=mode, project=settings.project or "deadreckon", group=config["name"], dir=str(folder), resume="allow",
                 id=f"{config['id']}-seed{seed}", name=f"{config['name']} seed {seed}", config=dict(config) | {"seed": seed},
-                reinit="create_new", settings=self.wandb.Settings(silent=True, console="off", save_code=False),
+                reinit="create_new", settings=self.wandb.Settings(**_SETTINGS),
             )
             for seed in config["seeds"]
         }  # fmt: skip
