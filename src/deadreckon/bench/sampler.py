@@ -91,8 +91,10 @@ class OptunaSampler:
         """What the settings of the last `ask` came to, by their names (`bench.tune.named`); not finite where one failed."""
         for trial, fields in self.asked:
             value = values[named(fields)]
-            failed = self.optuna.trial.TrialState.FAIL
-            self.study.tell(trial, **({"values": value} if np.isfinite(value) else {"state": failed}))
+            if np.isfinite(value):
+                self.study.tell(trial, value)
+            else:
+                self.study.tell(trial, state=self.optuna.trial.TrialState.FAIL)
         self.asked.clear()
 
     def _distribution(self, values: Sequence[Any] | Range) -> Any:
