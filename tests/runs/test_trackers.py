@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import deadreckon as dr
-from deadreckon.files import read_json
+from deadreckon.files import read_json, write_json
 from deadreckon.runs.callback import StopTraining, TrainingProgress
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.trackers import feed
@@ -100,6 +100,37 @@ def test_a_resumed_run_is_the_same_tracked_run_and_gives_all_points_again(whole,
     before = kept.points[: -len(whole[1].points)]
     assert {step for step, _, _ in before} <= {20, 30}  # what no checkpoint holds yet is not told
     assert kept.points[len(before) :] == whole[1].points
+
+
+def test_a_finished_run_can_be_shown_afterwards(whole, log, tmp_path):
+    kept = Kept()
+    place = whole[0].save(tmp_path / "again")
+    dr.train(agent(), log, out=place, resume=True, track=kept, **SETTINGS)
+    assert kept.points == whole[1].points
+    assert kept.configs[0]["id"] == whole[1].configs[0]["id"]
+
+
+def test_a_point_is_told_when_its_checkpoint_and_its_evaluation_are_there(tmp_path):
+    folder, kept = Folder(tmp_path), Kept()
+    write_json(folder.config, {"seeds": [0]})
+    tracking = feed.Tracking(folder, [kept])
+    tracking.start()
+    for step in (20, 30, 50):  # the checkpoint of a chunk is written when the next one begins
+        folder.write_part("metrics", step, {"step": [step], "seed": [0], "loss": [1.0]})
+        if step == 30:
+            folder.policy(0, 30).parent.mkdir()
+            folder.policy(0, 30).touch()  # whose evaluation is under way
+        tracking.told(step)
+    tracking.pending[-1].result()
+    assert [step for step, _, _ in kept.points] == [20]
+    folder.write_part("evaluations", 30, {"step": [30], "seed": [0], "episode": [0], "score": [5.0]})
+    folder.write_part("metrics", 60, {"step": [60], "seed": [0], "loss": [1.0]})
+    tracking.told(60)
+    tracking.pending[-1].result()
+    assert [step for step, _, _ in kept.points] == [20, 30, 50]
+    assert kept.points[1][2] == {"train/loss": 1.0, "evaluation/score": 5.0}
+    tracking.finish([])
+    assert kept.points[-1][0] == 60
 
 
 def events(folder):
