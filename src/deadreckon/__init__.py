@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.hub import from_hub, push_to_hub
     from deadreckon.runs.online import train_online
-    from deadreckon.runs.train import Run, train, train_together
-    from deadreckon.runs.train import load as load_run
+    from deadreckon.runs.run import Run
+    from deadreckon.runs.run import load as load_run
+    from deadreckon.runs.train import train, train_together
 
 _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
     "Designs": ("mbo.designs", "Designs"),
-    "Run": ("runs.train", "Run"),
+    "Run": ("runs.run", "Run"),
     "StopTraining": ("runs.callback", "StopTraining"),
     "collect_log": ("collect.recipes", "collect"),
     "cross_fit": ("runs.crossfit", "cross_fit"),
@@ -47,7 +48,7 @@ _HOMES = {
     "load": ("data.catalogue", "load"),
     "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
-    "load_run": ("runs.train", "load"),
+    "load_run": ("runs.run", "load"),
     "push_to_hub": ("runs.hub", "push_to_hub"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),

@@ -19,7 +19,7 @@ from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
 
 if TYPE_CHECKING:
-    from deadreckon.runs.train import Run
+    from deadreckon.runs.run import Run
 
 
 class Agent(eqx.Module):

@@ -22,7 +22,7 @@ from deadreckon.report.rows import rows
 from deadreckon.report.text import number
 from deadreckon.runs.offline import Judged
 from deadreckon.runs.recommend import Recommendation
-from deadreckon.runs.train import Run
+from deadreckon.runs.run import Run
 from deadreckon.stats.interval import PERCENT, Interval, level_in_words
 
 LARGE = 2_000_000  # rows of a log beyond which nothing is counted: a cell should answer at once

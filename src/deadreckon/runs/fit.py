@@ -9,7 +9,8 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.files import file_part
-from deadreckon.runs.train import Run, train
+from deadreckon.runs.run import Run
+from deadreckon.runs.train import train
 
 
 def fit(agent: Agent, data: Dataset | str | Path, *, out: Path | str | None = None, **settings: Any) -> Run:

@@ -21,7 +21,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import file_part, home, read_json, safe_name, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
-from deadreckon.runs.train import Run, load
+from deadreckon.runs.run import Run, load
 
 MANIFEST, POLICY, DATASETS = "deadreckon.json", "policy.npz", "datasets/"
 _FORMAT = 1
