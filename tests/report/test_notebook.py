@@ -121,6 +121,16 @@ def test_proposals_show_the_best_first():
     assert "<svg" not in nothing._repr_html_()
 
 
+def test_designs_show_the_best_first_in_their_own_names():
+    cost = [3.0, 1.0, 2.0, 5.0, 4.0, 9.0, 8.0, 7.0, 6.0, 10.0]
+    table = {"heat": np.arange(10.0), "metal": ["iron", EVIL] * 5, "cost": cost}
+    data = dr.Designs.from_frame(table, target="cost", minimise=True)
+    shown = re.findall(r'<th scope="row">(\d)</th>', data._repr_html_())
+    assert [int(row) for row in shown] == np.argsort(cost).tolist()
+    assert EVIL in words(data)
+    assert repr(data) == f"Designs({data.name}: 10 designs, 2 variables, least cost sought)"
+
+
 def test_the_style_stays_inside_of_the_cell(log):
     style = re.search(r"<style>(.*?)</style>", log._repr_html_(), re.S)[1]
     assert style.startswith(".deadreckon {")

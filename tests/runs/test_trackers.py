@@ -256,6 +256,19 @@ def test_a_tracker_that_fails_is_dropped_and_the_run_goes_on(log, whole, tmp_pat
     assert good.points == whole[1].points
 
 
+def test_points_that_cannot_be_read_are_told(tmp_path):
+    folder, kept = Folder(tmp_path), Kept()
+    write_json(folder.config, {"seeds": [0]})
+    tracking = feed.Tracking(folder, [kept])
+    tracking.start()
+    folder.part("metrics", 20).parent.mkdir()
+    folder.part("metrics", 20).write_bytes(b"half")
+    tracking.told(20)
+    with pytest.warns(UserWarning, match="points of .* cannot be read and are not tracked: .*[Pp]arquet"):
+        tracking.finish([])
+    assert kept.ended == [[]]
+
+
 def test_a_tracker_that_cannot_start_is_one_line(log, tmp_path):
     class Refuses(Kept):
         def start(self, config):

@@ -10,6 +10,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.told import columns_of
 from deadreckon.errors import UserError
 from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designs import Designs
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.select import Choice
 from deadreckon.report import bars, charts, decision, forest
@@ -143,6 +144,23 @@ def _recommended(found: Recommendation) -> Markup:
 
 def _card(told: dict[str, Any]) -> Markup:
     return (decision.card(Page((), told)) if told["results"] else None) or decision.brief(told["choice"])
+
+
+@_shown.register
+def _designs(data: Designs) -> Markup:
+    scores = data.shown(data.y)
+    order = np.argsort(-data.y, kind="stable")[:_LISTED]
+    table = data.decode(data.x[order])
+    names = list(table)[:_LISTED]
+    body = []
+    for k, i in enumerate(order.tolist()):
+        cells = [tag("td", number(v) if isinstance(v, float) else str(v)) for v in (table[name][k] for name in names)]
+        body.append(tag("tr", tag("th", str(i), scope="row"), tag("td", tag("b", number(float(scores[i])))), cells))
+    sought = f"{'least' if data.minimise else 'greatest'} {data.target}"
+    facts = _facts(("designs", f"{len(data):,}"), ("variables", f"{len(data.variables):,}"), ("sought", sought))
+    drawn = figure(bars.histogram(scores, f"values of {data.target}", "designs"), data.target)
+    listed = scroll(tag("table", heads_of(["row", data.target, *names]), tag("tbody", body)))
+    return join(tag("h3", f"Designs {data.name}"), facts, drawn, listed, note(f"The best {len(order):,} of {len(data):,}."))
 
 
 @_shown.register

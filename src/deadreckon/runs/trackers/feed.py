@@ -58,7 +58,6 @@ class Tracking:
     def told(self, step: int) -> None:
         """A chunk has ended after `step` updates: points before it are certain now, since their checkpoint is on disk."""
         self._tell()
-        self.pending = [each for each in self.pending if not each.done()]
         self.pending.append(self.pool.submit(self._give, step, step))
 
     def finish(self, files: Sequence[Path] | None) -> None:
@@ -70,12 +69,17 @@ class Tracking:
         if not self.started:
             return
         if files is not None:
-            self.pool.submit(self._give, None, math.inf)
+            self.pending.append(self.pool.submit(self._give, None, math.inf))
         self.pool.shutdown(wait=True, cancel_futures=files is None)
         self._each(lambda tracker: tracker.finish(files))
         self._tell()
 
     def _tell(self) -> None:
+        """Warns of what went wrong in the other thread."""
+        for each in [each for each in self.pending if each.done()]:
+            self.pending.remove(each)
+            if not each.cancelled() and (error := each.exception()) is not None:
+                self.problems.append(f"points of {self.folder.path} cannot be read and are not tracked: {error}")
         while self.problems:
             warnings.warn(self.problems.pop(0), stacklevel=4)
 
