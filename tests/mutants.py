@@ -474,6 +474,42 @@ MUTANTS = (
         ("runs/test_offline.py::test_each_look_at_the_same_episodes_spends_half_of_what_is_left",),
     ),
     Mutant(
+        "tracked-before-checkpoint", "runs/trackers/feed.py", "self.waiting[0] < below", "self.waiting[0] <= below",
+        "trackers are told what no checkpoint holds yet", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-without-evaluation", "runs/trackers/feed.py",
+        "return not judged or self.folder.part(\"evaluations\", step).exists()", "return True",
+        "a point is told before its evaluation is done, which is then lost", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-id-anew", "runs/trackers/feed.py", "if not path.exists():", "if True:",
+        "a resumed run is another tracked run",
+        ("runs/test_trackers.py::test_a_resumed_run_is_the_same_tracked_run_and_gives_all_points_again",),
+    ),
+    Mutant(
+        "wandb-doubles", "runs/trackers/wandb_runs.py", "if step >= run.starting_step:", "if step >= 0:",
+        "points are doubled in W&B when a run is resumed",
+        ("runs/test_trackers.py::test_wandb_takes_only_what_its_server_lacks",),
+    ),
+    Mutant(
+        "callback-too-early", "runs/recorder.py", "pc.field(\"step\") <= step", "pc.field(\"step\") < step",
+        "a callback does not see the evaluation that has just been done",
+        ("runs/test_trackers.py::test_a_callback_sees_the_run_and_ends_it",),
+    ),
+    Mutant(
+        "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',
+        'if (found := _sum(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "hub-any-file", "runs/hub.py", "if not allowed.fullmatch(name):", "if not name:",
+        "files of other kinds and in other folders are taken from the Hub", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "rounds-untold", "bench/sampler.py", "self.study.tell(trial, value)", "self.study.tell(trial, 0.0)",
+        "Optuna proposes without knowing what its proposals came to", ("bench/test_sampler.py",),
+    ),
+    Mutant(
         "holdout-of-resumed", "runs/holdout.py", "if given is None and before is not None:", "if before is not None:",
         "a run that is gone on with cannot be told to hold out otherwise",
         ("runs/test_holdout.py::test_a_run_that_is_gone_on_with_keeps_what_it_held_out",),

@@ -40,9 +40,11 @@ class Collect:
 class Get:
     """Download a known log, the original or its Minari version, with resume and checksum."""
 
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as hopper-medium-v2
-    source: Literal["d4rl", "minari"] = "d4rl"
-    """source of the log: the original (d4rl), or its version on Minari, collected by others"""
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    """name of the log, such as hopper-medium-v2, or the id of its Minari version"""
+    source: Literal["d4rl", "minari"] | None = None
+    """source of the log: the original (d4rl), or its version on Minari, collected by others (minari); None: minari for a Minari
+    id, d4rl for other names"""
     sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
     """checksum that the file must have; for minari that of main_data.hdf5"""
     force: bool = False  # whether to download the file again
@@ -210,10 +212,11 @@ def _collect(options: Collect) -> None:
 
 
 def _get(options: Get) -> None:
-    from deadreckon.data.download import get
+    from deadreckon.data.download import get, source_of
 
-    with Bar(f"downloading {options.name} from {options.source}", None, "bytes") as bar:
-        got = get(options.name, options.source, sha256=options.sha256, force=options.force, progress=bar)
+    source = source_of(options.name, options.source)
+    with Bar(f"downloading {options.name} from {source}", None, "bytes") as bar:
+        got = get(options.name, source, sha256=options.sha256, force=options.force, progress=bar)
     if not got.new:
         print(f"! {got.name} is there already; --force downloads it again", file=sys.stderr)
     elif got.vouched is None:

@@ -13,6 +13,7 @@ from deadreckon.cli.data import Mapping
 from deadreckon.cli.fits import NAMES, Fits
 from deadreckon.runs.settings import JudgeSettings, OnlineSettings, RecommendSettings, TrainSettings
 
+_TRACKERS = tyro.conf.arg(metavar="tensorboard|wandb|mlflow|module:Class ...")
 _LIMITS = tyro.conf.arg(metavar="[COLUMN=]LIMIT [COLUMN=LIMIT ...]")
 
 
@@ -21,6 +22,8 @@ class _Online(OnlineSettings):
     demonstrations: str | None = None  # log of demonstrations, a known name or a file, for agents that learn from them
     settings: tyro.conf.Suppress[Any] = None
     watch: tyro.conf.Suppress[Any] = None
+    callback: tyro.conf.Suppress[Any] = None
+    track: Annotated[tuple[str, ...], _TRACKERS] = ()  # trackers that show the run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +31,8 @@ class _OnLog(TrainSettings):
     holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
     """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 if there is a simulator"""
     watch: tyro.conf.Suppress[Any] = None
+    callback: tyro.conf.Suppress[Any] = None
+    track: Annotated[tuple[str, ...], _TRACKERS] = ()  # trackers that show the run
 
 
 @dataclass

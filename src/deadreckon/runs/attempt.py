@@ -40,9 +40,9 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
+from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, too_few, usual
-from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.tasks.task import Task

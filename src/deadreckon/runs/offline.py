@@ -21,6 +21,7 @@ from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
+from deadreckon.provided import provided
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
@@ -44,6 +45,9 @@ class Judged(NamedTuple):
     estimates: list[Estimates]
     choice: Choice
     results: dict[str, Any]
+
+    def _repr_html_(self) -> str | None:
+        return provided("notebook")(self)
 
 
 def judge(

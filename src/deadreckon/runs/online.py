@@ -22,6 +22,8 @@ from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -49,8 +51,8 @@ def train_online(
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
         out: run folder; None is `runs/AGENT-TASK-online`.
-        **settings: `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`, `threads`, `demonstrations` and
-            `watch`; see `runs.settings.OnlineSettings`.
+        **settings: `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`, `threads`, `demonstrations`,
+            `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
@@ -69,6 +71,7 @@ def _train_online(
 ) -> Run:
     """The run in `folder`, of one agent a seed."""
     turns = asked.settings or Online(**type(lanes[0]).acting(task.name))
+    trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
@@ -105,11 +108,12 @@ def _train_online(
 
     recorder = Recorder([folder], job, task, None, job.stops, asked.episodes, taught)
     try:
-        if job.step == 0:
-            recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
-        else:
-            recorder.catch_up()
-        recorder.follow(asked.watch)
+        with tracked([folder], trackers) as tracking:
+            if job.step == 0:
+                recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
+            else:
+                recorder.catch_up()
+            recorder.follow(asked, tracking)
     finally:
         recorder.close()
     return load(folder.path)
