@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from deadreckon.runs.online import train_online
     from deadreckon.runs.train import Run, train, train_together
     from deadreckon.runs.train import load as load_run
+    from deadreckon.tasks.registry import task
 
 _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
@@ -45,6 +46,7 @@ _HOMES = {
     "load_run": ("runs.train", "load"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
+    "task": ("tasks.registry", "task"),
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
     "train_together": ("runs.train", "train_together"),
@@ -53,7 +55,7 @@ _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "re
 __all__ = [
     "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
     "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend",
-    "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
+    "report", "runs", "task", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
 
 
