@@ -15,7 +15,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.collect import gym
 from deadreckon.data.batch import BatchSpec
 from deadreckon.data.provenance import Provenance
-from deadreckon.data.spec import Box, Discrete
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.online.exploration import Exploration, Online, replay_log, row_width
 from deadreckon.policies import library

@@ -23,7 +23,7 @@ class Collect:
     steps: int | None = None  # number of rows; None: the full log, or 10,000 in a task
     seed: int = 0  # random seed of the collection
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
-    """file to write (.hdf5); None: the cache, where `deadreckon train --data NAME` finds it; with --task a file named after it"""
+    """file to write (.hdf5); None: the cache, where `deadreckon train --data NAME` finds it; with --task a file of its name"""
     threads: int | None = None  # threads of the simulator; None: one per core. The log does not depend on it
     force: bool = False  # whether to replace an existing file
 

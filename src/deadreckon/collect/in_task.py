@@ -71,8 +71,7 @@ def collect_in_task(
         raise UserError(f"{path} is there already; --force (force=True) replaces it")
     versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
     extra = {"task": task.name, "policy": by, "actions": "drawn", "device": jax.devices()[0].platform}
-    if (spec := task.env_spec) is not None:
-        extra["env_spec"] = spec
+    extra |= task.described
     provenance = Provenance("collected", None, seed, versions | task.versions, extra=extra)
     scratch = path.parent / f".{path.name}.part"
     with alone(path):

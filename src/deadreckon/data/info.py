@@ -181,7 +181,7 @@ def _rewards(info: Info) -> list[str]:
     """Advice on rewards."""
     out = []
     largest = max(abs(info.rewards[0]), abs(info.rewards[-1]))
-    if info.rewards[0] == info.rewards[-1]:
+    if info.rewards[0] == info.rewards[-1] and not (largest and info.terminal_share):
         out.append(f"all rewards are {info.rewards[0]:g}: nothing can be learned from them")
     elif info.reward_zero_share > 0.98:
         share = 1 - info.reward_zero_share

@@ -15,7 +15,8 @@ from deadreckon.errors import UserError
 
 PICTURE = 32  # pixels: uint8 observations of this height and width or more are pictures, which keep their shape
 
-_LEAVES = spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary
+DISCRETE = spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary
+_LEAVES = spaces.Box, *DISCRETE
 _READ = "Box, Discrete, MultiBinary, MultiDiscrete, and Dict and Tuple of these are taken"
 
 
@@ -123,8 +124,7 @@ def _actions(space: Any, name: str) -> tuple[Box | Discrete, tuple[Any, ...]]:
             infinite = "actions have infinite bounds; give them some by gymnasium.wrappers.RescaleAction or ClipAction"
             raise UserError(f"{name}: {infinite} around an environment whose action_space is finite")
         return found, ()
-    discrete = spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary
-    if all(isinstance(leaf, discrete) for leaf in leaves):
+    if all(isinstance(leaf, DISCRETE) for leaf in leaves):
         count = math.prod(_count(leaf) for leaf in leaves)
         if count > MOST_ACTIONS:
             raise UserError(f"{name}: actions have {count:,} combinations, at most {MOST_ACTIONS:,} are joined into one")

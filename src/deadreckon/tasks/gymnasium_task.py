@@ -14,12 +14,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from deadreckon.data.environments import BOUNDS, SPEC, noted_bounds
 from deadreckon.errors import UserError
 from deadreckon.imports import imported
 from deadreckon.tasks.gymnasium_copies import GymnasiumCopies
-from deadreckon.tasks.gymnasium_spaces import Spaces
+from deadreckon.tasks.gymnasium_spaces import DISCRETE, Spaces
 from deadreckon.tasks.task import Task
 
 PREFIX = "gymnasium:"
@@ -47,20 +49,30 @@ class GymnasiumTask(Task):
         return GymnasiumCopies(self, seeds)
 
     @property
-    def env_spec(self) -> str | None:
-        """See `Task.env_spec`: with wrappers that leave texts out and flatten; None where Gymnasium cannot make it so."""
+    def described(self) -> dict[str, Any]:
+        """See `Task.described`: how Gymnasium makes the environment, with wrappers that leave texts out and flatten.
+
+        Without it where Gymnasium cannot make it by itself. `action_levels`: what it takes for each discrete action.
+        """
+        found: dict[str, Any] = {}
+        if isinstance(self.spaces.acted, DISCRETE):
+            levels = [np.ravel(choice).tolist() for choice in self.spaces.choices]
+            if levels != [[i] for i in range(len(levels))]:
+                found["action_levels"] = levels
         env = self.make()
         try:
             if self.spaces.left_out and isinstance(self.spaces.observed, gymnasium.spaces.Dict):
                 env = gymnasium.wrappers.FilterObservation(env, list(self.spaces.observed.spaces))
-            if tuple(env.observation_space.shape or ()) != self.observation_shape:
+            if env.observation_space.shape != self.observation_shape:
                 env = gymnasium.wrappers.FlattenObservation(env)
-            spec = _spec(env)
-            return None if spec is None else spec.to_json()
+            spec, space = _spec(env), env.observation_space
+            if spec is not None and isinstance(space, gymnasium.spaces.Box):
+                found |= {SPEC: spec.to_json(), BOUNDS: noted_bounds(space.low, space.high)}
         except (ValueError, TypeError, AssertionError):  # texts further inside, or options that JSON has no words for
-            return None
+            pass
         finally:
             env.close()
+        return found
 
     @property
     def versions(self) -> Mapping[str, str]:

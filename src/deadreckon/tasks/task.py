@@ -185,9 +185,9 @@ class Task:
         return None if self.reference is None else self.reference.normalise(returns)
 
     @property
-    def env_spec(self) -> str | None:
-        """What Gymnasium makes the environment by, whose observations are the task's, as JSON; None: only `gym_id` tells."""
-        return None
+    def described(self) -> dict[str, Any]:
+        """What logs of it say of the environment, as JSON values: see `data.environments`, which knows the package's tasks."""
+        return {}
 
     @property
     def versions(self) -> Mapping[str, str]:
