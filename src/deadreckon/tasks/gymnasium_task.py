@@ -110,7 +110,8 @@ def of(given: Any, horizon: int | None = None) -> Task:
     """
     if isinstance(given, gymnasium.Env) or not callable(given):
         return _of_object(given, horizon)
-    made, name = _called(given, {}, _name_of(given)), _name_of(given)
+    name = _name_of(given) + _written({} if horizon is None else {LIMIT: horizon})
+    made = _called(given, {}, name)
     if isinstance(made, Task):
         return made
     if _called(given, {}, name) is made:
@@ -147,7 +148,8 @@ def _of_module(path: str, options: dict[str, Any], horizon: int | None) -> Task:
         return found
     if not callable(found):
         raise UserError(f"task {path}: {module} has no {attribute} that is an environment class, or a function that makes one")
-    limit, name = options.pop(LIMIT, horizon), path + _written(options)
+    options = options if horizon is None else options | {LIMIT: horizon}
+    name, limit = path + _written(options), options.pop(LIMIT, None)
     made = _called(found, options, name)
     return made if isinstance(made, Task) else _task(made, lambda: found(**options), name, limit)
 
