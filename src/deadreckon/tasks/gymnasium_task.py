@@ -6,6 +6,7 @@ A name tells how to open it again: `gymnasium:ID`, with options behind a questio
 
 import ast
 import copy
+import functools
 import importlib
 import importlib.metadata
 import warnings
@@ -263,13 +264,17 @@ def _name_of(make: Any) -> str:
     return name if module in ("", "__main__", None) or "<" in name else f"{module}:{name}"
 
 
+# It reads what every installed package says, which takes a while.
+_packages = functools.cache(importlib.metadata.packages_distributions)
+
+
 def _versions(module: str) -> dict[str, str]:
     """Of Gymnasium, and of the package that a module is from, if it is installed as one."""
     top = module.partition(".")[0]
     found = {"gymnasium": gymnasium.__version__}
     if top in ("gymnasium", "deadreckon"):
         return found
-    for package in importlib.metadata.packages_distributions().get(top, ()):
+    for package in _packages().get(top, ()):
         found[package] = importlib.metadata.version(package)
     return found
 
