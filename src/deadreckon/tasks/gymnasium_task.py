@@ -4,7 +4,6 @@ A name tells how to open it again: `gymnasium:ID`, with options behind a questio
 `gymnasium:FrozenLake-v1?is_slippery=False&max_episode_steps=50`; or `module:Class`, with options that go to the class.
 """
 
-import ast
 import copy
 import functools
 import importlib
@@ -22,6 +21,7 @@ from deadreckon.data.environments import BOUNDS, SPEC, noted_bounds
 from deadreckon.errors import UserError
 from deadreckon.imports import imported
 from deadreckon.tasks.gymnasium_copies import GymnasiumCopies
+from deadreckon.tasks.gymnasium_names import options_of, written
 from deadreckon.tasks.gymnasium_spaces import DISCRETE, Spaces
 from deadreckon.tasks.task import Task
 
@@ -88,7 +88,7 @@ def named(name: str, horizon: int | None = None) -> Task | None:
         UserError: nothing has this name, or it is no environment that can be a task.
     """
     path, _, text = name.partition("?")
-    options = _options(name, text)
+    options = options_of(name, text)
     if path.startswith("pettingzoo"):
         raise _for_several(name)
     if path.startswith(PREFIX):
@@ -111,7 +111,7 @@ def of(given: Any, horizon: int | None = None) -> Task:
     """
     if isinstance(given, gymnasium.Env) or not callable(given):
         return _of_object(given, horizon)
-    name = _name_of(given) + _written({} if horizon is None else {LIMIT: horizon})
+    name = _name_of(given) + written({} if horizon is None else {LIMIT: horizon})
     made = _called(given, {}, name)
     if isinstance(made, Task):
         return made
@@ -123,7 +123,7 @@ def of(given: Any, horizon: int | None = None) -> Task:
 def _of_id(env_id: str, options: dict[str, Any], horizon: int | None) -> Task:
     options = options if horizon is None else options | {LIMIT: horizon}
     importlib.import_module("deadreckon.tasks.envs")  # gives Gymnasium our ids
-    name = PREFIX + env_id + _written(options)
+    name = PREFIX + env_id + written(options)
 
     def make() -> Any:
         return _made(env_id, options, name)
@@ -150,7 +150,7 @@ def _of_module(path: str, options: dict[str, Any], horizon: int | None) -> Task:
     if not callable(found):
         raise UserError(f"task {path}: {module} has no {attribute} that is an environment class, or a function that makes one")
     options = options if horizon is None else options | {LIMIT: horizon}
-    name, limit = path + _written(options), options.pop(LIMIT, None)
+    name, limit = path + written(options), options.pop(LIMIT, None)
     made = _called(found, options, name)
     return made if isinstance(made, Task) else _task(made, lambda: found(**options), name, limit)
 
@@ -181,7 +181,7 @@ def _of_object(env: Any, horizon: int | None) -> Task:
     own |= {} if usual or spec.max_episode_steps is None else {LIMIT: spec.max_episode_steps}
     own |= {} if horizon is None else {LIMIT: horizon}
     wrapped = "".join(f"+{wrapper.name}" for wrapper in spec.additional_wrappers)
-    name = PREFIX + spec.id + _written(own) + wrapped
+    name = PREFIX + spec.id + written(own) + wrapped
     spec.kwargs = options
     limit = {} if horizon is None else {LIMIT: horizon}
 
@@ -277,26 +277,3 @@ def _versions(module: str) -> dict[str, str]:
     for package in _packages().get(top, ()):
         found[package] = importlib.metadata.version(package)
     return found
-
-
-def _options(name: str, text: str) -> dict[str, Any]:
-    """`a=1&b=x` as Python's values where they are such, else as text.
-
-    Raises:
-        UserError: a part without a name or a value.
-    """
-    found: dict[str, Any] = {}
-    for part in filter(None, text.split("&")):
-        key, equals, value = part.partition("=")
-        if not key.isidentifier() or not equals:
-            raise UserError(f"task {name}: options are written ?name=value&name=value, got {part!r}")
-        try:
-            found[key] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
-            found[key] = value
-    return found
-
-
-def _written(options: Mapping[str, Any]) -> str:
-    """The inverse of `_options`, in the order of names."""
-    return "?" * bool(options) + "&".join(f"{key}={value}" for key, value in sorted(options.items()))
