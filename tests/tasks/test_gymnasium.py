@@ -7,7 +7,8 @@ from gymnasium import spaces
 
 import deadreckon as dr
 import deadreckon.tasks.envs
-from deadreckon.data.environments import IDS
+from deadreckon.data.catalogue import ENTRIES as CATALOGUE
+from deadreckon.data.environments import IDS, task_of
 from deadreckon.data.formats.flatten import flatten_space, join_actions
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
@@ -349,6 +350,11 @@ def test_logs_know_the_environments_of_all_tasks():
     assert {name: registry.task(name).gym_id for name in registry.names()} == {
         name: env_id.partition(":")[2] or env_id for name, env_id in IDS.items()
     }
+
+
+def test_logs_of_the_catalogue_are_known_by_their_names():
+    assert {name: task_of(f"{name}@dr1") for name in CATALOGUE} == {name: each.task for name, each in CATALOGUE.items()}
+    assert task_of("hopper-mine-v1") is task_of("hopper") is task_of("mine-v2") is None
 
 
 ENTRIES = {gymnasium.spec(registry.task(name).gym_id).entry_point: registry.task(name).gym_id for name in registry.names()}

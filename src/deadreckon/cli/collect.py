@@ -19,7 +19,7 @@ class Collect:
     """name of the log, such as maze2d-umaze-v1; None with --task"""
     task: str | None = None  # simulator to collect in: a task, a Gymnasium id such as gymnasium:CartPole-v1, or module:Class
     policy: Annotated[str, tyro.conf.arg(metavar="random|POLICY")] = "random"
-    """who acts in the task: uniform actions (random), or a policy: a run folder or a policy file"""
+    """policy that acts in the task: uniform actions (random), a run folder or a policy file"""
     steps: int | None = None  # number of rows; None: the full log, or 10,000 in a task
     seed: int = 0  # random seed of the collection
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None

@@ -4,6 +4,7 @@ Logs of the package's tasks are known by the task's name. Others say it themselv
 environment is then not opened here, because a file must not name code that runs.
 """
 
+import re
 import warnings
 from typing import Any, NamedTuple
 
@@ -31,6 +32,10 @@ IDS = {
 }  # fmt: skip
 
 
+_LOG = re.compile(r"(?P<whole>[a-z\d-]+)-v\d")
+_KIND = re.compile(r"-(random|uniform|medium|expert|medium-replay|medium-expert|uniform-expert|controller|human|cloned)$")
+
+
 class Environment(NamedTuple):
     """Of a log.
 
@@ -49,15 +54,12 @@ def environment_of(log: Dataset) -> Environment | None:
 
     It warns where the package's own cannot be opened here, for want of another package.
     """
-    from deadreckon.data.catalogue import ENTRIES
-
     noted = log.provenance.extra
     if isinstance(noted.get(SPEC), str) and BOUNDS in noted:
         low, high = noted[BOUNDS]
         known = Environment(noted[SPEC], _bound(low, -np.inf), _bound(high, np.inf))
         return known if known.low.shape == log.observations.shape[1:] else None
-    entry = ENTRIES.get(log.name.split("@")[0])
-    name = IDS.get(noted.get("task", "") if entry is None else entry.task)
+    name = IDS.get(task_of(log.name) or str(noted.get("task")))
     if name is None:
         return None
     import gymnasium
@@ -72,6 +74,15 @@ def environment_of(log: Dataset) -> Environment | None:
     if not isinstance(space, gymnasium.spaces.Box) or space.shape != log.observations.shape[1:]:
         return None
     return Environment(with_spec.to_json(), space.low, space.high)
+
+
+def task_of(name: str) -> str | None:
+    """The task of a log of the catalogue, by the log's name; None for others. The catalogue itself stands above this module."""
+    found = _LOG.fullmatch(name.split("@")[0])
+    if found is None:
+        return None
+    whole = found["whole"]  # of mazes, "medium" is a size
+    return next((each for each in (whole, _KIND.sub("", whole)) if each in IDS), None)
 
 
 def noted_bounds(low: np.ndarray, high: np.ndarray) -> list[Any]:
