@@ -336,6 +336,36 @@ MUTANTS = (
         "terminals and timeouts change places in the replay file",
         ("online/test_exploration.py::test_rows_are_what_the_simulator_did",),
     ),
+    # ---- Gymnasium environments as tasks
+    Mutant(
+        "gymnasium-fall-in-time", "tasks/gymnasium_copies.py", "timeouts = self._alive & ~terminals & (",
+        "timeouts = self._alive & (", "a fall in an environment's last step is a timeout too",
+        ("tasks/test_gymnasium.py::test_a_fall_in_the_last_step_is_a_terminal",),
+    ),
+    Mutant(
+        "gymnasium-replayed", "tasks/gymnasium_copies.py", "in self._taken[i, : self._age[i]]:",
+        "in self._taken[i, 1 : self._age[i]]:", "an environment that is taken up again misses the first action of its episode",
+        ("tasks/test_gymnasium.py::test_restored_copies_go_on_bit_for_bit",),
+    ),
+    Mutant(
+        "gymnasium-start", "tasks/gymnasium_spaces.py", "space.dtype.type(space.start + i)", "space.dtype.type(i)",
+        "an environment's discrete actions are counted from 0, wherever they start",
+        ("tasks/test_gymnasium.py::test_numbers_that_do_not_begin_at_zero",),
+    ),
+    Mutant(
+        "gymnasium-episode-seed", "tasks/gymnasium_copies.py", "SeedSequence([seed, number])", "SeedSequence([seed])",
+        "all later episodes of a copy of an environment are the same", ("tasks/test_gymnasium.py::test_seeds_of_episodes",),
+    ),
+    Mutant(
+        "chance-of-discrete", "collect/rollouts.py", "-jnp.log(high + 1.0)", "-jnp.log(high)",
+        "uniform discrete actions are logged with the probability of one action less",
+        ("runs/test_gymnasium_runs.py::test_a_log_by_chance",),
+    ),
+    Mutant(
+        "minari-bounds", "data/formats/minari_rows.py", "np.minimum(environment.low, seen.min)", "environment.low",
+        "bounds of observations in Minari's data sets leave rows outside",
+        ("runs/test_gymnasium_runs.py::test_bounds_hold_every_row",),
+    ),
     # ---- intervals, bootstrap, scores
     Mutant(
         "student-two-sided", "stats/means.py", "special.stdtrit(n - 1, 1 - alpha / 2) * x.std(ddof=1)",

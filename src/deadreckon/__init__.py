@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from deadreckon.runs.run import Run
     from deadreckon.runs.run import load as load_run
     from deadreckon.runs.train import train, train_together
+    from deadreckon.tasks.registry import task
 
 _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
@@ -52,6 +53,7 @@ _HOMES = {
     "push_to_hub": ("runs.hub", "push_to_hub"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
+    "task": ("tasks.registry", "task"),
     "train": ("runs.train", "train"),
     "train_online": ("runs.online", "train_online"),
     "train_together": ("runs.train", "train_together"),
@@ -62,8 +64,8 @@ _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "re
 __all__ = [
     "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log",
     "cross_fit", "data", "dope", "evaluate", "from_hub", "load", "load_cross_fit", "load_policies", "load_run", "mbo",
-    "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs", "tasks", "theory", "train", "train_online",
-    "train_together",
+    "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs", "task", "tasks", "theory", "train",
+    "train_online", "train_together",
 ]  # fmt: skip
 
 

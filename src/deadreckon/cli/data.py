@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from deadreckon.cli.collect import Collect, collect
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar
 from deadreckon.cli.show import table
@@ -21,19 +22,6 @@ class List:
 
 _COLUMN = tyro.conf.arg(metavar="COLUMN")
 _COLUMNS = tyro.conf.arg(metavar="COLUMN [COLUMN ...]")
-
-
-@dataclass
-class Collect:
-    """Collect a known log again on this machine."""
-
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as maze2d-umaze-v1
-    steps: int | None = None  # number of rows; None: the full log
-    seed: int = 0  # random seed of the collection
-    out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
-    """file to write (.hdf5); None: the cache, where `deadreckon train --data NAME` finds it"""
-    threads: int | None = None  # threads of the simulator; None: one per core. The log does not depend on it
-    force: bool = False  # whether to replace an existing file
 
 
 @dataclass
@@ -169,7 +157,7 @@ def data(args: Sequence[str]) -> None:
         raise unknown("data command", args[0], KINDS)
     options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
     run = {
-        "list": _list, "collect": _collect, "get": _get, "sample": _sample, "info": _info, "describe": _describe,
+        "list": _list, "collect": collect, "get": _get, "sample": _sample, "info": _info, "describe": _describe,
         "convert": _convert,
     }  # fmt: skip
     run[args[0]](options)
@@ -186,29 +174,6 @@ def _list(options: List) -> None:
     print(table(rows, right=(1,)))
     print("\n`deadreckon data collect NAME` collects a log again on this machine; its name is NAME@dr1, unlike the original.")
     print("`deadreckon data get NAME --source d4rl|minari` downloads the original (NAME@d4rl) or Minari's (NAME@minari).")
-
-
-def _collect(options: Collect) -> None:
-    from deadreckon.collect import collect, recipe
-    from deadreckon.collect.recipes import default_path
-
-    if options.out is not None and Path(options.out).suffix.lower() not in (".hdf5", ".h5"):
-        made = Path(options.out).with_suffix(".hdf5") if Path(options.out).name else "LOG.hdf5"
-        how = f"`--out {made}`, then `deadreckon data convert {made} {options.out}`"
-        raise UserError(f"--out {options.out}: logs are collected into .hdf5 files; {how}")
-    found = recipe(options.name)
-    steps = options.steps if options.steps is not None else found.steps
-    path = default_path(found, options.steps, options.seed)
-    if options.out is None and path.exists() and not options.force:
-        print(f"! {path.name} is there already; --force collects it again", file=sys.stderr)
-        print(path)
-        return
-    with Bar(f"collecting {options.name}", steps, "steps") as bar:
-        path = collect(
-            options.name, steps=options.steps, seed=options.seed, out=options.out, threads=options.threads,
-            force=options.force, progress=bar,
-        )  # fmt: skip
-    print(path)
 
 
 def _get(options: Get) -> None:

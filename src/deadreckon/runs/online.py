@@ -5,7 +5,7 @@ import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from deadreckon.runs.settings import OnlineOptions, OnlineSettings
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
+from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -34,7 +35,7 @@ from deadreckon.versions import versions
 
 def train_online(
     agent: Agent | str | Sequence[Agent],
-    task: Task | str,
+    task: Any,
     *,
     steps: int = 1_000_000,
     seeds: int = 1,
@@ -46,7 +47,8 @@ def train_online(
 
     Args:
         agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only.
-        task: the simulator to learn and to be judged in, or its name.
+        task: the simulator to learn and to be judged in, its name, or a Gymnasium environment, its id, or what makes one
+            (see `tasks.registry.task`).
         steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
@@ -59,7 +61,7 @@ def train_online(
     """
     asked = OnlineSettings.of(settings)
     asked.check(seed, seeds=seeds)
-    task = find_task(task) if isinstance(task, str) else task
+    task = find_task(task)
     lanes = lanes_of(agent, seeds)
     folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
     with folder.alone():
@@ -89,7 +91,7 @@ def _train_online(
         "seeds": numbers,
         "steps": updates,
         "evaluation": {"every": job.stops, "episodes": asked.episodes},
-        "versions": versions() | {"lanes": seeds},
+        "versions": versions() | {"lanes": seeds, **task.versions},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
     if shown is not None:
@@ -148,7 +150,7 @@ def reopened(path: Path | str) -> Fit:
     lanes = agents_of(config)
     every = config["evaluation"]["every"]
     settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
-    job = _job(lanes, find_task(config["task"]), config["seeds"], config["steps"], folder, settings, every, None)
+    job = _job(lanes, of_run(config["task"]), config["seeds"], config["steps"], folder, settings, every, None)
     job.resume()
     if job.step == 0:
         raise UserError(f"{path} has no checkpoint yet in which something was learned")

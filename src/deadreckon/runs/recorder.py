@@ -212,10 +212,10 @@ class Recorder:
             result = evaluate(
                 policies, self.judge, episodes=count, discount=self.discounts, record=min(RECORDED, count) if last else 0
             )
-            columns |= {
-                "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
-                "discounted_return": result.discounted.ravel(),
-            }  # fmt: skip
+            columns |= {"return": result.returns.ravel(), "length": result.lengths.ravel()}
+            columns |= {"discounted_return": result.discounted.ravel()}
+            if (scores := result.scores) is not None:
+                columns["score"] = scores.ravel()
             if all("estimated_values" in meta for meta in metas):
                 columns["estimated_value"] = np.concatenate([meta["estimated_values"] for meta in metas])
             if result.trajectories is not None:

@@ -6,7 +6,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, Unpack
+from typing import Any, Unpack
 
 from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
@@ -40,7 +40,7 @@ def train(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     out: Path | str | None = None,
     **settings: Unpack[TrainOptions],
 ) -> Run:
@@ -52,7 +52,8 @@ def train(
         steps: number of updates.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
-        task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
+        task: the simulator to evaluate in, a task, its name, or a Gymnasium environment (see `tasks.registry.task`); None takes
+            that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
         **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `callback`,
             `track` and `watch`; see `runs.settings.TrainSettings`.
@@ -78,7 +79,7 @@ def train_together(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> dict[str, Run]:
     """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
@@ -121,7 +122,7 @@ def _train(
     log: Dataset,
     steps: int,
     seed: int,
-    task: Task | str | Literal[False] | None,
+    task: Any,
     settings: TrainSettings,
 ) -> list[Run]:
     """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
@@ -150,7 +151,7 @@ def _train(
         "seeds": numbers,
         "steps": steps,
         "evaluation": {"every": every, "episodes": settings.episodes},
-        "versions": versions() | {"lanes": len(lanes)},
+        "versions": versions() | {"lanes": len(lanes), **({} if judge is None else judge.versions)},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }  # fmt: skip
     if settings.history > 1:
@@ -193,7 +194,7 @@ def _train(
     return [load(folder.path) for folder in folders]
 
 
-def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | None:
+def judge_of(log: Dataset, task: Any) -> Task | None:
     """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
 
     Raises:
@@ -201,7 +202,7 @@ def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | N
     """
     if task is False:
         return None
-    judge = task if isinstance(task, Task) else find_task(task) if task is not None else of_log(log.name)
+    judge = of_log(log.name) if task is None else find_task(task)
     if judge is not None and judge.observation_shape != log.spec.observation_shape:
         raise UserError(
             f"{judge.name} shows observations of shape {judge.observation_shape}, "

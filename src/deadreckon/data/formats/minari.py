@@ -13,10 +13,12 @@ import numpy as np
 
 from deadreckon.data.columns import extra_name
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.environments import environment_of
 from deadreckon.data.formats.build import build
 from deadreckon.data.formats.flatten import bounds, flatten_space, join_actions
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.minari_ids import METADATA, PREFIX, ROOT, checked_id, find, root
+from deadreckon.data.formats.minari_rows import buffers, spaces_of
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading
 from deadreckon.files import read_json, safe_name
@@ -71,6 +73,10 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
 def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     """Writes `log` as a local Minari data set and gives its folder. Extras become infos.
 
+    Where the log's environment is known (`data.environments`), the data set names it, so that Minari's `recover_environment`
+    opens it, and has its bounds of observations, widened where a row is beyond them. Actions that were joined or counted from 0
+    for the log are written as the environment takes them.
+
     Minari has no way to say that an episode's final observation is unknown: the last row of such an episode is left
     out, and its observation becomes the final one.
 
@@ -94,7 +100,8 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
         raise UserError(f"{target} exists already; --force replaces it")
     if target.exists() and not (target / "data" / METADATA).is_file():
         raise UserError(f"{target} is a folder that holds no Minari data set, so it is not replaced; choose another id")
-    observation_space, action_space = _spaces(log)
+    environment = environment_of(log)
+    observation_space, action_space = spaces_of(log, environment)
     try:
         root().mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".deadreckon.", dir=root()) as scratch:
@@ -102,13 +109,14 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
                 warnings.simplefilter("ignore")  # that there is no author, code link, ...
                 made = create_dataset_from_buffers(
                     dataset_id,
-                    buffer=list(_buffers(log)),
+                    buffer=list(buffers(log)),
                     observation_space=observation_space,
                     action_space=action_space,
                     algorithm_name=log.provenance.recipe or log.provenance.source,
                     jpeg_encoding=False,
                 )
-                made.storage.update_metadata({"deadreckon": Header.of(log).to_json()})
+                known = {} if environment is None else {"env_spec": environment.spec}
+                made.storage.update_metadata({"deadreckon": Header.of(log).to_json(), **known})
             if target.exists():
                 shutil.rmtree(target)
             # Namespaces on the way have a description each, which Minari wants to see.
@@ -150,43 +158,6 @@ def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) 
     if not isinstance(space, spaces.Box):
         raise UserError(f"actions are {type(space).__name__}; Box, Discrete, MultiDiscrete or MultiBinary is needed")
     return bounds(space), []
-
-
-def _spaces(log: Dataset) -> tuple[Any, Any]:
-    from gymnasium import spaces
-
-    space, shape = log.action_space, log.observations.shape[1:]
-    if log.observations.dtype == np.uint8:
-        observations = spaces.Box(0, 255, shape, np.uint8)
-    else:
-        observations = spaces.Box(-np.inf, np.inf, shape, np.float32)
-    if isinstance(space, Discrete):
-        return observations, spaces.Discrete(space.n)
-    return observations, spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
-
-
-def _buffers(log: Dataset) -> Iterator[Any]:
-    from minari.data_collector import EpisodeBuffer
-
-    known = log.final_known | log.terminals[log.ends]
-    starts, ends = log.starts, log.ends
-    for index in range(log.episodes):
-        rows = slice(starts[index], ends[index] + (1 if known[index] else 0))
-        if rows.start == rows.stop:
-            continue
-        observations = log.observations[starts[index] : ends[index] + 1]
-        if known[index]:
-            observations = np.concatenate([observations, log.final_observations[index : index + 1]])
-        truncations = np.array(log.timeouts[rows])
-        truncations[-1] |= not log.terminals[rows.stop - 1]
-        yield EpisodeBuffer(
-            observations=observations,  # pyright: ignore[reportArgumentType]  # an array is stored as it is, and fast
-            actions=np.asarray(log.actions[rows]),  # pyright: ignore[reportArgumentType]
-            rewards=np.asarray(log.rewards[rows]),  # pyright: ignore[reportArgumentType]
-            terminations=np.asarray(log.terminals[rows]),  # pyright: ignore[reportArgumentType]
-            truncations=truncations,  # pyright: ignore[reportArgumentType]
-            infos={key: np.asarray(value[rows]) for key, value in log.extras.items()},
-        )
 
 
 def _observations(space: Any, values: Any, extra: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
