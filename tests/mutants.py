@@ -383,6 +383,36 @@ MUTANTS = (
         "terminals and timeouts change places in the replay file",
         ("online/test_exploration.py::test_rows_are_what_the_simulator_did",),
     ),
+    # ---- Gymnasium environments as tasks
+    Mutant(
+        "gymnasium-fall-in-time", "tasks/gymnasium_copies.py", "timeouts = self._alive & ~terminals & (",
+        "timeouts = self._alive & (", "a fall in an environment's last step is a timeout too",
+        ("tasks/test_gymnasium.py::test_a_fall_in_the_last_step_is_a_terminal",),
+    ),
+    Mutant(
+        "gymnasium-replayed", "tasks/gymnasium_copies.py", "in self._taken[i, : self._age[i]]:",
+        "in self._taken[i, 1 : self._age[i]]:", "an environment that is taken up again misses the first action of its episode",
+        ("tasks/test_gymnasium.py::test_restored_copies_go_on_bit_for_bit",),
+    ),
+    Mutant(
+        "gymnasium-start", "tasks/gymnasium_spaces.py", "space.dtype.type(space.start + i)", "space.dtype.type(i)",
+        "an environment's discrete actions are counted from 0, wherever they start",
+        ("tasks/test_gymnasium.py::test_numbers_that_do_not_begin_at_zero",),
+    ),
+    Mutant(
+        "gymnasium-episode-seed", "tasks/gymnasium_copies.py", "SeedSequence([seed, number])", "SeedSequence([seed])",
+        "all later episodes of a copy of an environment are the same", ("tasks/test_gymnasium.py::test_seeds_of_episodes",),
+    ),
+    Mutant(
+        "chance-of-discrete", "collect/rollouts.py", "-jnp.log(high + 1.0)", "-jnp.log(high)",
+        "uniform discrete actions are logged with the probability of one action less",
+        ("runs/test_gymnasium_runs.py::test_a_log_by_chance",),
+    ),
+    Mutant(
+        "minari-bounds", "data/formats/minari_rows.py", "np.minimum(environment.low, seen.min)", "environment.low",
+        "bounds of observations in Minari's data sets leave rows outside",
+        ("runs/test_gymnasium_runs.py::test_bounds_hold_every_row",),
+    ),
     # ---- intervals, bootstrap, scores
     Mutant(
         "student-two-sided", "stats/means.py", "special.stdtrit(n - 1, 1 - alpha / 2) * x.std(ddof=1)",
@@ -519,6 +549,42 @@ MUTANTS = (
         "looks-spend-nothing", "runs/looks.py", "1 + len(own.looks) + sum(len(note.looks) for note in others)",
         "1 + len(own.looks)", "looks at overlapping episodes are not counted together",
         ("runs/test_offline.py::test_each_look_at_the_same_episodes_spends_half_of_what_is_left",),
+    ),
+    Mutant(
+        "tracked-before-checkpoint", "runs/trackers/feed.py", "self.waiting[0] < below", "self.waiting[0] <= below",
+        "trackers are told what no checkpoint holds yet", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-without-evaluation", "runs/trackers/feed.py",
+        "return not judged or self.folder.part(\"evaluations\", step).exists()", "return True",
+        "a point is told before its evaluation is done, which is then lost", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-id-anew", "runs/trackers/feed.py", "if not path.exists():", "if True:",
+        "a resumed run is another tracked run",
+        ("runs/test_trackers.py::test_a_resumed_run_is_the_same_tracked_run_and_gives_all_points_again",),
+    ),
+    Mutant(
+        "wandb-doubles", "runs/trackers/wandb_runs.py", "if step >= run.starting_step:", "if step >= 0:",
+        "points are doubled in W&B when a run is resumed",
+        ("runs/test_trackers.py::test_wandb_takes_only_what_its_server_lacks",),
+    ),
+    Mutant(
+        "callback-too-early", "runs/recorder.py", "pc.field(\"step\") <= step", "pc.field(\"step\") < step",
+        "a callback does not see the evaluation that has just been done",
+        ("runs/test_trackers.py::test_a_callback_sees_the_run_and_ends_it",),
+    ),
+    Mutant(
+        "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',
+        'if (found := _sum(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "hub-any-file", "runs/hub.py", "if not allowed.fullmatch(name):", "if not name:",
+        "files of other kinds and in other folders are taken from the Hub", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "rounds-untold", "bench/sampler.py", "self.study.tell(trial, value)", "self.study.tell(trial, 0.0)",
+        "Optuna proposes without knowing what its proposals came to", ("bench/test_sampler.py",),
     ),
     Mutant(
         "holdout-of-resumed", "runs/holdout.py", "if given is None and before is not None:", "if before is not None:",

@@ -40,9 +40,9 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
+from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, too_few, usual
-from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.train import Run, judge_of, train
 from deadreckon.tasks.task import Task
@@ -317,7 +317,8 @@ class Attempt:
         self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
         if steps < FEWEST:
             # Whoever has hardly begun to learn would be judged to be no better, which is another thing than not knowing.
-            raise self._short(f"it would do for {steps} updates of each candidate, {FEWEST} are the fewest")
+            text = f"it would do for {steps} updates of each candidate, {FEWEST} are the fewest"
+            raise self._short(f"{text}; reading, compiling and pilots took {spent:.0f} s")
         for told in self.told:
             told["planned"] = steps
         self._tell()
