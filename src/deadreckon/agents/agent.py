@@ -32,12 +32,17 @@ class Agent(eqx.Module):
         own_history: why it takes none, where it does not (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
+        fine_tunes: whether it can go on in a simulator with a log in its replay (class attribute).
+        exploration_noise: standard deviation of the normal noise that is added to its actions in [-1, 1] while it learns by
+            acting, for policies that draw nothing (class attribute).
     """
 
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     offline: ClassVar[bool] = True
+    fine_tunes: ClassVar[bool] = False
+    exploration_noise: ClassVar[float] = 0.0
     supports_images: ClassVar[bool] = False
     supports_history: ClassVar[bool] = True
     own_history: ClassVar[str] = ""
@@ -84,6 +89,10 @@ class Agent(eqx.Module):
             raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
         if len(spec.observation_shape) != 1 and not self.supports_images:
             raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
+        return self
+
+    def going_on(self) -> Self:
+        """The agent as it goes on in a simulator after a run on a log: without what was for that run alone."""
         return self
 
     def replace(self, **changes: Any) -> Self:
