@@ -184,6 +184,11 @@ def summary(run) -> str:
             scores = np.asarray(evaluations["score"])[last].reshape(count, -1)
             returns = np.asarray(evaluations["return"])[last].reshape(count, -1)
             lines.append(f"{run.config['task']}: return {mean_interval(returns):.1f}, score {mean_interval(scores):.1f}")
+        if "online" in run.config:
+            from deadreckon.runs.steps import course, simulated
+
+            told = f"; {course(run.config, evaluations)}" if "start" in run.config else ""
+            lines.append(f"simulated: {simulated(run.config, evaluations)}{told}")
     for seed, failure in zip(run.seeds, run.failures):
         if failure is not None:
             lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")
