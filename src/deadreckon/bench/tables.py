@@ -47,6 +47,17 @@ METRICS: dict[str, tuple[Metric, ...]] = {
 }  # fmt: skip
 
 
+FINE_TUNED = (
+    Metric("start", "score of the policy before it acts"), Metric("gain", "last score less that of the policy before it acts"),
+    Metric("lowest", "lowest score of all evaluations"),
+)  # fmt: skip
+
+
+def metrics_of(suite: Suite) -> tuple[Metric, ...]:
+    """Of a suite that is no study; where methods go on from a log, also what they gained and how far they fell."""
+    return METRICS[suite.kind] + (FINE_TUNED if suite.data else ())
+
+
 @dataclass(frozen=True)
 class Cell:
     """Scores of one method on one thing, one per seed."""
@@ -97,7 +108,7 @@ def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool =
         store: where results lie.
         any_revision: take results that other revisions of a method or the protocol made, too, where the present ones have none.
     """
-    return [_table(suite, metric, jobs, store, any_revision) for metric in suite.metrics or METRICS[suite.kind]]
+    return [_table(suite, metric, jobs, store, any_revision) for metric in suite.metrics or metrics_of(suite)]
 
 
 def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_revision: bool) -> Table:

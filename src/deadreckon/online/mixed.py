@@ -150,7 +150,7 @@ class Returns:
         for lane, at in np.argwhere(terminal | timeout):
             row = first + at
             copy = row % self.copies
-            rows = np.arange(self._begun[lane, copy], row + 1, self.copies)
+            rows = np.arange(int(self._begun[lane, copy]), int(row) + 1, self.copies)
             last, length = np.array([len(rows) - 1]), np.array([len(rows)])
             own = self._rewards[lane, rows]
             self.values[lane, rows] = continued_returns(own, last, length, terminal[lane, at : at + 1], self.discount)

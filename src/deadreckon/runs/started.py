@@ -66,12 +66,17 @@ class Start(NamedTuple):
         return {"path": str(self.run.path), "updates": self.run.config["steps"], "states": content.hexdigest()}
 
 
-def start_of(given: Run | Path | str) -> Start:
+def start_of(given: object) -> Start:
     """A run to go on from.
+
+    Args:
+        given: the run, or its folder.
 
     Raises:
         UserError: it is no finished run on a log, one of its seeds failed, or it acts on histories.
     """
+    if not isinstance(given, Run | Path | str):
+        raise UserError(f"start takes a run or its folder, got {given!r}")
     run = given if isinstance(given, Run) else load(given)
     config = run.config
     if "online" in config:
