@@ -190,6 +190,27 @@ def test_stopped_and_taken_up_again_it_is_the_same(run, tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(job.states), jax.tree.leaves(second.states), strict=True))
 
 
+class Echo(NormalizedPolicy):
+    """Does what it sees, one hundredth of it."""
+
+    def act(self, step, carry, key, *, greedy):
+        return 0.01 * step.observation, carry
+
+
+class Echoes(Sums):
+    """Acts by what it sees."""
+
+    def policy(self, state):
+        return Echo()
+
+
+def test_the_policy_acts_in_the_coordinates_of_the_log(tmp_path):
+    job = mixed(tmp_path, agent=Echoes())
+    next(job.chunks())
+    rows = np.asarray(job.source.experience.replay.buffer)[0, :16]
+    np.testing.assert_allclose(rows[:, 2:4], 0.01 * rows[:, :2], atol=1e-5)
+
+
 def test_a_policy_that_draws_nothing_explores_by_noise():
     job = mixed(agent=Still())
     next(job.chunks())

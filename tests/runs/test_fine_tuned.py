@@ -128,6 +128,12 @@ def test_the_folder_tells_what_it_began_with(offline, run):
     assert len(run.held) == 3
 
 
+def test_held_out_episodes_are_not_in_the_replay(run):
+    job = module.reopened(run.path, LOG)
+    assert job.source.experience.log.episodes == 9
+    np.testing.assert_array_equal(np.sort(job.source.experience.log.episode_ids), np.sort(run.taught))
+
+
 def test_the_last_lines_count_the_steps_of_simulation(run):
     told = summary(run)
     lengths = sum(run.evaluations["length"].to_pylist()) // 2
