@@ -230,21 +230,20 @@ def test_a_log_may_stand_in_the_replay_of_an_agent_that_has_learned_nothing(tmp_
 
 
 def test_from_the_command_line(tmp_path, home, capsys):
-    path = tmp_path / "hops.hdf5"
-    write_hdf5(log_of(), path)
-    small = ["--agent.hidden", "4", "--agent.batch-size", "8", "--episodes", "1"]
-    words = ["train", "--agent", "td3_bc", "--data", str(path), "--task", "hopper", "--steps", "4", *small]
-    main([*words, "--out", str(tmp_path / "a")])
-    turns = ["--copies", "4", "--block", "8", "--updates-per-step", "0.5", "--evaluate-every", "8", "--threads", "1"]
-    words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "16", "--episodes", "1", *turns]
+    path, agent = tmp_path / "hops.hdf5", "tests.runs.test_fine_tuned:Returned"
+    write_hdf5(LOG, path)
+    words = ["train", "--agent", agent, "--data", str(path), "--task", "hopper", "--steps", "4", "--episodes", "1"]
+    assert main([*words, "--agent.hidden", "5", "--out", str(tmp_path / "a")]) == 0
+    turns = ["--copies", "4", "--block", "16", "--updates-per-step", "0.5", "--evaluate-every", "16", "--threads", "1"]
+    words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "32", "--episodes", "1", *turns]
     capsys.readouterr()
-    main([*words, "--agent.alpha", "1.5", "--out", str(tmp_path / "b")])
-    assert "16 steps a seed to learn" in capsys.readouterr().out
+    assert main([*words, "--agent.lr", "0.002", "--out", str(tmp_path / "b")]) == 0
+    assert "32 steps a seed to learn" in capsys.readouterr().out
     config = read_json(tmp_path / "b" / "run.json")
     fields = config["agent"]["fields"]
-    assert (config["agent"]["name"], fields["alpha"], fields["hidden"], config["online"]["explore"]) == ("td3_bc", 1.5, [4], 0)
+    assert (config["agent"]["name"], fields["lr"], fields["hidden"], config["online"]["explore"]) == (agent, 0.002, [5], 0)
     assert main([*words, "--agent", "sac", "--out", str(tmp_path / "c")]) == 2
-    assert "is a run of td3_bc, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
+    assert f"is a run of {agent}, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
     assert main(["train", "--from", str(tmp_path / "a"), "--data", str(path)]) == 2
     assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
 
