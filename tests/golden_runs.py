@@ -32,6 +32,7 @@ from deadreckon.tasks import task
 from deadreckon.theory import garnet
 from deadreckon.training.fit import Fit
 from tests.agents import tiny
+from tests.agents.worlds import swinging
 from tests.ope.test_case import linear, lqr
 from tests.ope.worlds import as_policy, tables
 
@@ -164,19 +165,22 @@ PENDULUM = task("inverted-pendulum")
 ONLINE = Online(copies=2, explore=20, updates_per_step=0.25, block=8)
 MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 1, "model_train_freq": 8}
 OF_THEIR_OWN = {
+    "cal_ql": {"critic_hidden": (8,), "samples": 2}, "rlpd": {"critics": 3, "policy_freq": 2},
     "mbpo": {"rollouts_per_step": 2, "retain_steps": 16}, "slbo": {"rollouts": 2, "rollout_length": 4},
     "pets": {"horizon": 2, "population": 6, "cem_elites": 2, "cem_iterations": 1, "particles": 2},
 }  # fmt: skip
 
 
-def online(name: str) -> Numbers:
-    """Two blocks of acting and learning."""
+def online(name: str, beside: bool = False) -> Numbers:
+    """Two blocks of acting and learning, alone or beside a log."""
     kind, updates = agent_class(name), 4
     sizes = {} if name == "pets" else {"hidden": (8,), "batch_size": 16}
     sizes |= MODEL if issubclass(kind, ModelBasedAgent) else {}
-    spec = Spec.empty(PENDULUM.observation_shape, PENDULUM.action_space, PENDULUM.name)
+    log = swinging() if beside else None
+    spec = Spec.empty(PENDULUM.observation_shape, PENDULUM.action_space, PENDULUM.name) if log is None else log.spec
     made = kind(**sizes | OF_THEIR_OWN.get(name, {})).resolve(spec, updates)
-    experience = experience_of(made)(PENDULUM, made, [3], updates, ONLINE, threads=1)
+    options = {} if log is None else {"log": log}
+    experience = experience_of(made, beside)(PENDULUM, made, [3], updates, ONLINE, threads=1, **options)
     job = Fit([made], experience, [3], updates, 2)
     before, seen = job.states, list(job.chunks())
     assert seen[-1].failures == (None,)
@@ -272,6 +276,10 @@ for each in AGENTS:
         acting = identity.revisions(experience_of(kind()))
         RUNS[f"online/{each}"] = method(online, each, kind, acting=acting, task=identity.revisions(PENDULUM))
 INTERVALS = {"intervals": interval.REVISION}
+for each in ("cal_ql", "td3_bc"):
+    acting = identity.revisions(experience_of(agent_class(each)(), beside=True))
+    task_of = identity.revisions(PENDULUM)
+    RUNS[f"fine-tuning/{each}"] = method(partial(online, beside=True), each, agent_class(each), acting=acting, task=task_of)
 for each in ESTIMATORS:
     RUNS[f"ope/{each}"] = method(ope, each, estimator(each), **INTERVALS)
 RUNS["ope/is, learned"] = method(learned, "is", estimator("is"), **INTERVALS)

@@ -413,6 +413,63 @@ MUTANTS = (
         "bounds of observations in Minari's data sets leave rows outside",
         ("runs/test_gymnasium_runs.py::test_bounds_hold_every_row",),
     ),
+    # ---- from a log to a better policy online
+    Mutant(
+        "uncalibrated", "agents/cql.py", "(q if floor is None else jnp.maximum(q, floor))", "q",
+        "Cal-QL holds values down as far as CQL does",
+        ("agents/test_fine_tuning.py::test_cal_qls_term_holds_the_policys_actions_down_to_the_return_and_no_further",),
+    ),
+    Mutant(
+        "calibrated-in-other-units", "agents/cal_ql.py",
+        "self.reward_scale * batch.monte_carlo[:, 0] + self.reward_shift * batch.monte_carlo[:, 1]",
+        "self.reward_scale * batch.monte_carlo[:, 0]", "returns lack the shift of the rewards",
+        ("agents/test_fine_tuning.py::test_cal_qls_term_holds_the_policys_actions_down_to_the_return_and_no_further",),
+    ),
+    Mutant(
+        "cut-is-an-end", "data/episodes.py", "each[ends] / (1.0 - discount)", "each[ends]",
+        "nothing follows an episode that was cut",
+        ("online/test_mixed.py::test_returns_of_the_log_are_exact_also_where_episodes_were_cut",),
+    ),
+    Mutant(
+        "same-pair", "agents/rlpd.py", "drawn = jax.random.choice(k_subset, self.critics, (self.subset,), replace=False)",
+        "drawn = jnp.arange(self.subset)", "RLPD's targets always are of the same critics",
+        ("agents/test_fine_tuning.py::test_rlpds_target_is_the_least_of_a_random_pair_of_normalised_critics",),
+    ),
+    Mutant(
+        "rlpd-least-actor", "agents/rlpd.py", "return values.mean(0)", "return minimum(values)",
+        "RLPD's actor climbs the least critic",
+        ("agents/test_fine_tuning.py::test_rlpds_actor_climbs_the_mean_of_all_critics",),
+    ),
+    Mutant(
+        "padding-is-drawn", "training/program.py", '"logged rows", step), (plan.logged,), 0, rows)',
+        '"logged rows", step), (plan.logged,), 0, rows + 4)', "rows beyond the log's are drawn",
+        ("online/test_mixed.py::test_every_batch_has_exactly_its_share_of_the_log",),
+    ),
+    Mutant(
+        "experience-as-it-is", "online/mixed.py", "out[..., part] = self.view.observe(out[..., part])", "pass",
+        "what is experienced is not in the log's coordinates",
+        ("online/test_mixed.py::test_experience_is_seen_in_the_coordinates_of_the_log",),
+    ),
+    Mutant(
+        "acts-on-raw-observations", "online/exploration.py", "seen = jnp.asarray(self.view.observe(self.seen))",
+        "seen = jnp.asarray(self.seen)", "policies that standardise act on raw observations",
+        ("online/test_mixed.py::test_the_policy_acts_in_the_coordinates_of_the_log",),
+    ),
+    Mutant(
+        "returns-lost-on-resume", "online/mixed.py", "self._note_returns(np.stack(rows), 0)", "pass",
+        "a run that is taken up again has forgotten the returns",
+        ("online/test_mixed.py::test_stopped_and_taken_up_again_it_is_the_same",),
+    ),
+    Mutant(
+        "begins-anew", "runs/online.py", "job.states = jax.device_put(start.states(job.states))", "pass",
+        "an online run begins with networks of its own instead of those of its start",
+        ("runs/test_fine_tuned.py::test_it_begins_with_the_parameters_targets_and_coordinates_of_the_run",),
+    ),
+    Mutant(
+        "held-out-in-the-replay", "runs/started.py", "return Beside(part.learning,", "return Beside(log,",
+        "episodes that were held out are learned from online",
+        ("runs/test_fine_tuned.py::test_held_out_episodes_are_not_in_the_replay",),
+    ),
     # ---- intervals, bootstrap, scores
     Mutant(
         "student-two-sided", "stats/means.py", "special.stdtrit(n - 1, 1 - alpha / 2) * x.std(ddof=1)",

@@ -12,7 +12,8 @@ MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites":
          "rollout_length": 2, "real_batch_size": 20}  # fmt: skip
 
 # EDAC: of one action the gradient of its likeness is a spike where a slope changes its sign, and no number to compare.
-OWN = {"edac": {"diversity": 0.0}, "bcq": {"behavior_hidden": (16, 16), "test_samples": 10}, "brac": {"behavior_steps": 20},
+OWN = {"cal_ql": {"critic_hidden": (16, 16), "samples": 3}, "rlpd": {"critics": 3, "policy_freq": 2},
+       "edac": {"diversity": 0.0}, "bcq": {"behavior_hidden": (16, 16), "test_samples": 10}, "brac": {"behavior_steps": 20},
        "rem": {"heads": 5}, "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
        "decision_transformer": {"context_length": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
 

@@ -37,3 +37,15 @@ def corridor(rows: int = 4000, seed: int = 0, actions: str = "uniform") -> Datas
         timeouts=timeouts, final_observations=finals[:, None],
         action_space=Discrete(3) if choices else Box((-1.0,), (1.0,)), name="corridor",
     )  # fmt: skip
+
+
+def swinging(rows: int = 200, seed: int = 0) -> Dataset:
+    """Numbers of the shapes of the inverted pendulum; every second episode of ten steps ends with a terminal."""
+    rng = np.random.default_rng(seed)
+    last = np.arange(rows) % 10 == 9
+    even = np.arange(rows) // 10 % 2 == 0
+    return Dataset.from_arrays(
+        observations=rng.normal(0.2, 1.5, (rows, 4)), actions=rng.uniform(-3, 3, (rows, 1)), rewards=rng.uniform(size=rows),
+        terminals=last & even, timeouts=last & ~even, final_observations=rng.normal(0.2, 1.5, (rows // 10, 4)),
+        action_space=Box((-3.0,), (3.0,)), name="swinging",
+    )  # fmt: skip

@@ -274,3 +274,47 @@ def test_what_another_command_is_at_is_left_to_it(planned, tmp_path, capsys):
     choose = {"by": "simulator", "store": store, "executor": Here(store.path), "on_event": Lines(1)}
     with alone(store.folder(program)), pytest.raises(BusyError, match="2 of 2 jobs are being done by another command"):
         tune(asked, settings, **choose)
+
+
+FROM_A_LOG = """
+kind = "online"
+seeds = 1
+steps = 160
+offline = 20
+evaluations = 2
+episodes = 1
+tasks = ["maze2d-umaze"]
+data = { maze2d-umaze = "maze2d-umaze-v1" }
+rows = 600
+
+[methods]
+first = { agent = "td3_bc", fields = { hidden = [8], batch_size = 16 }, log = "first", acting = { copies = 4, block = 40 } }
+"""
+
+
+@pytest.mark.slow
+def test_a_method_that_goes_on_from_a_log_is_told_what_it_began_with(planned, tmp_path):
+    jobs, store = planned(FROM_A_LOG), Store(tmp_path / "bench")
+    program = programs(jobs)[0]
+    seen = []
+
+    def stop(program, done):
+        seen.append(done)
+        if seen == [20, 80]:  # updates on the log, and half of those online
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(jobs, store, Lines(1), Here(store.path, stop))
+    run(jobs, store, Lines(1), Here(store.path, stop))
+    assert seen == [20, 80, 80, 160]  # the last chunk before the kill was not kept
+    [row] = store.of(jobs).to_pylist()
+    more = json.loads(row["more"])
+    assert more["gain"] == pytest.approx(row["score"] - more["start"])
+    assert more["lowest"] <= min(more["start"], row["score"])
+    assert row["steps"] == 160
+    assert store.curves()["step"].to_pylist() == [0, 80, 160]
+    shown = tables(read(tmp_path / "some.toml"), jobs, store)
+    assert [table.metric.column for table in shown] == ["score", "start", "gain", "lowest"]
+    assert all(table.cells["first"]["maze2d-umaze"].sound for table in shown)
+    offline = load(store.folder(program).with_name(f"{program.name}-offline"))
+    assert (offline.config["steps"], offline.config["task"]) == (20, "maze2d-umaze")

@@ -195,3 +195,53 @@ def test_histories_of_a_method_make_other_cells(written):
 def test_an_unknown_suite_names_the_nearest():
     with pytest.raises(UserError, match="did you mean quick"):
         read("quik")
+
+
+BESIDE = """kind = "online"
+tasks = ["maze2d-umaze"]
+data = { maze2d-umaze = "maze2d-umaze-v1" }
+rows = 600
+steps = 400
+offline = 30
+evaluations = 2
+[methods]
+Start = { agent = "td3_bc", log = "first", acting = { copies = 4, block = 40 } }
+Replay = { agent = "rlpd", preset = true, log = "beside", acting = { copies = 1, explore = 40, block = 1 } }
+Nothing = { agent = "sac", acting = { explore = 40, block = 40 } }
+
+[full]
+offline = 90
+steps = 800
+"""
+
+
+def test_a_method_may_go_on_from_the_log_of_its_task_or_have_it_in_its_replay(written):
+    start, replay, nothing = plan(read(written(BESIDE)))
+    assert start.options["log"] == {"name": "maze2d-umaze-v1", "use": "first", "offline": 30}
+    assert replay.options["log"] == {"name": "maze2d-umaze-v1", "use": "beside"}
+    assert "log" not in nothing.options  # names of cells depend on it
+    assert (start.data, start.rows) == ("maze2d-umaze, maze2d-umaze-v1@dr1-600-steps", 600)
+    assert (nothing.data, nothing.rows) == ("maze2d-umaze", None)
+    assert (turns(start).explore, turns(replay).updates_per_step, turns(nothing).explore) == (0, 20.0, 40)
+    assert start.revisions["acting"] == replay.revisions["acting"] != nothing.revisions["acting"]
+    assert plan(read(written(BESIDE), full=True))[0].options["log"]["offline"] == 90
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('log = "first"', 'log = "last"', "log of method 'Start' must be one of first, beside, got 'last'"),
+        ('data = { maze2d-umaze = "maze2d-umaze-v1" }\n', "", "data must name a log of each of .* for the log of method"),
+        ('"maze2d-umaze-v1"', "3", "data must name a log of each of maze2d-umaze"),
+        ("offline = 30", "offline = 0", "offline must be a whole number of 1 or more, got 0"),
+        ('kind = "online"\ntasks', 'kind = "learn"\nlogs', "unknown key of a suite of kind learn 'data'"),
+    ],
+)
+def test_a_suite_that_says_too_little_of_logs_is_refused(written, old, new, message):
+    with pytest.raises(UserError, match=message):
+        read(written(BESIDE.replace(old, new)))
+
+
+def test_an_agent_that_cannot_go_on_is_refused(written):
+    with pytest.raises(UserError, match="method 'Replay': ppo does not learn online"):
+        plan(read(written(BESIDE.replace('"rlpd", preset = true', '"ppo"'))))

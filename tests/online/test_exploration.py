@@ -17,7 +17,8 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.online.exploration import Exploration, Online, replay_log, row_width
+from deadreckon.online.exploration import Exploration, Online
+from deadreckon.online.rows import replay_log, row_width
 from deadreckon.policies import library
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.randomness import sequence
@@ -153,8 +154,8 @@ def parts(rows):
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"copies": 0}, "must be above 0, got 0, 10000, 64, 1.0"),
-    ({"explore": 0}, "must be above 0"),
+    ({"copies": 0}, "must be above 0, and explore 0 or more, got 0, 64, 1.0 and 10000"),
+    ({"explore": -1}, "explore 0 or more"),
     ({"block": -64}, "must be above 0"),
     ({"updates_per_step": 0.0}, "must be above 0"),
     ({"updates_per_step": float("nan")}, "must be above 0"),

@@ -18,7 +18,8 @@ from deadreckon import tasks
 from deadreckon.cli.train import summary
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
-from deadreckon.online.exploration import Online, row_width
+from deadreckon.online.exploration import Online
+from deadreckon.online.rows import row_width
 from deadreckon.policies import store
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate

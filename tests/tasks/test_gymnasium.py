@@ -318,7 +318,7 @@ def test_the_shorter_horizon_counts():
         (lambda: Custom(BOX, spaces.MultiDiscrete([99, 99, 99])), "970,299 combinations"),
         (lambda: Custom(BOX, spaces.Tuple([spaces.Discrete(2), BOX])), "actions are Discrete, Box"),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else type(value).__name__,
 )
 def test_what_is_no_task_is_refused_in_one_line(given, told):
     horizon = 5 if callable(given) and given is not toys.the_same and given is not len else None

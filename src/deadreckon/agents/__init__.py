@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.bear import BEAR
     from deadreckon.agents.bear_is import ISBEAR
     from deadreckon.agents.brac import BRAC
+    from deadreckon.agents.cal_ql import CalQL
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.ppo import PPO
     from deadreckon.agents.rebrac import ReBRAC
     from deadreckon.agents.rem import REM
+    from deadreckon.agents.rlpd import RLPD
     from deadreckon.agents.sac import SAC
     from deadreckon.agents.sac_n import SACN
     from deadreckon.agents.slbo import SLBO
@@ -74,6 +76,8 @@ AGENTS = {
     "crr": ("crr", "CRR", "imitation of the logged actions that are better than the policy's (Wang et al. 2020)"),
     "rebrac": ("rebrac", "ReBRAC", "TD3+BC with penalties for actor and critics, normalised critics (Tarasov et al. 2023)"),
     "cql": ("cql", "CQL", "SAC with critics held down on unseen actions (Kumar et al. 2020; thesis 7.4)"),
+    "cal_ql": ("cal_ql", "CalQL", "CQL with values no lower than logged returns, to go on online (Nakamoto et al. 2023)"),
+    "rlpd": ("rlpd", "RLPD", "SAC online with a log in every batch, normalised critics, many updates (Ball et al. 2023)"),
     "sac_n": ("sac_n", "SACN", "SAC with an ensemble of critics (An et al. 2021)"),
     "edac": ("edac", "EDAC", "SAC-N with diversified critics (An et al. 2021)"),
     "bcq": ("bcq", "BCQ", "the critics' choice of a VAE's actions, a little moved (Fujimoto et al. 2019; thesis 7.4)"),
@@ -113,6 +117,7 @@ __all__ = [
     "PETS",
     "PPO",
     "REM",
+    "RLPD",
     "SAC",
     "SACN",
     "SLBO",
@@ -122,6 +127,7 @@ __all__ = [
     "XQL",
     "Agent",
     "AlgaeDICE",
+    "CalQL",
     "DQfD",
     "DecisionTransformer",
     "KLControl",

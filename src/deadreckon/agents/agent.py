@@ -36,12 +36,17 @@ class Agent(eqx.Module):
         own_history: why it takes none, where it does not (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
+        fine_tunes: whether it can go on in a simulator with a log in its replay (class attribute).
+        exploration_noise: standard deviation of the normal noise that is added to its actions in [-1, 1] while it learns by
+            acting, for policies that draw nothing (class attribute).
     """
 
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     offline: ClassVar[bool] = True
+    fine_tunes: ClassVar[bool] = False
+    exploration_noise: ClassVar[float] = 0.0
     supports_images: ClassVar[bool] = False
     supports_history: ClassVar[bool] = True
     own_history: ClassVar[str] = ""
@@ -104,6 +109,10 @@ class Agent(eqx.Module):
             UserError: input that does not fit, in one line; nothing is written then.
         """
         return provided("fit")(self, data, out=out, **settings)
+
+    def going_on(self) -> Self:
+        """The agent as it goes on in a simulator after a run on a log: without what was for that run alone."""
+        return self
 
     def replace(self, **changes: Any) -> Self:
         """The same agent with some fields changed."""

@@ -34,6 +34,7 @@ class AlgaeDICE(SAC):
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
+    fine_tunes: ClassVar[bool] = False
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor
     critic_lr: NonNegative = 1e-3  # learning rate of the critics

@@ -30,6 +30,7 @@ class AWAC(ScaledRewards):
     """Twin critics, and imitation weighted by exp(advantage / temperature)."""
 
     revision: ClassVar[int] = 2
+    fine_tunes: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"draws": "samples", "lambda": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

@@ -63,6 +63,10 @@ class CQL(ScaledRewards, SAC):
     warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log at first (public code: 40,000)
     standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
+    def going_on(self):
+        """See `Agent`; the actor does not imitate again at first."""
+        return self.replace(warm_start=0)
+
     def needs(self, spec):
         """Transitions."""
         return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
@@ -87,11 +91,15 @@ class CQL(ScaledRewards, SAC):
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""
         loss, metrics = super().critic_loss(critics, state, batch, target, key)
-        measure = soft_maximum if self.form == "H" else weighted_mean
-        high = measure(critics, state.actor, batch, self.samples, key)
+        high = self.held_down(critics, state, batch, key)
         gap = jnp.maximum(high - q_values(critics, batch.observation, batch.action), self.min_gap).mean(-1)
         weight = jax.lax.stop_gradient(jnp.exp(state.model.log_weight)) if self.lagrange else self.cql_weight
         return loss + weight * gap.sum(), metrics | {"gap": gap.mean()}
+
+    def held_down(self, critics, state, batch, key) -> Float[Array, "k b"]:
+        """The values that the penalty lowers."""
+        measure = soft_maximum if self.form == "H" else weighted_mean
+        return measure(critics, state.actor, batch, self.samples, key)
 
     def actor_loss(self, actor, state, batch, key):
         """SAC's; during the warm start the entropy bonus and the likelihood of the logged actions."""
@@ -114,10 +122,13 @@ class CQL(ScaledRewards, SAC):
         return state._replace(model=held), metrics | {"weight": jnp.exp(log_weight)}
 
 
-def soft_maximum(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: int, key: Array) -> Float[Array, "k b"]:
+def soft_maximum(
+    critics: MLP, actor: MLP | Categorical, batch: Batch, draws: int, key: Array, floor: Float[Array, "b"] | None = None
+) -> Float[Array, "k b"]:
     """Estimates log of the integral of exp Q(s, .) over all actions, up to a constant of the number of draws.
 
-    Of discrete actions it is the sum itself, and nothing is drawn.
+    Of discrete actions it is the sum itself, and nothing is drawn. Where there is a `floor`, values of the policy's actions are
+    at least that.
     """
     if isinstance(actor, Categorical):
         return jax.nn.logsumexp(all_q_values(critics, batch.observation), axis=-1)
@@ -128,7 +139,8 @@ def soft_maximum(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: in
     for k, seen in ((k_now, batch.observation), (k_next, batch.next_observation)):
         d = dist.gaussian_head(actor(seen))
         pre = dist.sample(d, k, (draws,))
-        parts.append(q_values(critics, batch.observation, jnp.tanh(pre)) - dist.log_prob(d, pre))
+        q = q_values(critics, batch.observation, jnp.tanh(pre))
+        parts.append((q if floor is None else jnp.maximum(q, floor)) - dist.log_prob(d, pre))
     return jax.nn.logsumexp(jnp.concatenate(parts, 1), axis=1)
 
 

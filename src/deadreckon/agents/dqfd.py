@@ -23,6 +23,7 @@ class DQfD(TD3):
     """TD3 with a large-margin loss."""
 
     revision: ClassVar[int] = 1
+    fine_tunes: ClassVar[bool] = False
     other_names: ClassVar[dict[str, str]] = {"draws": "samples"}
 
     margin: NonNegative = 0.8  # margin by which logged actions have to be better than others

@@ -38,6 +38,7 @@ class IQL(ScaledRewards):
 
     revision: ClassVar[int] = 3
     supports_discrete: ClassVar[bool] = True
+    fine_tunes: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -60,6 +61,10 @@ class IQL(ScaledRewards):
         """Fills in how long the actor's learning rate falls."""
         agent = super().resolve(spec, steps)
         return agent if self.actor_decay_steps is not None else agent.replace(actor_decay_steps=float(steps))
+
+    def going_on(self):
+        """See `Agent`; the actor's learning rate, which fell to 0 over the run on the log, is constant."""
+        return self.replace(actor_decay_steps=0.0)
 
     def needs(self, spec):
         """Transitions."""

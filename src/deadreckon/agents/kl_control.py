@@ -25,6 +25,7 @@ class KLControl(SAC):
     revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
+    fine_tunes: ClassVar[bool] = False
 
     target_kl: NonNegative = 1.0  # target KL divergence of the policy from the behaviour model, in nats
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model

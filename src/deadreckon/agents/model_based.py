@@ -35,6 +35,7 @@ class ModelBasedAgent(Agent):
     """An agent with an ensemble of dynamics models. Fields that are None come from the task: see `PRESETS`."""
 
     revision: ClassVar[int] = 1
+    fine_tunes: ClassVar[bool] = False
     supports_history: ClassVar[bool] = False
     own_history: ClassVar[str] = "its model predicts single observations, by which episodes end"
     other_names: ClassVar[dict[str, str]] = {"model_decay": "model_weight_decay", "ends": "termination"}

@@ -18,6 +18,7 @@ class ReBRAC(ScaledRewards, TD3):
     """TD3 with imitation in the actor's loss and in the critics' targets, each with its weight."""
 
     revision: ClassVar[int] = 2
+    fine_tunes: ClassVar[bool] = False
     actor_init: ClassVar[Init] = ACTOR_INIT
     critic_init: ClassVar[Init] = CRITIC_INIT
     other_names: ClassVar[dict[str, str]] = {"actor_bc_coef": "actor_penalty", "critic_bc_coef": "critic_penalty"}

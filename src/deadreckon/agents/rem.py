@@ -28,6 +28,7 @@ class REM(TD3):
     """TD3, or Q-learning for discrete actions, on mixtures of heads."""
 
     revision: ClassVar[int] = 2
+    fine_tunes: ClassVar[bool] = False
     supports_discrete: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"num_heads": "heads"}
 

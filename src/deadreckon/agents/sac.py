@@ -37,6 +37,7 @@ class SAC(Agent):
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = True
     online: ClassVar[bool] = True
+    fine_tunes: ClassVar[bool] = True
     actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
     critic_init: ClassVar[Init] = UNIFORM
     other_names: ClassVar[dict[str, str]] = {"backup_entropy": "entropy_backup", "init_temperature": "temperature"}
@@ -76,10 +77,14 @@ class SAC(Agent):
         """Fresh networks; targets are copies."""
         ka, kc = keys(key, "actor", "critics")
         actor = create_actor(spec, self.hidden, ka, self.actor_init)
-        critics = create_critics(spec, self.hidden, self.critics, kc, init=self.critic_init)
+        critics = self.first_critics(spec, kc)
         log_temperature = jnp.log(jnp.asarray(self.temperature))
         opts = init_opt(actor), init_opt(critics), init_opt(log_temperature)
         return State(actor, critics, copy(critics), log_temperature, *opts)
+
+    def first_critics(self, spec, key) -> MLP:
+        """Fresh Q-networks."""
+        return create_critics(spec, self.hidden, self.critics, key, init=self.critic_init)
 
     def min_q(self, values):
         """Minimum over the critics' values (k, *b)."""

@@ -31,6 +31,8 @@ class TD3(Agent):
     """Twin critics, smoothed targets, delayed deterministic actor; nothing holds it to the log."""
 
     revision: ClassVar[int] = 1
+    fine_tunes: ClassVar[bool] = True
+    exploration_noise: ClassVar[float] = 0.1  # published for TD3 and for TD3+BC online
     actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
     critic_init: ClassVar[Init] = UNIFORM
     other_names: ClassVar[dict[str, str]] = {"noise": "policy_noise", "actor_every": "policy_freq", "normalise": "layer_norm"}

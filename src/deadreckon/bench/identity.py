@@ -40,7 +40,8 @@ def _online(job: Job) -> dict[str, Any]:
     from deadreckon.tasks.registry import task
 
     agent = agent_of(job)
-    return {"method": revisions(type(agent)), "acting": revisions(experience_of(agent))} | of_evaluation(task(job.on))
+    acting = revisions(experience_of(agent, "log" in job.options))
+    return {"method": revisions(type(agent)), "acting": acting} | of_evaluation(task(job.on))
 
 
 def _design(job: Job) -> dict[str, Any]:

@@ -127,9 +127,15 @@ def tuples(value: Any) -> Any:
 
 def turns(job: Job) -> Any:
     """How acting and learning take turns in an online job."""
-    from deadreckon.online import Online
+    from deadreckon.runs.online import turns_of
 
-    return Online(**type(agent_of(job)).acting(job.on) | job.options.get("acting", {}))
+    started = job.options.get("log", {}).get("use") == "first"
+    return turns_of(type(agent_of(job)), job.on, started, **job.options.get("acting", {}))
+
+
+def log_name(job: Job) -> str:
+    """The log of a job: what it is run on, or that of its task."""
+    return job.options["log"]["name"] if "log" in job.options else job.on
 
 
 def designer_of(job: Job) -> Any:

@@ -99,7 +99,11 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     from deadreckon.agents import agent_class, preset, preset_for
 
     kind = agent_class(method.agent)
-    if not (kind.online if suite.kind == "online" else kind.offline):
+    if method.log:
+        able = kind.fine_tunes and (kind.offline or method.log == "beside")
+    else:
+        able = kind.online if suite.kind == "online" else kind.offline
+    if not able:
         raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} does not learn {_WAYS[suite.kind]}")
     known = {f.name for f in dataclasses.fields(kind)}
     options = with_field_names(kind, method.fields)
@@ -135,7 +139,12 @@ def _online(suite: Suite, method: Method, on: str) -> Job:
     # Only where it says something: names of cells depend on it.
     acting = {key: float(value) if key == "updates_per_step" else value for key, value in method.acting.items()}
     options = _run(suite, on) | ({"acting": acting} if acting else {})
-    job = Job("online", method.name, method.agent, settings, published, on, task(on).name, options, (0,))
+    data, rows = task(on).name, None
+    if method.log:
+        log, rows = suite.data[on], suite.rows
+        options["log"] = {"name": log, "use": method.log} | ({"offline": suite.offline} if method.log == "first" else {})
+        data = f"{data}, {log_identity(log, rows)}"
+    job = Job("online", method.name, method.agent, settings, published, on, data, options, (0,), rows)
     turns(job).updates(suite.steps[on])  # refuses what is too short
     return job
 

@@ -6,12 +6,16 @@
     steps = 10_000                    # updates (learn) or environment steps (online); or { NAME = ... } for each of these
     logs = ["hopper-medium-v2"]       # or tasks = [...] (online), or problems = [...] (design)
     rows = 200_000                    # of each log; all of them where it is absent
+    data = { hopper = "hopper-medium-v2" }   # online: the log of each task, for methods that have a `log`
+    offline = 50_000                  # online: updates on the log of methods that learn from it first
 
     [methods]
     BC = { agent = "bc" }
     BEAR = { agent = "bear", fields = { kernel = "gaussian" } }
     ReBRAC = { agent = "rebrac", preset = true }      # with the settings published for the log, where there are any
     "SAC, 20 updates" = { agent = "sac", acting = { updates_per_step = 20 } }   # online: where acting is not the agent's own
+    "Cal-QL" = { agent = "cal_ql", log = "first" }   # online: learns from the task's log first, which then is in the replay
+    RLPD = { agent = "rlpd", log = "beside" }        # online: the task's log is in the replay alone
 
     [full]                            # what differs at full size, with `--full`
     steps = 500_000
@@ -26,6 +30,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
+from deadreckon.bench.methods import Method, check_count, method
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
 
@@ -34,35 +39,13 @@ Kind = Literal["learn", "online", "design", "ope", "study"]
 PLACES = {"learn": "logs", "online": "tasks", "design": "problems", "ope": "logs", "study": "cases"}
 # Options that not all kinds have.
 OWN = {
-    "learn": ("rows", "steps", "episodes", "evaluations"), "online": ("steps", "episodes", "evaluations"),
+    "learn": ("rows", "steps", "episodes", "evaluations"),
+    "online": ("rows", "steps", "episodes", "evaluations", "data", "offline"),
     "design": ("designs", "budget"), "ope": ("rows", "budget"), "study": ("metrics",),
 }  # fmt: skip
 BUDGETS = ("full", "cpu")
-SIZES = {"seeds", "steps", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
+SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
 STEPS = 100_000  # where a suite says nothing
-
-
-@dataclass(frozen=True)
-class Method:
-    """A way to learn, to design or to estimate.
-
-    Attributes:
-        name: in tables.
-        agent: its name in `deadreckon agents`, or of a designer in `deadreckon design methods`, or of an estimator in
-            `deadreckon ope --list`; or `module:function` of a study, which is called with a case, `seed=` and the fields, and
-            returns numbers by name.
-        fields: settings that differ from the defaults, or from the preset.
-        preset: whether it begins from the settings published for what it is run on, where there are any.
-        acting: online, what differs from how the agent's own acting and learning take turns: fields of `online.Online`.
-        history: of a suite of kind `learn`: last observations that policies act on.
-    """
-
-    name: str
-    agent: str
-    fields: dict[str, Any] = field(default_factory=dict)
-    preset: bool = False
-    acting: dict[str, Any] = field(default_factory=dict)
-    history: int = 1
 
 
 class Metric(NamedTuple):
@@ -97,6 +80,8 @@ class Suite:
         episodes: an evaluation, a seed.
         evaluations: of a run, the last one at its end.
         rows: of each log; None: all.
+        data: online, the log of each task, where methods have one.
+        offline: online, updates of methods that learn from the log first.
         designs: that a designer proposes.
         budget: sizes of what designers or estimators fit: `full`, or `cpu`.
         lanes: cells of one program at most, which differ in their seeds or in float settings; None: the executor says.
@@ -117,6 +102,8 @@ class Suite:
     episodes: int = 20
     evaluations: int = 10
     rows: int | None = None
+    data: dict[str, str] = field(default_factory=dict)
+    offline: int = STEPS
     designs: int = 128
     budget: str = "full"
     lanes: int | None = None
@@ -211,10 +198,10 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     methods = document.get("methods")
     if not isinstance(methods, dict) or not methods:
         raise UserError(f"{where}: [methods] must name at least one, such as BC = {{ agent = 'bc' }}")
-    whole = "seeds", "episodes", "evaluations", "rows", "designs", "lanes"
+    whole = "seeds", "episodes", "evaluations", "rows", "offline", "designs", "lanes"
     counts = {key: document[key] for key in whole if key in document}
     for key, value in counts.items():
-        _check_count(where, key, value)
+        check_count(where, key, value)
     if document.get("budget", "full") not in BUDGETS:
         raise UserError(f"{where}: budget must be one of {', '.join(BUDGETS)}, got {document['budget']!r}")
     steps = _steps(where, document.get("steps", STEPS), on)
@@ -224,11 +211,22 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
         if not isinstance(document["ledger"], str):
             raise UserError(f"{where}: ledger must be a folder's name, got {document['ledger']!r}")
         rest["ledger"] = path.parent / document["ledger"]
-    ways = tuple(_method(where, kind, *each) for each in methods.items())
+    rest["data"] = _logs(where, document.get("data", {}), on, methods)
+    ways = tuple(method(where, kind, *each) for each in methods.items())
     suite = Suite(name, kind, tuple(on), ways, steps=steps, full=bool(changes), **counts, **rest)
     if "steps" in OWN[kind] and suite.evaluations > min(steps.values()):
         raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
     return suite
+
+
+def _logs(where: str, data: Any, on: list[str], methods: dict[str, Any]) -> dict[str, str]:
+    """Of an online suite, the log of each task."""
+    needed = [name for name, table in methods.items() if isinstance(table, dict) and table.get("log")]
+    texts = isinstance(data, dict) and all(isinstance(log, str) for log in data.values())
+    if not texts or (needed and set(data) != set(on)):
+        why = f" for the log of method {needed[0]!r}" if needed else ""
+        raise UserError(f"{where}: data must name a log of each of {', '.join(on)}{why}, got {data!r}")
+    return {name: data[name] for name in on if name in data}
 
 
 def _metrics(where: str, kind: str, table: Any) -> dict[str, tuple[Metric, ...]]:
@@ -244,54 +242,11 @@ def _metrics(where: str, kind: str, table: Any) -> dict[str, tuple[Metric, ...]]
     return {"metrics": tuple(Metric(name, joint=False, **one) for name, one in table.items())}
 
 
-def _check_count(where: str, what: str, value: Any) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise UserError(f"{where}: {what} must be a whole number of 1 or more, got {value!r}")
-
-
 def _steps(where: str, steps: Any, on: list[str]) -> dict[str, int]:
     """Of each of `on`, from one number for all or one each."""
     each: dict[str, Any] = steps if isinstance(steps, dict) else dict.fromkeys(on, steps)
     if set(each) != set(on):
         raise UserError(f"{where}: steps must be one number, or name each of {', '.join(on)}; it names {', '.join(each)}")
     for name, value in each.items():
-        _check_count(where, f"steps on {name}", value)
+        check_count(where, f"steps on {name}", value)
     return {name: each[name] for name in on}
-
-
-def _method(where: str, kind: str, name: str, table: Any) -> Method:
-    kinds = {"agent": str, "fields": dict, "preset": bool}
-    kinds |= {"acting": dict} if kind == "online" else {"history": int} if kind == "learn" else {}
-    if not isinstance(table, dict) or "agent" not in table:
-        raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
-    for key in table:
-        if key not in kinds:
-            raise UserError(f"{where}: {unknown(f'key of method {name!r}', key, kinds)}")
-    for key, value in table.items():
-        if not isinstance(value, kinds[key]):
-            raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
-    _check_count(where, f"history of method {name!r}", table.get("history", 1))
-    for key, value in table.get("fields", {}).items():
-        if not isinstance(value, bool | int | float | str | list):
-            raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
-    if table.get("preset") and kind not in ("learn", "online"):
-        has = "only agents have published settings, in suites of kind learn or online"
-        raise UserError(f"{where}: preset of method {name!r}: {has}")
-    if acting := table.get("acting"):
-        _check_acting(where, f"acting of method {name!r}", acting)
-    # A cell is the same in whatever order its settings are written.
-    given: dict[str, Any] = {key: dict(sorted(v.items())) if isinstance(v, dict) else v for key, v in table.items()}
-    return Method(name, **given)
-
-
-def _check_acting(where: str, whose: str, acting: dict[str, Any]) -> None:
-    """Refuses what `online.Online` does not have."""
-    from deadreckon.online import Online
-
-    defaults = {f.name: f.default for f in fields(Online)}
-    for key, value in acting.items():
-        if key not in defaults:
-            raise UserError(f"{where}: {unknown(f'key of {whose}', key, defaults)}")
-        whole = not isinstance(defaults[key], float)
-        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
-            raise UserError(f"{where}: {key} of {whose} must be a {'whole ' if whole else ''}number, got {value!r}")

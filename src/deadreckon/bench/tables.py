@@ -48,6 +48,17 @@ METRICS: dict[str, tuple[Metric, ...]] = {
 }  # fmt: skip
 
 
+FINE_TUNED = (
+    Metric("start", "score of the policy before it acts"), Metric("gain", "last score less that of the policy before it acts"),
+    Metric("lowest", "lowest score of all evaluations"),
+)  # fmt: skip
+
+
+def metrics_of(suite: Suite) -> tuple[Metric, ...]:
+    """Of a suite that is no study; where methods go on from a log, also what they gained and how far they fell."""
+    return METRICS[suite.kind] + (FINE_TUNED if suite.data else ())
+
+
 @dataclass(frozen=True)
 class Cell:
     """Scores of one method on one thing, one per seed."""
@@ -105,7 +116,7 @@ def _metrics(suite: Suite) -> tuple[Metric, ...]:
     """Of its kind; where tasks have no scale of scores, the raw returns as well, or alone."""
     from deadreckon.tasks.registry import task
 
-    known = METRICS[suite.kind]
+    known = metrics_of(suite)
     if suite.kind != "online" or all(scored := [task(on).reference is not None for on in suite.on]):
         return known
     return (*known, _RETURN) if any(scored) else (_RETURN,)

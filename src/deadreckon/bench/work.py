@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.bench.identity import revisions_of
-from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, study_of, turns
+from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, log_name, study_of, turns
 from deadreckon.bench.store import JobResult
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, write_json
@@ -75,21 +75,22 @@ def source(job: Job) -> Path | str:
     """Where the job's log is read from; one with a recipe is collected first, by one process while the others wait."""
     from deadreckon.collect.recipes import collect, default_path, recipe, recipe_names
 
-    if job.on not in recipe_names():
-        return job.on
-    path = default_path(recipe(job.on), job.rows, 0)
-    with alone(path.with_name(f"{path.name}.wanted"), f"collects {job.on} already"):
-        return collect(job.on, steps=job.rows)
+    name = log_name(job)
+    if name not in recipe_names():
+        return name
+    path = default_path(recipe(name), job.rows, 0)
+    with alone(path.with_name(f"{path.name}.wanted"), f"collects {name} already"):
+        return collect(name, steps=job.rows)
 
 
 def _log(job: Job) -> Any:
     from deadreckon.collect.recipes import recipe_names
     from deadreckon.data.catalogue import load
 
-    log = load(source(job))
+    log, name = load(source(job)), log_name(job)
     # The plan may be from another machine.
-    if job.on not in recipe_names() and job.data != f"{log.name} {log.fingerprint}":
-        raise UserError(f"{job.on} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
+    if name not in recipe_names() and not job.data.endswith(f"{log.name} {log.fingerprint}"):
+        raise UserError(f"{name} is not the log that was planned with: {job.data} there, {log.fingerprint} here")
     return trial_parts(log)[0] if job.options.get("divided") else log
 
 
@@ -120,12 +121,21 @@ def _options(job: Job, watch: Progress) -> dict[str, Any]:
 
 def _online(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.runs.online import train_online
+    from deadreckon.runs.train import train
 
-    options = job.options
+    options, told = job.options, lambda progress, steps: watch(progress.step, steps)
+    agent, data, start = agent_of(job), None, None
+    seeds: dict[str, Any] = {"seeds": len(job.seeds), "seed": job.seeds[0]}
+    if log := options.get("log"):
+        data = _log(job)
+        if log["use"] == "first":
+            before = folder.with_name(f"{folder.name}-offline")
+            often = {"evaluate_every": log["offline"], "episodes": options["episodes"], "resume": True, "holdout": 0}
+            start = train(agent, data, steps=log["offline"], task=job.on, out=before, watch=told, **seeds, **often)
+            agent = None
     run = train_online(
-        agent_of(job), job.on, steps=options["steps"], seeds=len(job.seeds), seed=job.seeds[0], out=folder,
-        settings=turns(job), evaluate_every=options["every"], episodes=options["episodes"], resume=True,
-        watch=lambda progress, steps: watch(progress.step, steps),
+        agent, job.on, steps=options["steps"], out=folder, settings=turns(job), evaluate_every=options["every"],
+        episodes=options["episodes"], resume=True, start=start, data=data, watch=told, **seeds,
     )  # fmt: skip
     return _result(job, run)
 
@@ -145,11 +155,15 @@ def _result(job: Job, run: Any) -> JobResult:
             spread = float(score.std(ddof=1)) if len(score) > 1 else None
             point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
             curves.append({"cell": job.cell(number), "spread": spread} | point)
-        last = curves[-1]
+        first, last = curves[-len(np.unique(step[own]))], curves[-1]
         final = own & (step == last["step"])
         more = _last(metrics, metrics["seed"] == number) | {
             name: float(column[final].mean()) for name, column in table.items() if name not in ("step", "seed", "episode")
         }
+        if job.kind == "online":  # of the policy that it began with, and the lowest since; returns where there are no scores
+            told = "score" if scored else "raw"
+            more["start"], more["gain"] = first[told], last[told] - first[told]
+            more["lowest"] = min(point[told] for point in curves if point["cell"] == last["cell"])
         if {"estimated_value", "discounted_return"} <= set(more):
             more["overestimate"] = more["estimated_value"] - more["discounted_return"]
         steps = last["step"] if failure and job.kind == "learn" else job.options["steps"]

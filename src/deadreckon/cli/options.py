@@ -20,6 +20,9 @@ _LIMITS = tyro.conf.arg(metavar="[COLUMN=]LIMIT [COLUMN=LIMIT ...]")
 @dataclass(frozen=True, kw_only=True)
 class _Online(OnlineSettings):
     demonstrations: str | None = None  # log of demonstrations, a known name or a file, for agents that learn from them
+    start: Annotated[str | None, tyro.conf.arg(name="from", metavar="RUN")] = None
+    """folder of a run on a log whose agent goes on, from its last update; None: from nothing"""
+    data: str | None = None  # log that every batch has a share of, a known name or a file; None: that of --from, or none
     settings: tyro.conf.Suppress[Any] = None
     watch: tyro.conf.Suppress[Any] = None
     callback: tyro.conf.Suppress[Any] = None
@@ -37,14 +40,15 @@ class _OnLog(TrainSettings):
 
 @dataclass
 class TrainOnline:
-    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm."""
+    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN goes on with a run on a log."""
 
     task: str
     """simulator to learn in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
-    seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
+    seeds: int | None = None
+    """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1"""
     seed: int = 0  # first random seed
-    out: str | None = None  # run folder; None: runs/AGENT-TASK-online
+    out: str | None = None  # run folder; None: runs/AGENT-TASK-online, or runs/AGENT-TASK-fine-tuned with --from
     copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8
     explore: int | None = None  # environment steps with uniform actions before the first update; None: the agent's, or 10,000
     updates_per_step: float | None = None  # updates per environment step after the random ones; None: the agent's, or 1

@@ -23,15 +23,18 @@ def train(args: Sequence[str]) -> None:
 
     name, rest = chosen("agent", args)
     own, rest = chosen("preset", rest)
+    online = "--online" in rest
+    begun = _begun(rest, name, online)
+    name = name if begun is None else begun[0]
     if name is None and not any(a in ("-h", "--help") for a in rest):
         raise UserError(f"missing --agent, one of {', '.join(AGENTS)}")
-    online = "--online" in rest
     rest = [a for a in rest if a != "--online"]
     run = TrainOnline if online else Train
     # The run's options stay a class of their own: tyro finds the comments behind its fields there.
     fields: list[tuple] = [("run", Annotated[run, tyro.conf.arg(name="")])]
     if name:
         make = functools.partial(agent_class(name), **(preset(name, own) if own else {}))
+        make = make if begun is None else functools.partial(begun[1].replace, **(preset(name, own) if own else {}))
         fields.append(("agent", agent_class(name), dataclasses.field(default_factory=make)))
     kind = dataclasses.make_dataclass("TrainAgent", fields)
     kind.__doc__ = run.__doc__ if name else f"{run.__doc__} Agents: {', '.join(AGENTS)}."
@@ -44,14 +47,35 @@ def train(args: Sequence[str]) -> None:
         raise SystemExit(1)
 
 
+def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, Any] | None:
+    """Name and settings of the agent of the run that goes on; None without --from.
+
+    Raises:
+        UserError: another agent is asked for, or seeds of the run have settings of their own.
+    """
+    given, _ = chosen("from", args)
+    if given is None:
+        return None
+    if not online:
+        raise UserError("--from goes on in a simulator with a run on a log: say --online --task TASK")
+    from deadreckon.agents import agent_name
+    from deadreckon.runs.started import start_of
+
+    first, *others = (agent.going_on() for agent in start_of(given).agents)
+    if name is not None and name.lower().replace("-", "_") != agent_name(first):
+        raise UserError(f"{given} is a run of {agent_name(first)}, {name} cannot go on from it; leave --agent out")
+    if any(vars(other) != vars(first) for other in others):
+        raise UserError(f"the seeds of {given} have settings of their own; dr.train_online(start={given!r}) goes on with them")
+    return agent_name(first), first
+
+
 def _train_online(name, parsed):
-    from deadreckon.online import Online
-    from deadreckon.runs.online import train_online
+    from deadreckon.runs.online import train_online, turns_of
 
     options: TrainOnline = parsed.run
     given = {name: getattr(options, name) for name in ("copies", "explore", "updates_per_step", "block")}
-    own = type(parsed.agent).acting(options.task)
-    settings = Online(**own | {name: value for name, value in given.items() if value is not None})
+    given = {name: value for name, value in given.items() if value is not None}
+    settings = turns_of(type(parsed.agent), options.task, options.settings.start is not None, **given)
     updates = settings.updates(options.steps)
     with Bar(f"{name} in {options.task}", updates, "updates") as bar:
         return train_online(
@@ -161,6 +185,11 @@ def summary(run) -> str:
             columns = {name: np.asarray(evaluations[name])[last].reshape(count, -1) for name in named}
             values = ", ".join(f"{name} {mean_interval(column):.1f}" for name, column in columns.items())
             lines.append(f"{run.config['task']}: {values}")
+        if "online" in run.config:
+            from deadreckon.runs.steps import course, simulated
+
+            told = f"; {course(run.config, evaluations)}" if "start" in run.config else ""
+            lines.append(f"simulated: {simulated(run.config, evaluations)}{told}")
     for seed, failure in zip(run.seeds, run.failures):
         if failure is not None:
             lines.append(f"seed {seed} failed: {failure.metric} was not finite at update {failure.step}")

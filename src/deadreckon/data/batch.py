@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.episodes import continued_returns
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.scratch import BLOCK
 from deadreckon.data.spec import Spec
@@ -34,6 +35,7 @@ class Batch(NamedTuple):
     next_action: Any = None  # action of the following row; zero after an episode's last
     follows: Any = None  # 1.0 where the log has a following row of the same episode
     return_to_go: Any = None  # discounted, to the end of the recorded episode
+    monte_carlo: Any = None  # (b, 2) discounted rewards, and steps, to a terminal or for ever; see `episodes.continued_returns`
     time: Any = None  # steps since the episode's start
     behavior_log_prob: Any = None  # of the logged action, where the log has it
     initial_observation: Any = None  # `initial` rows, drawn from the episodes' starts
@@ -52,7 +54,7 @@ class BatchSpec:
         window: 0 for single rows, else the length of consecutive rows.
         initial: number of initial observations a batch.
         standardise: whether observations come with mean 0 and standard deviation 1.
-        gamma: discount of `return_to_go`, of n-step sums and of `discount`.
+        gamma: discount of `return_to_go`, of `monte_carlo`, of n-step sums and of `discount`.
     """
 
     columns: tuple[str, ...] = ("observation", "action", "reward", "next_observation", "terminal")
@@ -146,7 +148,7 @@ class TransitionSource:
             )
         if log.successors is not None and (needs.n_step > 1 or needs.window):
             raise UserError(f"{log.name}: its rows do not follow each other, so n-step rows and windows cannot be cut from it")
-        if log.successors is not None and {"next_action", "follows"} & set(needs.columns):
+        if log.successors is not None and {"next_action", "follows", "monte_carlo"} & set(needs.columns):
             raise UserError(f"{log.name}: its rows do not follow each other, so what the log did next is not known")
         # Whoever looks at successors is not shown rows without one. Windows are runs of the log itself, so all rows stay.
         looks_ahead = "next_observation" in needs.columns
@@ -195,6 +197,13 @@ class TransitionSource:
     @cached_property
     def _returns_to_go(self) -> np.ndarray:
         return self.log.returns_to_go(self.needs.gamma).astype(np.float32)
+
+    @cached_property
+    def _monte_carlo(self) -> np.ndarray:
+        log = self.log
+        ended = np.asarray(log.terminals)[log.ends]
+        rewards = np.asarray(log.rewards)
+        return continued_returns(rewards, log.ends, log.lengths, ended, self.needs.gamma).astype(np.float32)
 
     def span(self, rows: np.ndarray) -> np.ndarray:
         """Steps that an n-step backup from each row takes: n, or fewer at an episode's end."""
@@ -245,6 +254,7 @@ _COLUMNS: dict[str, Callable[[TransitionSource, np.ndarray], np.ndarray]] = {
     "next_action": _next_action,
     "follows": lambda r, i: (~r.log._is_end[i]).astype(np.float32),
     "return_to_go": lambda r, i: r._returns_to_go[i],
+    "monte_carlo": lambda r, i: r._monte_carlo[i],
     "time": lambda r, i: (i - r.log.starts[r.log.episode_at(i)]).astype(np.float32),
     "behavior_log_prob": _behavior_log_prob,
 }

@@ -88,6 +88,29 @@ def returns_to_go(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, di
     return to_go
 
 
+def continued_returns(
+    rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, ended: np.ndarray, discount: float
+) -> np.ndarray:
+    """(rows, 2) float64: the discounted rewards from each row on, and the discounted number of steps that give them.
+
+    An episode that was cut (a time-out, or the end of the recording) goes on for ever with its last reward: from the last row
+    on there are 1 / (1 - discount) discounted steps of that reward. Rewards r' = scale r + shift have the return
+    scale * first + shift * second.
+
+    Args:
+        rewards: (rows,).
+        ends: (episodes,) index of each episode's last row.
+        lengths: (episodes,) steps in each.
+        ended: (episodes,) whether the last row is a terminal.
+        discount: of one step, below 1.
+    """
+    columns = []
+    for each in (rewards.astype(np.float64), np.ones(len(rewards))):
+        each[ends] = np.where(ended, each[ends], each[ends] / (1.0 - discount))
+        columns.append(returns_to_go(each, ends, lengths, discount))
+    return np.stack(columns, 1)
+
+
 def episode_returns(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, discount: float) -> np.ndarray:
     """(episodes,) float64 return of each episode, made for some episodes at a time; arguments as for `returns_to_go`."""
     out = np.empty(len(ends))

@@ -9,6 +9,7 @@ from deadreckon.agents.slbo import SLBO
 from deadreckon.online.branched_rollouts import BranchedRollouts
 from deadreckon.online.demonstrated import Demonstrated
 from deadreckon.online.exploration import Exploration
+from deadreckon.online.mixed import MixedReplay
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.online.model_rollouts import ModelRollouts
 from deadreckon.online.on_policy import OnPolicy
@@ -18,6 +19,8 @@ _KINDS: dict[type[Agent], type[Exploration]] = {
 }  # fmt: skip
 
 
-def experience_of(agent: Agent) -> type[Exploration]:
-    """The class whose rows this agent learns from; of several that fit, the first in the table."""
+def experience_of(agent: Agent, beside: bool = False) -> type[Exploration]:
+    """The class whose rows this agent learns from, `beside` a log or alone; of several that fit, the first in the table."""
+    if beside:
+        return MixedReplay
     return next((kind for base, kind in _KINDS.items() if isinstance(agent, base)), Exploration)

@@ -13,15 +13,16 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray, Shaped
 
 from deadreckon.agents.agent import Agent
+from deadreckon.data.batch import BatchSpec
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
-from deadreckon.data.provenance import Provenance
-from deadreckon.data.spec import Discrete, Spec
+from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
+from deadreckon.online.rows import row_columns, row_width, unpacked
 from deadreckon.randomness import key_for, sequence
 from deadreckon.tasks.task import Task
-from deadreckon.training.replay import Replay, read_rows
+from deadreckon.training.replay import Replay
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Online:
 
     Attributes:
         copies: environments a seed, stepped together with one call of the policy.
-        explore: environment steps of uniform actions before the first update.
+        explore: environment steps of uniform actions before the first update; 0 only with a log.
         updates_per_step: updates per environment step after that (the update-to-data ratio).
         block: environment steps between two blocks of updates; the policy does not change in between.
     """
@@ -41,10 +42,10 @@ class Online:
     block: int = 64
 
     def __post_init__(self):
-        if min(self.copies, self.explore, self.block) < 1 or not self.updates_per_step > 0:
+        if min(self.copies, self.explore + 1, self.block) < 1 or not self.updates_per_step > 0:
             raise UserError(
-                "copies, explore, block and updates_per_step must be above 0, "
-                f"got {self.copies}, {self.explore}, {self.block}, {self.updates_per_step}"
+                "copies, block and updates_per_step must be above 0, and explore 0 or more, "
+                f"got {self.copies}, {self.block}, {self.updates_per_step} and {self.explore}"
             )
         if self.block % self.copies or self.explore % self.copies:
             raise UserError(f"block ({self.block}) and explore ({self.explore}) must be multiples of copies ({self.copies})")
@@ -81,6 +82,9 @@ def _act(
     def one(learner: Any, state: Any, seen: Array, carry: Any, root: PRNGKeyArray) -> tuple[Array, Any]:
         step = Step(seen, jnp.zeros(len(seen)), jnp.zeros(len(seen), bool))
         action, carry = learner.policy(state).act(step, carry, _key(root, t), greedy=False)
+        if learner.exploration_noise:
+            noise = jax.random.normal(key_for(root, "exploration", t), action.shape)
+            action = jnp.clip(action + learner.exploration_noise * noise, -1.0, 1.0)
         # A lane that diverged is told so after its updates; until then it must not stop the simulator.
         return jnp.nan_to_num(action), carry
 
@@ -119,6 +123,7 @@ class Exploration:
     """
 
     revision: ClassVar[int] = 1
+    logged = 0  # see `Experience`
 
     def __init__(
         self,
@@ -134,18 +139,18 @@ class Exploration:
             raise UserError(f"{task.name}: online learning needs flat observations, it has shape {task.observation_shape}")
         self.task, self.settings, self.seeds, self.paths = task, settings, list(seeds), list(paths)
         self.learns = type(agent).__name__
-        self.spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+        self.spec = self._spec()
         self.needs = needs = agent.needs(self.spec)
         shape = task.observation_shape
         self.columns = row_columns(task)
-        fields = [name for name in self.columns if name != "timeout"]
+        fields = {name: shape for name, shape in self.columns.items() if name != "timeout"} | self._further(needs)
         # All columns are float32 in the file, which holds the numbers of discrete actions exactly.
         kinds = {"action": np.dtype(np.int32)} if self.spec.discrete else {}
-        self.fields = {name: (self.columns[name], kinds.get(name, np.dtype(np.float32))) for name in fields}
-        plain = needs.n_step == 1 and not (needs.window or needs.initial or needs.standardise)
-        if not agent.online or set(needs.columns) - set(fields) or not plain:
-            raise UserError(f"{type(agent).__name__} does not learn online")
-        self.view = Normalizer.of(self.spec)
+        self.fields = {name: (shape, kinds.get(name, np.dtype(np.float32))) for name, shape in fields.items()}
+        plain = needs.n_step == 1 and not (needs.window or needs.initial)
+        if set(needs.columns) - set(fields) or not plain or not self._fits(agent):
+            raise UserError(f"{type(agent).__name__} does not {self._learning}")
+        self.view = Normalizer.of(self.spec, needs.standardise)
         self.block = settings.updates_per_block
         self.copies = settings.copies
         seeds_of = [sequence(seed, "act").generate_state(self.copies, np.uint64) for seed in seeds]
@@ -159,8 +164,29 @@ class Exploration:
         remembers = jax.tree.leaves(eqx.filter_eval_shape(begin))
         self._fresh = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(seeds)), begin()) if remembers else ()
         self.carry = self._fresh
-        self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths)
+        self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths, self._learned)
         self._begin(agent)
+
+    _learning = "learn online"  # what an agent that is refused does not
+
+    def _spec(self) -> Spec:
+        """What methods know before they see rows."""
+        if self.settings.explore < 1:
+            raise UserError(f"explore must be above 0 where no log is learned from, got {self.settings.explore}")
+        return Spec.empty(self.task.observation_shape, self.task.action_space, self.task.name)
+
+    def _fits(self, agent: Agent) -> bool:
+        """Whether an agent can learn from such rows."""
+        return agent.online and not self.needs.standardise
+
+    def _further(self, needs: BatchSpec) -> dict[str, tuple[int, ...]]:
+        """Columns that are known of a row later than the row, as learners see them."""
+        return {}
+
+    @property
+    def _learned(self) -> int | None:
+        """Numbers in a row as learners see it; None: as many as in the files."""
+        return None
 
     def _begin(self, agent: Any) -> None:
         """What a kind of experience of its own needs beside this; `agent` is one of the lanes."""
@@ -202,7 +228,11 @@ class Exploration:
         """Acts until there are so many rows."""
         rows = [self._step(learner, states, roots, at) for at in range(self.replay.count, due, self.copies)]
         if rows:
-            self.replay.append(np.concatenate(rows, 1))
+            self._keep(np.concatenate(rows, 1))
+
+    def _keep(self, rows: Float[np.ndarray, "l n w"]) -> None:
+        """Adds the lanes' new rows to those that are learned from."""
+        self.replay.append(rows)
 
     def _step(self, learner: Any, states: Any, roots: Key[Array, "l"], at: int) -> np.ndarray:
         """One step of every copy as rows; `at` are the steps that a lane has taken before."""
@@ -210,8 +240,10 @@ class Exploration:
         if at < self.settings.explore:
             unit = _explore(roots, turn, (self.copies, self.spec.action_size), self.spec.discrete)
         else:
-            unit, self.carry = _act(learner, states, jnp.asarray(self.seen), self.carry, roots, turn)
-        actions = np.asarray(self.view.from_unit(np.asarray(unit)), np.float32)
+            seen = jnp.asarray(self.view.observe(self.seen))
+            unit, self.carry = _act(learner, states, seen, self.carry, roots, turn)
+        unit = np.asarray(unit)
+        actions = np.asarray(self.view.from_unit(unit), np.float32)
         actions = actions.reshape(-1, *self.columns["action"])
         seen, reward, terminal, timeout = self.simulator.step(actions)
         flat = (self.seen.reshape(seen.shape), actions.reshape(len(seen), -1), reward[:, None], seen,
@@ -255,43 +287,3 @@ class Exploration:
 def _where(which: np.ndarray, fresh: Array, now: Array) -> Array:
     """Of (lanes, copies, ...) the fresh ones where (lanes, copies) says."""
     return jnp.where(which.reshape(*which.shape, *[1] * (now.ndim - 2)), fresh, now)
-
-
-def unpacked(rows: Any, shapes: dict[str, tuple[int, ...]]) -> dict[str, Any]:
-    """Columns (*b, *shape) of rows (*b, w) that hold them one after the other."""
-    edges = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
-    parts = zip(shapes.items(), edges, edges[1:])
-    return {name: rows[..., start:end].reshape(*rows.shape[:-1], *shape) for (name, shape), start, end in parts}
-
-
-def row_columns(task: Task) -> dict[str, tuple[int, ...]]:
-    """What a row of a replay file holds, in this order."""
-    shape = task.observation_shape
-    action = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
-    return {"observation": shape, "action": action, "reward": (), "next_observation": shape, "terminal": (), "timeout": ()}
-
-
-def row_width(task: Task) -> int:
-    """Numbers in a row of a replay file."""
-    return sum(int(np.prod(shape)) for shape in row_columns(task).values())
-
-
-def replay_log(path: Path, task: Task, copies: int, steps: int, *, name: str, provenance: Provenance) -> Dataset:
-    """The first `steps` rows of a replay file as a log: the copies' episodes one after the other, copy by copy."""
-    rows = read_rows(path, row_width(task), steps)
-    rows = np.concatenate([np.asarray(rows[copy::copies]) for copy in range(copies)])
-    columns = unpacked(rows, row_columns(task))
-    terminals, timeouts = columns["terminal"] > 0, columns["timeout"] > 0
-    timeouts[_last_rows(steps, copies)] = True  # an episode that the recording cut
-    timeouts &= ~terminals
-    ends = terminals | timeouts
-    return Dataset.from_arrays(
-        observations=columns["observation"], actions=columns["action"], rewards=columns["reward"], terminals=terminals,
-        timeouts=timeouts, final_observations=columns["next_observation"][ends], action_space=task.action_space, name=name,
-        provenance=provenance,
-    )  # fmt: skip
-
-
-def _last_rows(steps: int, copies: int) -> np.ndarray:
-    """(copies,) index of each copy's last row once the copies' rows lie one after the other."""
-    return np.cumsum([len(range(copy, steps, copies)) for copy in range(copies)]) - 1

@@ -12,7 +12,8 @@ from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.dynamics import Report
 from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.online.exploration import Exploration, unpacked
+from deadreckon.online.exploration import Exploration
+from deadreckon.online.rows import unpacked
 
 
 class ModelLearning(Exploration):

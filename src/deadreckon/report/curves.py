@@ -109,7 +109,8 @@ def distance(page: Page) -> Markup | None:
         if name == "outside_range" and series and not any(np.nanmax(s.y, initial=0.0) for s in series):
             inside = "No agent took an action outside the log's range at any evaluation. "
         elif series:
-            figures.append(figure(charts.lines(series, title=f"{unit} against updates", unit=unit)))
+            title = f"{unit} against {page.across}"
+            figures.append(figure(charts.lines(series, title=title, unit=unit, across=page.across)))
     if not figures:
         return None
     return join(

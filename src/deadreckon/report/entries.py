@@ -22,7 +22,7 @@ from deadreckon.tasks.task import Task
 
 # How agents are written, where that is not the name of their class.
 NAMES = {
-    "td3_bc": "TD3+BC", "bear_is": "IS-BEAR", "sac_n": "SAC-N", "kl_control": "KL-control",
+    "td3_bc": "TD3+BC", "cal_ql": "Cal-QL", "bear_is": "IS-BEAR", "sac_n": "SAC-N", "kl_control": "KL-control",
     "decision_transformer": "Decision Transformer",
 }  # fmt: skip
 Columns = dict[str, np.ndarray]
@@ -217,8 +217,12 @@ def _written(agent: str) -> str:
     return NAMES.get(agent) or (known[1] if known else agent.rpartition(":")[2])
 
 
+def _way(config: dict[str, Any]) -> str:
+    return "" if "online" not in config else " fine-tuned" if "start" in config else " online"
+
+
 def _labels(raw: list[tuple[Path, dict[str, Any]]]) -> list[str]:
-    names = [_written(c["agent"]["name"]) + (" online" if "online" in c else "") for _, c in raw]
+    names = [_written(c["agent"]["name"]) + _way(c) for _, c in raw]
     labels = [name if names.count(name) == 1 else f"{name} ({path.name})" for name, (path, _) in zip(names, raw)]
     return [label if labels.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(labels)]
 

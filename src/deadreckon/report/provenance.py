@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from deadreckon.agents import AGENTS, agent_class
+from deadreckon.agents.agent import Agent
 from deadreckon.online import Online
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
+from deadreckon.runs.online import turns_of
+from deadreckon.runs.steps import course, simulated
 
 
 def settings(entry: Entry) -> dict[str, Any]:
@@ -27,7 +30,7 @@ def command(entry: Entry) -> str:
     options = [word for name, value in settings(entry).items() for word in _option(name.replace("_", "-"), value)]
     lines = []
     for folder, seeds in entry.folders:
-        words = ["deadreckon", "train", "--agent", entry.agent]
+        words = ["deadreckon", "train", *([] if "start" in entry.config else ["--agent", entry.agent])]
         words += _from_log(entry, seeds) if entry.online is None else _online(entry, entry.online, seeds)
         lines.append(shlex.join(map(str, [*words, *options, "--out", folder.path])))
     return "\n".join(lines)
@@ -47,8 +50,14 @@ def _from_log(entry: Entry, seeds: list[int]) -> list[Any]:
 def _online(entry: Entry, turns: Online, seeds: list[int]) -> list[Any]:
     """Steps are the environment's on the command line, and updates in the record."""
     every, steps = entry.config.get("evaluation", {}), turns.steps(entry.config["steps"])
-    words = ["--online", "--task", entry.config["task"], "--steps", steps, *_seeds(seeds)]
-    changed = {f.name: getattr(turns, f.name) for f in dataclasses.fields(turns) if getattr(turns, f.name) != f.default}
+    start, log = entry.config.get("start"), entry.config.get("log")
+    words = ["--from", start["path"]] if start else _seeds(seeds)
+    words += ["--data", log["path"] or log["name"]] if log else []
+    words += ["--log-share", log["share"]] if log and log["share"] != 0.5 else []
+    words = ["--online", "--task", entry.config["task"], "--steps", steps, *words]
+    kind = agent_class(entry.agent) if entry.agent in AGENTS else Agent
+    usual = dataclasses.asdict(turns_of(kind, entry.config["task"], start is not None))
+    changed = {name: value for name, value in dataclasses.asdict(turns).items() if value != usual[name]}
     for name, value in changed.items():
         words += [f"--{name.replace('_', '-')}", value]
     block = turns.updates_per_block
@@ -113,7 +122,7 @@ def _run(entry: Entry) -> Markup:
             ("warnings", join(*(tag("div", w) for w in data.get("warnings", []))) or "none"),
         ]
     else:
-        facts += [("experience", _acted(entry.online, entry.online.steps(config["steps"])))]
+        facts += [("experience", _acted(entry.online, entry.online.steps(config["steps"]))), *_begun(entry)]
     facts.append(("folder", join(*(tag("div", tag("code", folder.path)) for folder, _ in entry.folders))))
     again = command(entry)
     return tag(
@@ -129,6 +138,21 @@ def _acted(turns: Online, steps: int) -> str:
         f"{steps:,} environment steps a seed, of them {turns.explore:,} of uniform actions at first; {turns.copies} copies, "
         f"{turns.updates_per_block} updates after every {turns.block} steps"
     )
+
+
+def _begun(entry: Entry) -> list[tuple[str, Any]]:
+    """Of an online run: what was simulated, and what it went on from, where it did not begin with nothing."""
+    config, facts = entry.config, []
+    if "length" in entry.evaluations:
+        facts.append(("simulated", str(simulated(config, entry.evaluations))))
+    if start := config.get("start"):
+        facts.append(("goes on from", join(tag("code", start["path"]), f", after {start['updates']:,} updates on the log")))
+        if "return" in entry.evaluations:
+            facts.append(("course", str(course(config, entry.evaluations))))
+    if log := config.get("log"):
+        held = f", of which {log['holdout']['held']:,} held out" if log["holdout"] else ""
+        facts.append(("log in the replay", f"{log['name']}, {log['rows']:,} rows, {log['share']:.0%} of each batch{held}"))
+    return facts
 
 
 def _made(known: dict[str, Any]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Unpack
 
+import jax
 import numpy as np
 
 from deadreckon.agents import agent_name, short_name
@@ -18,10 +19,12 @@ from deadreckon.errors import UserError
 from deadreckon.files import file_part
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
+from deadreckon.online.mixed import check_agent
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
+from deadreckon.runs.started import Beside, Start, beside, start_of
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
@@ -34,54 +37,80 @@ from deadreckon.versions import versions
 
 
 def train_online(
-    agent: Agent | str | Sequence[Agent],
-    task: Any,
+    agent: Agent | str | Sequence[Agent] | None = None,
+    task: Any = None,
     *,
     steps: int = 1_000_000,
-    seeds: int = 1,
+    seeds: int | None = None,
     seed: int = 0,
     out: Path | str | None = None,
     **settings: Unpack[OnlineOptions],
 ) -> Run:
     """Trains an agent in a simulator, several seeds as one compiled program, and judges it as it goes.
 
+    With `start`, the agent of a run on a log goes on: with its networks, targets and optimisers, in its coordinates of
+    observations and actions, and with the log in the replay. With `data` alone, a log is in the replay of an agent that has
+    learned nothing.
+
     Args:
-        agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only.
+        agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only; None: that of
+            `start`, from which it may differ in its settings but not in its networks.
         task: the simulator to learn and to be judged in, its name, or a Gymnasium environment, its id, or what makes one
-            (see `tasks.registry.task`).
+            (see `tasks.registry.task`); None: the one that `start` was judged in.
         steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
-        seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
+        seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`; None: 1, or those of `start`.
         seed: the first random seed.
-        out: run folder; None is `runs/AGENT-TASK-online`.
-        **settings: `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`, `threads`, `demonstrations`,
-            `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
+        out: run folder; None is `runs/AGENT-TASK-online`, or `runs/AGENT-TASK-fine-tuned` with `start`.
+        **settings: `start`, `data`, `log_share`, `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`,
+            `threads`, `demonstrations`, `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
     asked = OnlineSettings.of(settings)
-    asked.check(seed, seeds=seeds)
+    asked.check(seed, seeds=1 if seeds is None else seeds)
+    start = None if asked.start is None else start_of(asked.start)
+    if start is not None and seeds is not None and list(range(seed, seed + seeds)) != start.run.seeds:
+        raise UserError(f"the run that goes on has the seeds {start.run.seeds}; leave seeds and seed out")
+    numbers = start.run.seeds if start is not None else list(range(seed, seed + (seeds or 1)))
+    if agent is None:
+        if start is None:
+            raise UserError("train_online needs an agent, or a run on a log to go on from (start)")
+        agent = [each.going_on() for each in start.agents]
+    lanes = lanes_of(agent, len(numbers))
+    if start is not None and agent_name(lanes[0]) != agent_name(start.agents[0]):
+        learned, other = agent_name(start.agents[0]), agent_name(lanes[0])
+        raise UserError(f"{start.run.path} is a run of {learned}, {other} cannot go on from it")
+    if task is None and start is not None and start.run.config["task"] is not None:
+        task = of_run(start.run.config["task"])
+    if task is None:
+        raise UserError("train_online needs a task, the simulator to learn in")
     task = find_task(task)
-    lanes = lanes_of(agent, seeds)
-    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
+    kind = "online" if start is None else "fine-tuned"
+    folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-{kind}"))
     with folder.alone():
-        return _train_online(lanes, task, steps, seeds, seed, folder, asked)
+        return _train_online(lanes, task, steps, numbers, folder, asked, start)
 
 
 def _train_online(
-    lanes: Sequence[Agent], task: Task, steps: int, seeds: int, seed: int, folder: Folder, asked: OnlineSettings
-) -> Run:
+    lanes: Sequence[Agent], task: Task, steps: int, numbers: list[int], folder: Folder, asked: OnlineSettings,
+    start: Start | None,
+) -> Run:  # fmt: skip
     """The run in `folder`, of one agent a seed."""
-    turns = asked.settings or Online(**type(lanes[0]).acting(task.name))
+    turns = asked.settings or turns_of(type(lanes[0]), task.name, start is not None)
     trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)
-    numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
     every = max(1, round((asked.evaluate_every or max(steps // 50, 1)) * turns.updates_per_step))
     if asked.evaluate_every is None:
         every = folder.period(asked.resume) or every
     shown = None if asked.demonstrations is None else _demonstrated(asked.demonstrations, task)
-    job = _job(lanes, task, numbers, updates, folder, dataclasses.replace(asked, settings=turns), every, shown)
+    log = beside(asked.data, None if start is None else start.log, task, asked.log_share)
+    if log is not None:
+        check_agent(lanes[0])
+    if shown is not None and log is not None:
+        raise UserError("demonstrations are what DAPG learns from first, data is a log in the replay: give one of them")
+    job = _job(lanes, task, numbers, updates, folder, dataclasses.replace(asked, settings=turns), every, shown, log)
     lanes = job.learners
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},
@@ -91,34 +120,48 @@ def _train_online(
         "seeds": numbers,
         "steps": updates,
         "evaluation": {"every": job.stops, "episodes": asked.episodes},
-        "versions": versions() | {"lanes": seeds, **task.versions},
+        "versions": versions() | {"lanes": len(numbers), **task.versions},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
     if shown is not None:
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
+    if log is not None:
+        config["log"] = log.told
+    if start is not None:
+        config["start"] = start.told
+        job.states = jax.device_put(start.states(job.states))
     config = json.loads(json.dumps(config, default=str))
     for text in folder.check(config, resume=asked.resume):
         warnings.warn(text, stacklevel=3)
     folder.begin(config)
-    # What a simulator shows is in no log: demonstrations alone have been seen.
-    taught = np.zeros(0, np.uint64) if shown is None else shown.episode_ids
-    folder.note_episodes(taught, np.zeros(0, np.uint64))
+    # What a simulator shows is in no log: demonstrations, or the log in the replay, alone have been seen.
+    none = np.zeros(0, np.uint64)
+    taught = log.taught if log is not None else none if shown is None else shown.episode_ids
+    held = none if log is None else log.held
+    folder.note_episodes(taught, held)
     job.resume()
     folder.lengthen(config)
     folder.drop_after(job.step)
 
-    recorder = Recorder([folder], job, task, None, job.stops, asked.episodes, taught)
+    learned = None if log is None else log.log
+    recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, held if log is not None else None)
     try:
         with tracked([folder], trackers) as tracking:
             if job.step == 0:
-                recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
+                # The policy before it acts: of random networks, which some logs are made with, or of `start`.
+                recorder.judge_now(0)
             else:
                 recorder.catch_up()
             recorder.follow(asked, tracking)
     finally:
         recorder.close()
     return load(folder.path)
+
+
+def turns_of(kind: type[Agent], task: str, started: bool, **given: Any) -> Online:
+    """How acting and learning take turns: as given, else as the agent has it; what goes on from a log acts itself at once."""
+    return Online(**kind.acting(task) | ({"explore": 0} if started else {}) | given)
 
 
 def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
@@ -136,12 +179,16 @@ def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
     return log.with_action_space(task.action_space)
 
 
-def reopened(path: Path | str) -> Fit:
+def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
     """An online run as it is at its newest checkpoint, to look into: its `learners`, their whole `states`, a learned model
     among them, its real steps in `experience`, and its task there.
 
+    Args:
+        path: of the run.
+        data: the log in its replay, where it has one that is no longer where it was.
+
     Raises:
-        UserError: `path` is no online run, or its checkpoint cannot be read.
+        UserError: `path` is no online run, or its checkpoint or log cannot be read.
     """
     folder = Folder(Path(path))
     config = folder.read_config() if folder.config.exists() else {}
@@ -150,7 +197,11 @@ def reopened(path: Path | str) -> Fit:
     lanes = agents_of(config)
     every = config["evaluation"]["every"]
     settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
-    job = _job(lanes, of_run(config["task"]), config["seeds"], config["steps"], folder, settings, every, None)
+    task, log = of_run(config["task"]), None
+    if told := config.get("log"):
+        log = beside(data, told, task, told["share"])
+        settings = dataclasses.replace(settings, log_share=told["share"])
+    job = _job(lanes, task, config["seeds"], config["steps"], folder, settings, every, None, log)
     job.resume()
     if job.step == 0:
         raise UserError(f"{path} has no checkpoint yet in which something was learned")
@@ -166,14 +217,17 @@ def _job(
     settings: OnlineSettings,
     stops: int,
     shown: Dataset | None,
+    log: Beside | None,
 ) -> Fit:
-    """The fit of agents that are resolved for the task here."""
-    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
+    """The fit of agents that are resolved for the task, or for the log in the replay, here."""
+    spec = Spec.empty(task.observation_shape, task.action_space, task.name) if log is None else log.log.spec
     lanes = [lane.resolve(spec, updates) for lane in lanes]
     replays = [folder.replay(s) for s in seeds]
     turns = settings.settings
     assert turns is not None  # whoever makes a job has settled them
-    experience = experience_of(lanes[0])(task, lanes[0], seeds, updates, turns, replays, settings.threads)
+    options = {} if log is None else {"log": log.log, "share": settings.log_share}
+    kind = experience_of(lanes[0], log is not None)
+    experience = kind(task, lanes[0], seeds, updates, turns, replays, settings.threads, **options)
     if shown is not None:
         experience.show(shown)
     return Fit(lanes, experience, seeds, updates, settings.chunk, folder.checkpoints, stops=stops)

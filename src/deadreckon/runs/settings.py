@@ -97,6 +97,9 @@ class OnlineSettings(RunSettings):
     threads: int | None = None  # threads of the simulator; None: one per core; results do not depend on it
     settings: Online | None = None  # how acting and learning take turns; None: the agent's own, or the defaults of `Online`
     demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that learn from them (DAPG)
+    start: object = None  # run on a log (a `Run` or its folder) whose agent goes on, from its last update; None: from nothing
+    data: Dataset | str | Path | None = None  # log that every batch has a share of; None: that of `start`, or none
+    log_share: float = 0.5  # share of the log in each batch, where there is one; the rest is the agent's own experience
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,6 +195,9 @@ class OnlineOptions(_Options, total=False):
     threads: int | None
     settings: Online | None
     demonstrations: Dataset | str | Path | None
+    start: object
+    data: Dataset | str | Path | None
+    log_share: float
 
 
 class ReturnOptions(TypedDict, total=False):

@@ -82,13 +82,15 @@ def save_tree(path: Path, tree: Any, meta: dict[str, Any]) -> None:
     save_arrays(path, {name: np.asarray(leaf) for name, leaf in jax.device_get(_named(tree)).items()}, meta)
 
 
-def load_tree(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
-    """Reads a pytree of the same structure, shapes and dtypes as `like`.
+def load_tree(path: Path, like: Any, lanes: slice | None = None) -> tuple[Any, dict[str, Any]]:
+    """Reads a pytree of the same structure, shapes and dtypes as `like`; of stacked states only some `lanes`, where asked so.
 
     Raises:
         UserError: the file is broken, or holds something else.
     """
     arrays, meta = load_arrays(path)
+    if lanes is not None:
+        arrays = {name: array[lanes] for name, array in arrays.items()}
     wanted = _named(like)
     found = {name: (value.shape, value.dtype) for name, value in arrays.items()}
     expected = {name: (leaf.shape, leaf.dtype) for name, leaf in wanted.items()}

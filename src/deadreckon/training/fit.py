@@ -59,7 +59,7 @@ class Fitted:
         return jax.tree.map(lambda leaf: leaf[index], self.states)
 
 
-def _checkpoints(folder: Path) -> list[tuple[int, Path]]:
+def checkpoints(folder: Path) -> list[tuple[int, Path]]:
     """Step and path of every checkpoint, oldest first."""
     found = ((re.fullmatch(r"(\d+)\.npz", p.name), p) for p in folder.glob("*.npz"))
     return sorted((int(m[1]), p) for m, p in found if m)
@@ -114,7 +114,7 @@ class Fit:
 
     def resume(self) -> None:
         """Takes up the newest whole checkpoint in `folder`; a broken one is passed over for the one before it."""
-        found = _checkpoints(self.folder) if self.folder else []
+        found = checkpoints(self.folder) if self.folder else []
         problem = None
         for _, path in reversed(found):
             try:
@@ -222,7 +222,7 @@ class Fit:
         self.source.flush()  # first the rows, then the checkpoint that counts them
         tree = self.source.tree(self.states)
         save_tree(self.folder / f"{self.step:010d}.npz", tree, {"step": self.step, "failures": self.failures})
-        for _, path in _checkpoints(self.folder)[:-KEPT]:
+        for _, path in checkpoints(self.folder)[:-KEPT]:
             path.unlink()
         for path in self.folder.glob("prepared-*.npz") if self.step else ():
             path.unlink()

@@ -69,15 +69,21 @@ class Plan(NamedTuple):
     initial: int
     resident: bool
     grows: bool  # each lane has rows of its own, on the device
+    logged: int = 0  # rows of each batch that come from a log, which all lanes share; the others are the lane's own
 
 
 def draw(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b *w"]:
     """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
     key = key_for(root, "rows", step)
-    index = jax.random.randint(key, (plan.batch_size,), 0, rows)
+    index = jax.random.randint(key, (plan.batch_size - plan.logged,), 0, rows)
     if plan.window:
         index = jnp.minimum(index[:, None] + jnp.arange(plan.window), rows - 1)
     return index
+
+
+def draw_logged(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b"]:
+    """Indices of the rows of one batch that come from the log."""
+    return jax.random.randint(key_for(root, "logged rows", step), (plan.logged,), 0, rows)
 
 
 @eqx.filter_jit
@@ -109,7 +115,7 @@ def advance(
     learner: Any,
     plan: Plan,
     states: Any,
-    data: dict[str, Array],
+    data: dict[str, Any],
     initial: dict[str, Array] | None,
     roots: Key[Array, "lanes"],
     start: Int[Array, ""],
@@ -119,12 +125,15 @@ def advance(
     """Updates `start` .. `stop` - 1 of all lanes as one program.
 
     The log is an argument, never a closure (that would be compiled in). Nothing is donated: the states from before the
-    chunk are what a failed lane falls back to, for one copy of the states a chunk.
+    chunk are what a failed lane falls back to, for one copy of the states a chunk. Where rows of a log stand beside the lanes'
+    own, `data` holds them as "logged", with their number.
 
     Returns:
         The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none).
     """
     single = roots.shape[0] == 1
+    logged, known = data.get("logged", ({}, 0))
+    data = {name: column for name, column in data.items() if name != "logged"}
 
     if single and plan.grows:  # before the loop, where it costs nothing
         data = {name: column.reshape(column.shape[1:]) for name, column in data.items()}
@@ -134,6 +143,9 @@ def advance(
             index = draw(plan, root, step, rows)
             own = fetched if plan.grows and not single else data
             fetched = {name: column[index] for name, column in own.items()}
+            if plan.logged:
+                past = draw_logged(plan, root, step, known)
+                fetched = {name: jnp.concatenate([logged[name][past], column]) for name, column in fetched.items()}
         batch = batch_of(plan, fetched, initial, root, step)
         if hasattr(learner, "learned"):
             batch = learner.learned(batch)

@@ -23,11 +23,13 @@ class Experience(Protocol):
 
     Attributes:
         block: updates between two turns of acting; also the unit in which runs are paused and saved.
+        logged: rows of each batch that come from a log instead, which `extend` gives beside the lanes' own; 0 without one.
         metrics: numbers of its own, each (lanes,), that are told with those of the updates.
         needs, spec, view, fields: as of `TransitionSource`.
     """
 
     block: int
+    logged: int
     metrics: dict[str, np.ndarray]
     needs: BatchSpec
     spec: Spec
@@ -48,7 +50,8 @@ class Experience(Protocol):
         """Acts until the updates `step` .. `step + block - 1` have the rows they are due.
 
         Returns:
-            The states, in which it may have put what it made of the rows, and all rows, lanes first.
+            The states, in which it may have put what it made of the rows, and all rows, lanes first; with a log also "logged",
+            its rows and their number.
         """
         ...
 
@@ -66,8 +69,13 @@ class Experience(Protocol):
 
 
 @partial(jax.jit, donate_argnums=0)
-def _write(buffer: Float[Array, "lanes n w"], rows: Float[Array, "lanes k w"], at: Any) -> Float[Array, "lanes n w"]:
-    return jax.lax.dynamic_update_slice(buffer, rows, (0, at, 0))
+def _write(
+    buffer: Float[Array, "lanes n w"], rows: Float[Array, "lanes k v"], at: Any, column: Any = 0
+) -> Float[Array, "lanes n w"]:
+    return jax.lax.dynamic_update_slice(buffer, rows, (0, at, column))
+
+
+AMENDED = 1024  # rows that are written at a time where columns are amended: one program for all numbers of them
 
 
 class Replay:
@@ -79,6 +87,7 @@ class Replay:
         lanes: how many.
         learnable: makes of rows as they are kept what learners see.
         paths: of the files, one per lane; none keeps nothing on disk.
+        learned: numbers per row as learners see it; None: as many.
     """
 
     def __init__(
@@ -88,10 +97,11 @@ class Replay:
         lanes: int,
         learnable: Callable[[np.ndarray], np.ndarray] = lambda rows: rows,
         paths: Sequence[Path] = (),
+        learned: int | None = None,
     ):
         self.width, self.learnable, self.paths = width, learnable, list(paths)
         self.count = 0
-        self.buffer = jnp.zeros((lanes, capacity, width), jnp.float32)
+        self.buffer = jnp.zeros((lanes, capacity, learned or width), jnp.float32)
         self._waiting: list[np.ndarray] = []  # (lanes, k, width) blocks that are not on disk yet
 
     def append(self, rows: Float[np.ndarray, "lanes k w"]) -> None:
@@ -101,6 +111,19 @@ class Replay:
         self.count += rows.shape[1]
         if self.paths:
             self._waiting.append(rows)
+
+    def amend(self, first: int, columns: Float[np.ndarray, "lanes n c"]) -> None:
+        """Writes the last columns of the rows from `first` on anew, as learners see them; nothing of it goes to the files.
+
+        Args:
+            first: row.
+            columns: of all rows, also of those that are not there yet.
+        """
+        capacity, column = self.buffer.shape[1], self.buffer.shape[2] - columns.shape[-1]
+        span = min(AMENDED, capacity)
+        for start in range(first, self.count, span):
+            at = min(start, capacity - span)
+            self.buffer = _write(self.buffer, columns[:, at : at + span], at, column)
 
     def flush(self) -> None:
         """Appends to the files what was added since the last time, and sees it onto the disk.

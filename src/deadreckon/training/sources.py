@@ -79,7 +79,7 @@ class Resident(Source):
         self.data: dict[str, Any] = {}
 
     def __enter__(self):
-        self.data = jax.device_put(_packed(self.rows, self.plan.layout))
+        self.data = jax.device_put(packed_rows(self.rows, self.plan.layout))
         return self
 
     def __exit__(self, *_):
@@ -169,7 +169,8 @@ def source_of(rows: BatchSource | Experience, roots: Key[Array, "lanes"], chunk:
     """
     needs, layout = rows.needs, layout_of(rows.fields)
     if isinstance(rows, Experience):
-        return Growing(rows, Plan(layout, needs.batch_size, needs.window, needs.initial, resident=True, grows=True), roots)
+        shape = needs.batch_size, needs.window, needs.initial
+        return Growing(rows, Plan(layout, *shape, resident=True, grows=True, logged=rows.logged), roots)
     resident = not stream if stream is not None else _fits(rows)
     plan = Plan(layout, needs.batch_size, needs.window, needs.initial, resident=resident, grows=False)
     return Resident(rows, plan) if resident else Streamed(rows, plan, roots, chunk)
@@ -183,7 +184,7 @@ def _room(rows: BatchSource) -> int:
     return -(-rows.count // step) * step
 
 
-def _packed(rows: BatchSource, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
+def packed_rows(rows: BatchSource, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
     """All rows as `pack` gives them, made block by block so that a second copy of them never is in memory."""
     out: dict[str, np.ndarray] = {}
     room = _room(rows)

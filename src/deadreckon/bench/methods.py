@@ -1,0 +1,95 @@
+"""The methods of a suite: what a line of `[methods]` may say."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from deadreckon.errors import UserError, unknown
+
+LOG = ("first", "beside")  # what a task's log is for
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to learn, to design or to estimate.
+
+    Attributes:
+        name: in tables.
+        agent: its name in `deadreckon agents`, or of a designer in `deadreckon design methods`, or of an estimator in
+            `deadreckon ope --list`; or `module:function` of a study, which is called with a case, `seed=` and the fields, and
+            returns numbers by name.
+        fields: settings that differ from the defaults, or from the preset.
+        preset: whether it begins from the settings published for what it is run on, where there are any.
+        acting: online, what differs from how the agent's own acting and learning take turns: fields of `online.Online`.
+        history: of a suite of kind `learn`: last observations that policies act on.
+        log: online, what the task's log is for: `first` to learn from before it acts and then in the replay, `beside` in the
+            replay alone; "" for nothing.
+    """
+
+    name: str
+    agent: str
+    fields: dict[str, Any] = field(default_factory=dict)
+    preset: bool = False
+    acting: dict[str, Any] = field(default_factory=dict)
+    history: int = 1
+    log: str = ""
+
+
+def check_count(where: str, what: str, value: Any) -> None:
+    """Refuses what is no number of things.
+
+    Raises:
+        UserError: it is no whole number of 1 or more.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise UserError(f"{where}: {what} must be a whole number of 1 or more, got {value!r}")
+
+
+def method(where: str, kind: str, name: str, table: Any) -> Method:
+    """A line of `[methods]`.
+
+    Args:
+        where: the file, for errors.
+        kind: of the suite.
+        name: of the method.
+        table: what the line says.
+
+    Raises:
+        UserError: it says something that cannot be.
+    """
+    kinds = {"agent": str, "fields": dict, "preset": bool}
+    kinds |= {"acting": dict, "log": str} if kind == "online" else {"history": int} if kind == "learn" else {}
+    if not isinstance(table, dict) or "agent" not in table:
+        raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
+    for key in table:
+        if key not in kinds:
+            raise UserError(f"{where}: {unknown(f'key of method {name!r}', key, kinds)}")
+    for key, value in table.items():
+        if not isinstance(value, kinds[key]):
+            raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
+    check_count(where, f"history of method {name!r}", table.get("history", 1))
+    for key, value in table.get("fields", {}).items():
+        if not isinstance(value, bool | int | float | str | list):
+            raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
+    if table.get("preset") and kind not in ("learn", "online"):
+        has = "only agents have published settings, in suites of kind learn or online"
+        raise UserError(f"{where}: preset of method {name!r}: {has}")
+    if table.get("log", LOG[0]) not in LOG:
+        raise UserError(f"{where}: log of method {name!r} must be one of {', '.join(LOG)}, got {table['log']!r}")
+    if acting := table.get("acting"):
+        _check_acting(where, f"acting of method {name!r}", acting)
+    # A cell is the same in whatever order its settings are written.
+    given: dict[str, Any] = {key: dict(sorted(v.items())) if isinstance(v, dict) else v for key, v in table.items()}
+    return Method(name, **given)
+
+
+def _check_acting(where: str, whose: str, acting: dict[str, Any]) -> None:
+    """Refuses what `online.Online` does not have."""
+    from deadreckon.online import Online
+
+    defaults = {f.name: f.default for f in fields(Online)}
+    for key, value in acting.items():
+        if key not in defaults:
+            raise UserError(f"{where}: {unknown(f'key of {whose}', key, defaults)}")
+        whole = not isinstance(defaults[key], float)
+        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+            raise UserError(f"{where}: {key} of {whose} must be a {'whole ' if whole else ''}number, got {value!r}")

@@ -1,0 +1,145 @@
+"""What an online run begins with beside an agent and a task: a run on a log that it goes on from, and a log in its replay."""
+
+import hashlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data import catalogue
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.online.mixed import check_log
+from deadreckon.runs.folder import Folder
+from deadreckon.runs.holdout import divided
+from deadreckon.runs.lanes import agents_of
+from deadreckon.runs.train import Run, load
+from deadreckon.tasks.registry import task as find_task
+from deadreckon.tasks.task import Task
+from deadreckon.training.checkpoint import load_arrays, load_tree
+from deadreckon.training.fit import checkpoints
+
+
+class Start(NamedTuple):
+    """A run on a log that an online run goes on from.
+
+    Attributes:
+        run: the run.
+        agents: one per seed, as they learned from the log.
+        checkpoint: of its last update.
+        lanes: which of the states there are its own.
+    """
+
+    run: Run
+    agents: list[Agent]
+    checkpoint: Path
+    lanes: slice
+
+    def states(self, like: Any) -> Any:
+        """The states (lanes, ...) after its last update: networks, targets and optimisers.
+
+        Args:
+            like: states of the same shapes.
+
+        Raises:
+            UserError: the agent that goes on has other networks.
+        """
+        return load_tree(self.checkpoint, like, self.lanes)[0]
+
+    @property
+    def log(self) -> dict[str, Any]:
+        """What is known of the log that it learned from, as in `Beside.told`."""
+        data, task = self.run.config["data"], self.run.config["task"]
+        path = (data.get("provenance") or {}).get("path")
+        known = {name: data.get(name) for name in ("name", "fingerprint", "holdout")}
+        return known | {"path": path, "task": task}
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """For `run.json`: where it lies, its updates, and what tells its states from others."""
+        arrays, _ = load_arrays(self.checkpoint)
+        content = hashlib.blake2b(digest_size=8)
+        for name, array in sorted(arrays.items()):
+            content.update(name.encode())
+            content.update(np.ascontiguousarray(array[self.lanes]).tobytes())
+        return {"path": str(self.run.path), "updates": self.run.config["steps"], "states": content.hexdigest()}
+
+
+def start_of(given: object) -> Start:
+    """A run to go on from.
+
+    Args:
+        given: the run, or its folder.
+
+    Raises:
+        UserError: it is no finished run on a log, one of its seeds failed, or it acts on histories.
+    """
+    if not isinstance(given, Run | Path | str):
+        raise UserError(f"start takes a run or its folder, got {given!r}")
+    run = given if isinstance(given, Run) else load(given)
+    config = run.config
+    if "online" in config:
+        raise UserError(f"{run.path} is an online run already; --resume with more --steps goes on with it")
+    if config.get("history", 1) > 1:
+        raise UserError(f"{run.path} acts on the last {config['history']} observations, which online runs do not keep")
+    for seed, failure in zip(run.seeds, run.failures):
+        if failure is not None:
+            raise UserError(f"seed {seed} of {run.path} failed at update {failure.step}; train it again before it goes on")
+    together = config.get("together")
+    folder = Folder(run.path.parent if together else run.path).checkpoints
+    found = [path for step, path in checkpoints(folder) if step == config["steps"]]
+    if not found:
+        raise UserError(f"{folder} has no checkpoint of update {config['steps']:,}, the last of {run.path}")
+    first = together.index(run.path.name) * len(run.seeds) if together else 0
+    return Start(run, agents_of(config), found[0], slice(first, first + len(run.seeds)))
+
+
+class Beside(NamedTuple):
+    """A log in the replay of an online run.
+
+    Attributes:
+        log: what is learned from.
+        taught, held: `episode_ids` of its episodes, and of those that are held out.
+        told: for `run.json`.
+    """
+
+    log: Dataset
+    taught: np.ndarray
+    held: np.ndarray
+    told: dict[str, Any]
+
+
+def beside(given: Dataset | str | Path | None, before: dict[str, Any] | None, task: Task, share: float) -> Beside | None:
+    """The log in the replay: the one that is named, or the one that is known from before; None where there is neither.
+
+    What was held out before stays held out.
+
+    Args:
+        given: the log, the name of a known one, or a file.
+        before: what it must be, as in `Beside.told`; None: any log.
+        task: that is learned in.
+        share: of each batch.
+
+    Raises:
+        UserError: it is another log than before, or of another task's sizes.
+    """
+    if given is None and before is None:
+        return None
+    known = before or {"task": task.name, "holdout": None}
+    source = given if given is not None else known["path"] or known["name"]
+    log = source if isinstance(source, Dataset) else catalogue.load(source)
+    bounds = known["task"]
+    judge = None if bounds is None else task if bounds == task.name else find_task(bounds)
+    if judge is not None and not log.spec.discrete:
+        log = log.with_action_space(judge.action_space)
+    if log.fingerprint != known.get("fingerprint", log.fingerprint):
+        learned = f"{known['name']} ({known['fingerprint']}), which was learned from"
+        raise UserError(f"{log.name} is another log ({log.fingerprint}) than {learned}; give that one as data")
+    part = divided(log, None, judge, {"data": known})
+    check_log(part.learning, task)
+    told = {
+        "name": log.name, "fingerprint": log.fingerprint, "rows": len(part.learning), "episodes": part.learning.episodes,
+        "path": log.provenance.path, "task": bounds, "holdout": part.told, "share": share,
+    }  # fmt: skip
+    return Beside(part.learning, part.taught, part.held, told)
