@@ -1,0 +1,133 @@
+"""One policy in use: what acts, what it was made of, its log, and further logs read as that one was."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data import catalogue
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.io import read
+from deadreckon.data.schema import Schema
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
+from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.runs.gather import gather
+from deadreckon.runs.offline import NAME
+from deadreckon.runs.reading import HORIZON, Read, check_encoding
+from deadreckon.runs.train import Run
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A policy, and what is known of where it comes from.
+
+    Attributes:
+        name: of the run or file, and the seed.
+        policy: what acts.
+        run: name of the run or file, as `estimates.json` has it.
+        seed: of the run's seeds; None where there is none.
+        file: where the policy is saved; None: nowhere.
+        read: how the log was read that it learned from.
+        config: `run.json`; None of policies without a run.
+        folder: of the run; None of policies without one.
+    """
+
+    name: str
+    policy: EnvPolicy
+    run: str
+    seed: int | None
+    file: Path | None
+    read: Read
+    config: Mapping[str, Any] | None = None
+    folder: Path | None = None
+
+    @property
+    def schema(self) -> Schema | None:
+        """Of the table that it learned from, with the levels and fills that were found; None where there was no table."""
+        found = (self.read.extra or {}).get("schema")
+        return None if found is None else Schema.from_json(found, self.name)
+
+    def log(self, given: Dataset | Path | str | None = None) -> Dataset:
+        """A log, read as the one that the policy learned from; that one itself where none is given.
+
+        Raises:
+            UserError: it cannot be read so, or the policy's own log is not where it was or has changed.
+        """
+        if isinstance(given, Dataset):
+            check_encoding(self.name, self.read, given)
+            return given
+        if given is not None:
+            found = self._like(given)
+            check_encoding(self.name, self.read, found)
+            return found
+        known = (self.config or {}).get("data", {})
+        path = self.read.path
+        if path is None and "name" not in known:
+            raise UserError(f"{self.name} does not say where its log lies; name it")
+        if path is not None and not Path(path).exists():
+            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it")
+        found = self._like(path) if path is not None else catalogue.load(known["name"])
+        if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
+            raise UserError(f"the log that {self.name} learned from has changed ({path or known['name']}); name a copy of it")
+        return found
+
+    def _like(self, path: Path | str) -> Dataset:
+        schema, horizon = self.schema, (self.read.extra or {}).get(HORIZON)
+        if schema is None:
+            return catalogue.load(path, horizon=horizon)
+        # The new file may have another dialect, and its own name.
+        return read(path, schema=replace(schema, table={}), horizon=horizon)
+
+
+def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
+    """The policy of a run, a cross-fit or a policy file.
+
+    Args:
+        given: the run, its folder, a cross-fit's folder, or a policy file.
+        seed: of the run's seeds; None: the first.
+
+    Raises:
+        UserError: there is none.
+    """
+    found = gather(given)
+    if seed is not None:
+        seeds = [each.seed for each in found]
+        if seed not in seeds:
+            known = ", ".join(str(each) for each in seeds if each is not None)
+            raise UserError(f"{found[0].run} has no seed {seed}; it has {known or 'none'}")
+        found = [each for each in found if each.seed == seed]
+    one = found[0]
+    if not isinstance(one.acting, EnvPolicy):
+        raise UserError(f"{given} holds no policy of this package")
+    folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
+    config = folder / "run.json" if folder is not None else None
+    told = read_json(config) if config is not None and config.exists() else None
+    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, folder)
+
+
+def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
+    """What `deadreckon ope --out` or `recommend` estimated of a policy, and its place there.
+
+    Args:
+        one: the policy.
+        given: the folder or file; None looks in the run's folder and beside it, where `recommend` puts it.
+
+    Raises:
+        UserError: the given one is none, or does not have this policy.
+    """
+    places = [Path(given)] if given is not None else [] if one.folder is None else [one.folder, one.folder.parent]
+    for place in places:
+        file = place / NAME if place.is_dir() or given is None else place
+        if not file.exists():
+            continue
+        told = read_json(file)
+        if not isinstance(told, dict) or "estimand" not in told or not told.get("results"):
+            continue
+        for i, each in enumerate(told["policies"]):
+            if each["run"] == one.run and each["seed"] == one.seed:
+                return told, i
+    if given is not None:
+        how = f"`deadreckon ope --policies {one.run} --out FOLDER` writes them"
+        raise UserError(f"{given} has no estimates of {one.name}; {how}")
+    return None
