@@ -166,7 +166,7 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], sha
         picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
         mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
-        meta = {"agent": config["agent"], "members": config["members"], "log": noted(log.provenance)}
+        meta = {"agent": config["agent"], "members": config["members"], "log": noted(log)}
         store.save(path / MIXTURE, mixture, meta, taught=log.episode_ids, held=np.zeros(0, np.uint64))
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)

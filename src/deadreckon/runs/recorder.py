@@ -59,7 +59,7 @@ class Recorder:
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
         self.every, self.episodes, self.taught, self.held = every, episodes, taught, held
-        self.read = {} if log is None else {"log": noted(log.provenance)}
+        self.read = {} if log is None else {"log": noted(log)}
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.history, self.spec = history, job.rows.spec if log is None else log.spec
         self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to stay near to
