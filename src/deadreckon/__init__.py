@@ -23,18 +23,20 @@ if TYPE_CHECKING:
     from deadreckon.data.formats.io import read
     from deadreckon.mbo.designs import Designs
     from deadreckon.policies.library import load_policies
+    from deadreckon.policies.loaded import load_policy
     from deadreckon.report.recommended import recommend
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.online import train_online
-    from deadreckon.runs.train import Run, train, train_together
-    from deadreckon.runs.train import load as load_run
+    from deadreckon.runs.run import Run
+    from deadreckon.runs.run import load as load_run
+    from deadreckon.runs.train import train, train_together
 
 _HOMES = {
     "Dataset": ("data.dataset", "Dataset"),
     "Designs": ("mbo.designs", "Designs"),
-    "Run": ("runs.train", "Run"),
+    "Run": ("runs.run", "Run"),
     "collect_log": ("collect.recipes", "collect"),
     "cross_fit": ("runs.crossfit", "cross_fit"),
     "dope": ("runs.dope", "dope"),
@@ -42,7 +44,8 @@ _HOMES = {
     "load": ("data.catalogue", "load"),
     "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
-    "load_run": ("runs.train", "load"),
+    "load_policy": ("policies.loaded", "load_policy"),
+    "load_run": ("runs.run", "load"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
     "train": ("runs.train", "train"),
@@ -52,8 +55,8 @@ _HOMES = {
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
-    "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_run", "mbo", "ope", "policies", "read", "recommend",
-    "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
+    "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_policy", "load_run", "mbo", "ope", "policies", "read",
+    "recommend", "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
 
 

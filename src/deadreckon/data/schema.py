@@ -98,7 +98,8 @@ class Column:
         """What is said of the column, as JSON values, without its name, reason and doubt and what has its default."""
         silent = ("name", "reason", "doubt")
         given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in silent}
-        given = {key: value for key, value in given.items() if key in ("role", "kind") or value not in (None, False, "")}
+        # By identity: a range that begins at 0, or a fill of 0, is equal to False.
+        given = {key: value for key, value in given.items() if not (value is None or value is False or value == "")}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
 
 

@@ -6,10 +6,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Unpack
-
-import numpy as np
-import pyarrow as pa
+from typing import Literal, Unpack
 
 from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
@@ -18,68 +15,20 @@ from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
-from deadreckon.files import file_part, read_json, safe_name
-from deadreckon.policies import store
-from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.files import file_part, safe_name
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
+from deadreckon.runs.run import Run, load
 from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
-from deadreckon.training.fit import Failure, Fit
+from deadreckon.training.fit import Fit
 from deadreckon.training.revisions import of_learning, revisions
 from deadreckon.versions import versions
-
-
-@dataclasses.dataclass
-class Run:
-    """A finished (or failed) run: its folder, and what it learned.
-
-    Attributes:
-        path: the run folder.
-        config: what was asked for.
-        seeds: one per lane.
-        policies: one per seed; of a failed lane, the last good one.
-        failures: per seed None, or the metric and step at which it diverged.
-    """
-
-    path: Path
-    config: dict[str, Any]
-    seeds: list[int]
-    policies: list[EnvPolicy]
-    failures: list[Failure | None]
-
-    @property
-    def policy(self) -> EnvPolicy:
-        """The first seed's policy."""
-        return self.policies[0]
-
-    @property
-    def metrics(self) -> pa.Table:
-        """step, seed and one column a metric, a row per chunk and seed."""
-        return Folder(self.path).table("metrics")
-
-    @property
-    def evaluations(self) -> pa.Table:
-        """One row an episode of every periodic evaluation."""
-        return Folder(self.path).table("evaluations")
-
-    @property
-    def taught(self) -> np.ndarray | None:
-        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None for folders from before it was noted."""
-        return Folder(self.path).episodes("taught")
-
-    @property
-    def held(self) -> np.ndarray | None:
-        """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
-        return Folder(self.path).episodes("held")
-
-    def __repr__(self) -> str:
-        return f"Run({self.path}, {self.config['agent']['name']}, seeds {self.seeds})"
 
 
 def train(
@@ -238,30 +187,6 @@ def _train(
     finally:
         recorder.close()
     return [load(folder.path) for folder in folders]
-
-
-def load(path: Path | str) -> Run:
-    """A run from its folder.
-
-    Raises:
-        UserError: the folder holds no run, or one that is not finished.
-    """
-    folder = Folder(Path(path))
-    if not folder.config.exists():
-        raise UserError(f"{path} holds no run (no run.json)")
-    config = folder.read_config()
-    if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
-        raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
-    missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
-    if missing:
-        again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
-        raise UserError(f"{path} is not finished; `{again}` goes on with it")
-    status = read_json(folder.path / "status.json")
-    if not isinstance(status, dict) or "failures" not in status:
-        raise UserError(f"{folder.path / 'status.json'} is not a run's: it misses failures")
-    policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
-    failures = [None if f is None else Failure(*f) for f in status["failures"]]
-    return Run(folder.path, config, config["seeds"], policies, failures)
 
 
 def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | None:
