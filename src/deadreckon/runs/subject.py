@@ -11,11 +11,12 @@ from deadreckon.data.formats.io import read
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
+from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.reading import HORIZON, Read, check_encoding
-from deadreckon.runs.train import Run
+from deadreckon.runs.run import Run, load, policy_seed
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Subject:
         seed: of the run's seeds; None where there is none.
         file: where the policy is saved; None: nowhere.
         read: how the log was read that it learned from.
+        told: what the policy's file keeps of its log, by which `policies.table_encoder` encodes rows.
         config: `run.json`; None of policies without a run.
         folder: of the run; None of policies without one.
     """
@@ -39,6 +41,7 @@ class Subject:
     seed: int | None
     file: Path | None
     read: Read
+    told: Mapping[str, Any]
     config: Mapping[str, Any] | None = None
     folder: Path | None = None
 
@@ -90,20 +93,19 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     Raises:
         UserError: there is none.
     """
-    found = gather(given)
-    if seed is not None:
-        seeds = [each.seed for each in found]
-        if seed not in seeds:
-            known = ", ".join(str(each) for each in seeds if each is not None)
-            raise UserError(f"{found[0].run} has no seed {seed}; it has {known or 'none'}")
-        found = [each for each in found if each.seed == seed]
-    one = found[0]
-    if not isinstance(one.acting, EnvPolicy):
-        raise UserError(f"{given} holds no policy of this package")
     folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
     config = folder / "run.json" if folder is not None else None
-    told = read_json(config) if config is not None and config.exists() else None
-    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, folder)
+    run = load(folder) if folder is not None and config is not None and config.exists() else None
+    if run is not None:  # one whose seed has diverged is used where it is asked for alone
+        seed = policy_seed(str(run.path), run.seeds, [failure is not None for failure in run.failures], seed)
+    found = gather(given if run is None else run)
+    if seed is not None and all(each.seed != seed for each in found):
+        raise UserError(f"{found[0].run} has no policy of seed {seed}")
+    one = next(each for each in found if seed is None or each.seed == seed)
+    if not isinstance(one.acting, EnvPolicy):
+        raise UserError(f"{given} holds no policy of this package")
+    told = {} if one.file is None else store.meta(one.file).get("log", {})
+    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, None if run is None else run.config, folder)
 
 
 def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
