@@ -2,9 +2,9 @@
 
     python benchmarks/monitor.py --logs 200            # the tables of docs/use/monitor.md
 
-Each new log is looked at after every episode. Where nothing has changed, an alarm at any look is a false one, and the interval of
-the realised value misses if it ever leaves out the true mean. The estimate's lower end is that true mean itself: the worst case
-in which the policy still brings what was estimated.
+Each new log is looked at after every episode. Where nothing has changed, an alarm at any look is a false one, and the interval
+of the realised value misses if it ever leaves out the true mean. The estimate's lower end is that true mean itself: the worst
+case in which the policy still brings what was estimated.
 """
 
 import argparse
@@ -73,8 +73,8 @@ CHANGES = {
 def measure(kind, change, logs, folder):
     """Shares of logs with an alarm (of any kind, drift, outside, value), and whose interval ever left out the true mean.
 
-    Whatever an earlier look finds the last one finds too (`tests/runs/test_monitor.py`), so the last one tells of all looks. The
-    interval is looked at after every episode.
+    Whatever an earlier look finds the last one finds too (`tests/runs/test_monitor.py`), so the last one tells of all looks.
+    The interval is looked at after every episode.
     """
     run, counts = folder / kind, np.zeros(5)
     old_size, new_size = SIZES[kind]

@@ -28,7 +28,5 @@ def export(args: Sequence[str]) -> None:
     options = parse(Export, args, "export")
     from deadreckon.runs.export import export as write
 
-    folder = write(
-        options.run, options.format, options.out, log=options.log, estimates=options.estimates, seed=options.seed
-    )
+    folder = write(options.run, options.format, options.out, log=options.log, estimates=options.estimates, seed=options.seed)
     print(folder)

@@ -1,4 +1,4 @@
-"""Loads a policy as MLflow's pyfunc flavour asks: copied into a model beside the numpy player, it needs numpy and pandas alone."""
+"""Loads a policy as MLflow's pyfunc flavour asks; beside the numpy player it needs numpy and pandas alone."""
 
 from pathlib import Path
 from typing import Any

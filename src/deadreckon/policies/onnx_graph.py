@@ -1,9 +1,9 @@
 """Policies as ONNX graphs: the numbers by jax2onnx, and before them the table's columns by operators of ONNX alone.
 
-A graph that encodes has an input for each column that is observed. Numbers are float32 with NaN where a value is missing; levels
-that are texts are strings, empty where missing; levels that are numbers are doubles with NaN. What `table_encoder` does with them
-is done by comparison to constants. Where the policy chooses among actions with names, a further output names the chosen one; and
-the output `outside_the_log` says which rows `TableEncoder.encode(outside="flag")` would mark.
+A graph that encodes has an input for each column that is observed. Numbers are float32 with NaN where a value is missing;
+levels that are texts are strings, empty where missing; levels that are numbers are doubles with NaN. What `table_encoder` does
+with them is done by comparison to constants. Where the policy chooses among actions with names, a further output names the
+chosen one; and the output `outside_the_log` says which rows `TableEncoder.encode(outside="flag")` would mark.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,8 @@ def libraries() -> tuple[Any, Any, Any]:
         import onnxruntime
         from jax2onnx import to_onnx
     except ImportError as error:
-        raise UserError(f"the format onnx needs jax2onnx and onnxruntime ({error}): pip install 'deadreckon[export]'") from error
+        text = f"the format onnx needs jax2onnx and onnxruntime ({error}): pip install 'deadreckon[export]'"
+        raise UserError(text) from error
     return to_onnx, onnx, onnxruntime
 
 
@@ -122,7 +123,8 @@ class _Encoding:
             parts += made
             outside += out
         if encoder.masked:
-            self.inputs.append(self.onnx.helper.make_tensor_value_info(LEGAL, self.onnx.TensorProto.FLOAT, ["rows", encoder.count]))
+            shape = ["rows", encoder.count]
+            self.inputs.append(self.onnx.helper.make_tensor_value_info(LEGAL, self.onnx.TensorProto.FLOAT, shape))
             parts.append(LEGAL)
         self._node("Concat", parts, OBSERVATION, axis=1)
         if len(outside) == 1:

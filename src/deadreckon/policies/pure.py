@@ -28,9 +28,9 @@ class Pure(NamedTuple):
     """A policy's greedy actions as a function of arrays.
 
     Attributes:
-        call: gets (n, *shape) float32 observations and, of a mixture, (n,) int32 numbers of the members that act; gives actions,
-            (n, size) float32 in the environment's bounds or (n,) int32 of discrete ones, and then of a policy that is a choice
-            with probabilities these, (n, actions).
+        call: gets (n, *shape) float32 observations and, of a mixture, (n,) int32 numbers of the members that act; gives
+            actions, (n, size) float32 in the environment's bounds or (n,) int32 of discrete ones, and behind them, of a policy
+            that chooses by probabilities, these (n, actions).
         inputs: their names: "observation", and of a mixture "member".
         outputs: their names: "action", and where there are some "probabilities".
         members: of a mixture; 1 of others.

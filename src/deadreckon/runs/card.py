@@ -39,7 +39,7 @@ def card(
         ("Log", _log(one, log)),
         ("Agent", _agent(one)),
         ("Columns", _columns(log)),
-        ("Limits", [f"- {line}" for line in _limits(one, log, estimates)]),
+        ("Limits", [f"- {line}" for line in _limits(one, log, estimates, format)]),
         ("Versions", _versions(one)),
     ]
     lines = [f"# {one.name}"]
@@ -59,14 +59,16 @@ def _decision(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
         lines += ["", f"The decision is about another policy than this one, which is {mine}."]
     lines += ["", *(f"- {name}: {text}" for name, text in grounds(told))]
     against = [*choice["evidence"], *choice["objections"][place], *choice["warnings"]]
-    return lines + (["", "Objections, warnings and other estimates:", "", *(f"- {line}" for line in against)] if against else [])
+    heading = ["", "Objections, warnings and other estimates:", ""] if against else []
+    return [*lines, *heading, *(f"- {line}" for line in against)]
 
 
 def _estimates(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
     if estimates is None:
         return ["None."]
     told, place = estimates
-    lines = [f"Estimated: {told['estimand']['words']}.", "", "| estimator | value | gain over the behaviour policy |", "|---|---|---|"]
+    lines = [f"Estimated: {told['estimand']['words']}.", ""]
+    lines += ["| estimator | value | gain over the behaviour policy |", "|---|---|---|"]
     for each in told["results"]:
         value = Interval(*(_number(each[key][place]) for key in ("value", "low", "high")))
         gain = Interval(*map(_number, each["gain"][place]))
@@ -93,9 +95,10 @@ def _log(one: Subject, log: Dataset) -> list[str]:
 
 def _agent(one: Subject) -> list[str]:
     config = one.config
+    kind = type(one.policy.inner).__name__
     if config is None:
-        return [f"{type(one.policy.inner).__name__}; no run says how it was made."]
-    head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates; the policy is a {type(one.policy.inner).__name__}."
+        return [f"{kind}; no run says how it was made."]
+    head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates; the policy is a {kind}."
     fields = [f"| {name} | {value} |" for name, value in config["agent"].get("fields", {}).items()]
     return [head, "", "| setting | value |", "|---|---|", *fields]
 
@@ -109,21 +112,23 @@ def _columns(log: Dataset) -> list[str]:
     return ["| column | role | kind | levels or range | becomes |", "|---|---|---|---|---|", *rows, "", *more]
 
 
-def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | None) -> list[str]:
-    inner, lines = one.policy.inner, ["The export takes deterministic (greedy) actions."]
+def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | None, format: str) -> list[str]:
+    how = "; the numpy player samples with `greedy=False`" if format == "numpy" else ""
+    inner, lines = one.policy.inner, [f"The export takes deterministic (greedy) actions{how}."]
     if estimates is not None and not estimates[0]["estimand"]["greedy"] and not isinstance(inner, Deterministic):
         how = "sample from the output `probabilities`" if isinstance(inner, Categorical) else "the package samples them"
         lines.append(f"The estimates above are of sampled actions, and do not hold for greedy ones: {how}.")
-    lines.append("It was learned from a log alone. Where the world has changed since, nothing here holds: `deadreckon monitor` looks.")
-    lines.append("Rows outside the log (unknown levels, numbers beyond its ranges) get an action too, on which no evidence bears.")
+    lines += [
+        "It was learned from a log. If the world has changed since, nothing here holds; `deadreckon monitor` compares.",
+        "Rows outside the log (unknown levels, numbers beyond its ranges) get an action too, without any evidence.",
+    ]
     if (steps := history_of(one.policy)) > 1:
         text = f"o, a, o, ..., o: {steps} observations with the actions between them, scaled to [-1, 1] or one-hot"
-        lines.append(f"It acts on the last steps of an episode: an input is {text}; before the first step the first is repeated.")
+        lines.append(f"It acts on the last steps of an episode: {text}. Before an episode, its first observation is repeated.")
     if isinstance(inner, Mixture):
-        lines.append(
-            f"It is a mixture of {len(inner.members)}: `member` (0 .. {len(inner.members) - 1}) is drawn with equal chances when an "
-            "episode begins, and kept to its end."
-        )
+        last = len(inner.members) - 1
+        drawn = "is drawn with equal probabilities when an episode begins, and kept to its end"
+        lines.append(f"It is a mixture of {last + 1} policies: `member`, 0 .. {last}, {drawn}.")
     if log.spec.mask_size:
         lines.append("Which actions are legal has to be given in every row.")
     return lines
@@ -131,4 +136,5 @@ def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | 
 
 def _versions(one: Subject) -> list[str]:
     known = (one.config or {}).get("versions", {})
-    return [*(f"- {name}: {value}" for name, value in known.items() if name != "lanes"), f"- exported with deadreckon: {__version__}"]
+    lines = [f"- {name}: {value}" for name, value in known.items() if name != "lanes"]
+    return [*lines, f"- exported with deadreckon: {__version__}"]

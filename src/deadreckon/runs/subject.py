@@ -94,8 +94,7 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
         UserError: there is none.
     """
     folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
-    config = folder / "run.json" if folder is not None else None
-    run = load(folder) if folder is not None and config is not None and config.exists() else None
+    run = load(folder) if folder is not None and (folder / "run.json").exists() else None
     if run is not None:  # one whose seed has diverged is used where it is asked for alone
         seed = policy_seed(str(run.path), run.seeds, [failure is not None for failure in run.failures], seed)
     found = gather(given if run is None else run)
@@ -105,7 +104,8 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     if not isinstance(one.acting, EnvPolicy):
         raise UserError(f"{given} holds no policy of this package")
     told = {} if one.file is None else store.meta(one.file).get("log", {})
-    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, None if run is None else run.config, folder)
+    config = None if run is None else run.config
+    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, folder)
 
 
 def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
