@@ -27,6 +27,7 @@ COMMANDS = {
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator, for returns and scores with intervals"),
     "bench": ("bench", "bench", "run a benchmark suite and show its table with published numbers; bench list, bench show"),
     "theory": ("theory", "theory", "run experiments on the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),
+    "explain": ("explain", "explain", "imitate a policy by a small tree, with its fidelity, and name the columns that matter"),
     "export": ("export", "export", "write a policy for other programs: ONNX, StableHLO, numpy or MLflow, with a model card"),
     "monitor": ("monitor", "monitor", "compare a new log with a policy's own: drift, rows outside the log, realised value"),
     "report": ("report", "report", "write a self-contained HTML page about run folders"),

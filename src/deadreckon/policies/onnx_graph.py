@@ -142,8 +142,8 @@ class _Encoding:
         self.nodes.append(self.onnx.helper.make_node(kind, list(inputs), [output], **options))
         return output
 
-    def _constant(self, name: str, value: np.ndarray) -> str:
-        self.constants.append(self.onnx.numpy_helper.from_array(value, name))
+    def _constant(self, name: str, value: Any) -> str:
+        self.constants.append(self.onnx.numpy_helper.from_array(np.asarray(value), name))
         return name
 
     def _column(self, name: str, values: str) -> str:
