@@ -58,7 +58,26 @@ class Sample:
 
 
 @dataclass
-class Mapping:
+class Reading:
+    """How the file of a table is read; what is not given is detected."""
+
+    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
+    """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
+    decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
+    """mark of decimals in a text file; None: detected"""
+    thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
+    """mark of thousands in a text file; None: detected"""
+    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
+    dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
+    """order of dates such as 03/04/2024; None: detected"""
+    sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
+    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # query (one SELECT) that gives the rows of a database
+    table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
+
+
+@dataclass
+class Mapping(Reading):
     """Which columns of a table (CSV, Parquet, a spreadsheet, a database) are what, and how its file is read.
 
     Names decide about columns that are not given.
@@ -89,19 +108,6 @@ class Mapping:
     weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are kept beside the log
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
     """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""
-    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
-    """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
-    decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
-    """mark of decimals in a text file; None: detected"""
-    thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
-    """mark of thousands in a text file; None: detected"""
-    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
-    dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
-    """order of dates such as 03/04/2024; None: detected"""
-    sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
-    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # query (one SELECT) that gives the rows of a database
-    table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
 
 
 @dataclass

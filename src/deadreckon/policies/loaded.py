@@ -1,7 +1,6 @@
 """Policies in JAX that take rows of a table by the names of its columns, of files and of runs."""
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from deadreckon.errors import UserError
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, History, Mixture, first_actions
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.policies.table_rows import RowsError
 
 
 class JaxPlayer:
@@ -64,7 +62,7 @@ def _padded(observations: np.ndarray) -> jax.Array:
 
 
 class TablePolicy(Predictor):
-    """A policy that takes rows of a table by the names of its columns, and gives actions by theirs.
+    """A policy in JAX that takes rows of a table by the names of its columns, and gives actions by theirs.
 
     Args:
         policy: what acts.
@@ -78,24 +76,6 @@ class TablePolicy(Predictor):
     def __init__(self, policy: EnvPolicy, log: Mapping[str, Any], name: str = "rows"):
         super().__init__(JaxPlayer(policy), log, name)
         self.policy = policy
-
-    def predict(self, rows: Any, **options: Any) -> Any:
-        """See `table_predict.Predictor.predict`, whose options it takes.
-
-        Raises:
-            UserError: one line with the column, the row (counted from 0) and what would be right.
-        """
-        with refused():
-            return super().predict(rows, **options)
-
-
-@contextlib.contextmanager
-def refused() -> Iterator[None]:
-    """What rows are refused for becomes a `UserError`."""
-    try:
-        yield
-    except RowsError as error:
-        raise UserError(str(error)) from error
 
 
 def load_policy(path: Path | str) -> TablePolicy:

@@ -70,6 +70,7 @@ class TableEncoder:
         name: of the rows, for errors.
 
     Attributes:
+        schema: JSON of the log's schema; None where it was no table, or nothing is known of it.
         observed: {name: column of the schema} of the columns that are observed, in their order; empty if there is no schema.
         actions: likewise of the action columns.
         levels: names of discrete actions in the order of their codes; None where they are their codes, or continuous.
@@ -80,7 +81,7 @@ class TableEncoder:
     def __init__(self, log: Mapping[str, Any], name: str = "rows"):
         extra, space = log.get("extra") or {}, log.get("action_space") or {}
         columns = (extra.get("schema") or {}).get("columns") or {}
-        self.name, self.held = name, extra.get("held") or {}
+        self.name, self.held, self.schema = name, extra.get("held") or {}, extra.get("schema")
         self.observed = {key: column for key, column in columns.items() if column["role"] == "observation"}
         self.actions = {key: column for key, column in columns.items() if column["role"] == "action"}
         legal = {key: column for key, column in columns.items() if column["role"] == "legal"}
@@ -222,6 +223,11 @@ class TableEncoder:
             row = found.index(None)
             raise no_level(self.name, there[0], columns[there[0]].tolist()[row], row, self.names)
         return np.asarray(found)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """{action column: its unit} of those that have one."""
+        return {key: column["unit"] for key, column in self.actions.items() if column.get("unit")}
 
     @property
     def names(self) -> list[Any]:

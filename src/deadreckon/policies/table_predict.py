@@ -60,16 +60,6 @@ class Prediction(NamedTuple):
     probabilities: dict[Any, Any] | None = None
     outside: Any = None
 
-    def table(self, action: str = "action") -> dict[str, Any]:
-        """By columns: the actions, `probability=ACTION` of each and `outside_the_log`.
-
-        Args:
-            action: the name of one action column.
-        """
-        out = dict(self.actions) if isinstance(self.actions, dict) else {action: self.actions}
-        out |= {f"probability={name}": values for name, values in (self.probabilities or {}).items()}
-        return out if self.outside is None else {**out, OUTSIDE: self.outside}
-
 
 class Predictor:
     """A policy that takes rows of a table.
@@ -110,8 +100,8 @@ class Predictor:
             single values. With `probabilities` or `outside="flag"` a `Prediction`, which holds them.
 
         Raises:
-            RowsError: one line with the column, the row (counted from 0) and what would be right. Where the package is at
-                hand, it is a `UserError`.
+            RowsError: one line with the column, the row (counted from 0) and what would be right; a `UserError` within the
+                package.
         """
         found = self.encoder.encode(rows, outside=outside, legal=legal)
         if probabilities and not self.encoder.discrete:
@@ -131,6 +121,18 @@ class Predictor:
         if not found.single:
             return Prediction(named, told, flags)
         return Prediction(_row(named), None if told is None else _row(told), None if flags is None else bool(flags[0]))
+
+
+    def columns(self, done: Any) -> dict[str, Any]:
+        """What `predict` gave by columns: those of the actions, then `probability=ACTION` and `outside_the_log`."""
+        told = done if isinstance(done, Prediction) else Prediction(done)
+        out = told.actions
+        if not isinstance(out, dict):
+            several = not self.encoder.actions and not self.encoder.discrete  # numbers of a log without a schema
+            names = [*self.encoder.actions, "action"]
+            out = {f"action_{i}": column for i, column in enumerate(np.moveaxis(out, -1, 0))} if several else {names[0]: out}
+        out = out | {f"probability={name}": values for name, values in (told.probabilities or {}).items()}
+        return out if told.outside is None else {**out, OUTSIDE: told.outside}
 
 
 def _row(values: Any) -> Any:

@@ -11,11 +11,16 @@ from typing import Any
 
 import numpy as np
 
+if __package__:
+    from deadreckon.errors import UserError
+else:  # copied beside `portable.py`
+    UserError = ValueError  # pyright: ignore[reportAssignmentType]
+
 _PLAIN = {int, float, bool}
 _SHOWN = 8  # names in a message
 
 
-class RowsError(ValueError):
+class RowsError(UserError):  # pyright: ignore[reportGeneralTypeIssues]
     """Rows that cannot be encoded, in one line that names the column, the row and what would be right."""
 
 

@@ -1,7 +1,6 @@
 """A run as it lies in its folder: what was asked for, what was learned, and what its policies do."""
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.loaded import TablePolicy
-from deadreckon.runs.folder import Folder
+from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.training.fit import Failure
 
 
@@ -70,7 +69,7 @@ class Run:
         Raises:
             UserError: the run has no such seed.
         """
-        which = policy_seed(str(self.path), self.seeds, [failure is not None for failure in self.failures], seed)
+        which = policy_seed(str(self.path), self.seeds, self.failures, seed)
         log = store.meta(Folder(self.path).policy(which)).get("log", {})
         return TablePolicy(self.policies[self.seeds.index(which)], log)
 
@@ -112,17 +111,3 @@ def load(path: Path | str) -> Run:
     policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
     failures = [None if f is None else Failure(*f) for f in status["failures"]]
     return Run(folder.path, config, config["seeds"], policies, failures)
-
-
-def policy_seed(name: str, seeds: Sequence[int], failed: Sequence[bool], seed: int | None) -> int:
-    """The seed of a run whose policy is used: the one that is asked for, else the first that has not failed.
-
-    Raises:
-        UserError: the run has no such seed, or all have failed.
-    """
-    if seed is not None and seed not in seeds:
-        raise UserError(f"{name} has no policy of seed {seed}; its seeds are {', '.join(map(str, seeds))}")
-    healthy = [each for each, bad in zip(seeds, failed) if not bad]
-    if seed is None and not healthy:
-        raise UserError(f"all seeds of {name} have failed; name one, whose last good policy is used")
-    return healthy[0] if seed is None else seed

@@ -1,12 +1,15 @@
 """Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
 from deadreckon.data.formats.dialect import Dialect
-from deadreckon.data.formats.kind import no_options, sniff
+from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError, reading
 
 
@@ -21,6 +24,7 @@ def read_table(
     sheet: str | int | None = None,
     query: str | None = None,
     table: str | None = None,
+    known: Known = NOTHING,
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
     """A file of a table, whose format is told by its content; what is None is found.
 
@@ -34,6 +38,7 @@ def read_table(
         sheet: of a spreadsheet: its name, or its number counted from 1.
         query: of a database: one SELECT.
         table: of a database: its name.
+        known: what some columns hold, whatever their cells suggest.
 
     Returns:
         The table; the dialect of a text file, of other formats the order of dates alone, None where there are no such dates;
@@ -54,7 +59,7 @@ def read_table(
     if kind == "csv":
         from deadreckon.data.formats.delimited import read_delimited
 
-        found, dialect, told = read_delimited(path, asked)
+        found, dialect, told = read_delimited(path, asked, known=known)
         return found, dialect, told + of_totals(found)
     if kind == "parquet":
         from pyarrow import parquet
@@ -71,9 +76,37 @@ def read_table(
         found, told = read_database(path, kind, query, table)
     else:
         raise UserError(f"{path}: this is {kind}, a log with columns of its own, and no table")
-    from dataclasses import replace
-
-    from deadreckon.data.formats.cells import PLAIN, converted
-
-    found, order, lines = converted(found, replace(PLAIN, dates=dates))
+    found, order, lines = converted(found, replace(PLAIN, dates=dates), known=known)
     return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)
+
+
+def read_rows(path: Path | str, schema: Schema, **ways: Any) -> tuple[pa.Table, list[str]]:
+    """A file of further rows of a table, whose columns are read as its schema has them.
+
+    A column of texts stays one though its cells may all look like numbers or truth values here, and so does one of flags though
+    one word alone may occur.
+
+    Args:
+        path: of the file, in any format of tables.
+        schema: of the log, as it was resolved.
+        **ways: how the file is to be read; see `read_table`. What is not given is as the schema has it, and found else.
+
+    Returns:
+        The table, and one line for each thing that may be read otherwise than it was meant.
+
+    Raises:
+        UserError: see `read_table`.
+    """
+    used = schema.having("observation", "action", "legal")
+    texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(_is_word, each.levels)))}
+    known = Known(frozenset(texts), frozenset(each.name for each in used if each.kind == "flag"))
+    given = {key: value for key, value in ways.items() if value is not None}
+    kind = sniff(path, given.get("separator", schema.options().get("separator")))
+    own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
+    table, _, told = read_table(path, **{**own, **given}, known=known)
+    return table, told
+
+
+def _is_word(level: Any) -> bool:
+    """Whether a level is a text that stays one: true and false are what columns of yes and no become."""
+    return isinstance(level, str) and level not in ("true", "false")

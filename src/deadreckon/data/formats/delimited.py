@@ -11,7 +11,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow
 
 from deadreckon.data.arrow import compute as _compute
-from deadreckon.data.formats.cells import MISSING, converted, with_dates
+from deadreckon.data.formats.cells import MISSING, NOTHING, Known, converted, with_dates
 from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
 from deadreckon.data.formats.spool import Spool
 from deadreckon.errors import UserError, reading
@@ -21,7 +21,9 @@ _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
 _NULLS = (*MISSING, "-nan", "-NaN", "#N/A N/A", "1.#QNAN", "-1.#IND")
 
 
-def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None) -> tuple[pa.Table, Dialect, list[str]]:
+def read_delimited(
+    path: Path | str, asked: Dialect, spool: Spool | None = None, known: Known = NOTHING
+) -> tuple[pa.Table, Dialect, list[str]]:
     """A text file as a table.
 
     Types are those that fit all cells of a column: integers, numbers, truth values, dates, else texts.
@@ -30,6 +32,7 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         path: of the file, plain or gzipped.
         asked: what is known of its dialect.
         spool: where columns are kept; None: in memory.
+        known: what some columns hold.
 
     Returns:
         The table, the dialect in which it was read, and one line for each thing that is not plain or is open.
@@ -42,7 +45,7 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         head, whole = _head(source)
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
-        table = _parsed(path, source, dialect, spool)
+        table = _parsed(path, source, dialect, spool, known)
         told += _of_names(path, table.column_names)
         table = _named(path, table)
         table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
@@ -53,7 +56,7 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         told += _of_quotes(path, table, dialect)
         if not table.num_rows:
             raise UserError(f"{path}: the log has no rows, only a line of names")
-    table, order, lines = converted(table, dialect, spool)
+    table, order, lines = converted(table, dialect, spool, known)
     return table, with_dates(dialect, order), told + lines
 
 
@@ -68,11 +71,12 @@ def _head(source: BinaryIO) -> tuple[bytes, bool]:
     return head, not source.read(1)
 
 
-def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None) -> pa.Table:
+def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None, known: Known) -> pa.Table:
     read = arrow.ReadOptions(encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK)
     # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
     parse = arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
     convert: dict[str, Any] = {"decimal_point": dialect.decimal, "null_values": _NULLS}
+    convert |= {"column_types": dict.fromkeys(known.texts, pa.string())} if known.texts else {}
     try:
         if spool is not None:
             return spool.read(source, read, parse, convert)
