@@ -1,6 +1,5 @@
 """A tree says what a policy does where it can, and that it cannot where it cannot."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -58,7 +57,7 @@ def test_a_threshold_is_found_and_so_is_the_column(log, tmp_path):
     assert found.tree.text.startswith("observation 1 <= ")
     assert abs(float(found.tree.text.split()[-1])) < 0.1
     assert [leaf.text for leaf in (found.tree.yes, found.tree.no)] == ["0", "1"]
-    assert [each.column for each in found.columns][0] == "observation 1"
+    assert found.columns[0].column == "observation 1"
     # An exchanged value gives another action in half of all rows: with the chance that two signs differ.
     assert found.columns[0].low < 0.5 < found.columns[0].high
     assert all(each.high == 0.0 for each in found.columns[1:])

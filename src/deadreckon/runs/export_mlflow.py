@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,24 +23,31 @@ LOADER = "mlflow_loader.py"
 def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
     """Writes the model; gives lines about its use."""
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_UV_AUTO_DETECT", "false")  # else it copies the lock file of the folder one happens to be in
     try:
         import mlflow.pyfunc
         import pandas
-        from mlflow.models import infer_signature
+        from mlflow.models import ModelSignature, infer_signature
+        from mlflow.types import ColSpec, Schema
+        from mlflow.types.schema import AnyType
     except ImportError as error:
         text = f"the format mlflow needs mlflow-skinny and pandas ({error}): pip install 'deadreckon[mlflow]'"
         raise UserError(text) from error
     encoder = TableEncoder(one.told)
     named = bool(encoder.observed) and not encoder.masked and function.history == 1
     given: Any = pandas.DataFrame(decoded(encoder, rows.observations)) if named else rows.observations
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         code, data = Path(place) / "code", Path(place) / "data"
         put_player(one, code, (*PLAYER, LOADER))
         data.mkdir()
         (code / "policy.npz").rename(data / "policy.npz")
         play = portable.load(data / "policy.npz")
         check("the numpy player", rows, played(play, rows))
-        sign: dict[str, Any] = {"signature": infer_signature(given, Model(play).predict(given))} if named else {}
+        sign: dict[str, Any] = {}
+        if named:  # names are MLflow's to check; kinds are the encoder's, which knows of missing values and levels
+            inputs = Schema([ColSpec(AnyType(), key) for key in encoder.observed])
+            sign["signature"] = ModelSignature(inputs, infer_signature(None, Model(play).predict(given)).outputs)
+        warnings.simplefilter("ignore")  # MLflow asks for rows of the log as an example, which would be passed on with the model
         mlflow.pyfunc.save_model(
             path=str(folder), loader_module=Path(LOADER).stem, data_path=str(data),
             code_paths=[str(code / name) for name in (*PLAYER, LOADER)], pip_requirements=["numpy>=2.1", "pandas>=2.2"], **sign,

@@ -13,10 +13,11 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.runs.folder import policy_seed
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.reading import HORIZON, Read, check_encoding
-from deadreckon.runs.run import Run, load, policy_seed
+from deadreckon.runs.run import Run, load
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
     run = load(folder) if folder is not None and (folder / "run.json").exists() else None
     if run is not None:  # one whose seed has diverged is used where it is asked for alone
-        seed = policy_seed(str(run.path), run.seeds, [failure is not None for failure in run.failures], seed)
+        seed = policy_seed(str(run.path), run.seeds, run.failures, seed)
     found = gather(given if run is None else run)
     if seed is not None and all(each.seed != seed for each in found):
         raise UserError(f"{found[0].run} has no policy of seed {seed}")
