@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
+    from deadreckon.runs.explain import explain
+    from deadreckon.runs.export import export
+    from deadreckon.runs.monitor import monitor
     from deadreckon.runs.online import train_online
     from deadreckon.runs.run import Run
     from deadreckon.runs.run import load as load_run
@@ -41,11 +44,14 @@ _HOMES = {
     "cross_fit": ("runs.crossfit", "cross_fit"),
     "dope": ("runs.dope", "dope"),
     "evaluate": ("runs.evaluate", "evaluate"),
+    "explain": ("runs.explain", "explain"),
+    "export": ("runs.export", "export"),
     "load": ("data.catalogue", "load"),
     "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
     "load_policy": ("policies.loaded", "load_policy"),
     "load_run": ("runs.run", "load"),
+    "monitor": ("runs.monitor", "monitor"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
     "train": ("runs.train", "train"),
@@ -55,8 +61,9 @@ _HOMES = {
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "UserError", "__version__", "agents", "bench", "collect", "collect_log", "cross_fit", "data",
-    "dope", "evaluate", "load", "load_cross_fit", "load_policies", "load_policy", "load_run", "mbo", "ope", "policies", "read",
-    "recommend", "report", "runs", "tasks", "theory", "train", "train_online", "train_together",
+    "dope", "evaluate", "explain", "export", "load", "load_cross_fit", "load_policies", "load_policy", "load_run", "mbo",
+    "monitor", "ope", "policies", "read", "recommend", "report", "runs", "tasks", "theory", "train", "train_online",
+    "train_together",
 ]  # fmt: skip
 
 

@@ -47,7 +47,7 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
         if named:  # names are MLflow's to check; kinds are the encoder's, which knows of missing values and levels
             inputs = Schema([ColSpec(AnyType(), key) for key in encoder.observed])
             sign["signature"] = ModelSignature(inputs, infer_signature(None, Model(play).predict(given)).outputs)
-        warnings.simplefilter("ignore")  # MLflow asks for rows of the log as an example, which would be passed on with the model
+        warnings.simplefilter("ignore")  # MLflow asks for rows of the log as an example, which would go with the model
         mlflow.pyfunc.save_model(
             path=str(folder), loader_module=Path(LOADER).stem, data_path=str(data),
             code_paths=[str(code / name) for name in (*PLAYER, LOADER)], pip_requirements=["numpy>=2.1", "pandas>=2.2"], **sign,
