@@ -253,6 +253,53 @@ MUTANTS = (
         "batch.next_observation, batch.reward", "models learn the next observation instead of its change",
         ("dynamics/test_ensemble.py::test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations",),
     ),
+    # ---- policies in use
+    Mutant(
+        "unknown-level-passes", "policies/table_columns.py", "elif flag:\n                outside[row] = True",
+        "elif True:\n                outside[row] = True", "an unknown level becomes no level without a word",
+        ("policies/test_table_encoder.py::test_rows_that_are_refused",),
+    ),
+    Mutant(
+        "fill-forgotten", "policies/table_columns.py", "np.where(absent, self.fill, values)", "np.where(absent, 0.0, values)",
+        "missing values are 0 at use and the mean in training", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "marks-forgotten", "policies/table_encoder.py", "out[:, place + 1] = absent[:, index]", "out[:, place + 1] = 0.0",
+        "nothing says at use where a value was missing", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "outside-at-the-end", "policies/table_columns.py", "(values > self.seen_high)", "(values >= self.seen_high)",
+        "the largest value of a log lies outside it", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "past-not-taken", "policies/table_predict.py", "taken if episodes.logged is None else episodes.logged[rows]", "taken",
+        "a history has what the policy would have done in place of what was done",
+        ("runs/test_predict.py::test_policies_on_histories_take_the_logged_past",),
+    ),
+    Mutant(
+        "sampled-evenly", "policies/table_predict.py", "np.cumsum(probs.astype(np.float64), 1)",
+        "np.cumsum(np.ones(probs.shape), 1)", "sampled actions all have the same probability",
+        ("runs/test_predict.py::test_probabilities_by_name_and_what_is_sampled_from_them",),
+    ),
+    Mutant(
+        "member-of-each-row", "policies/table_predict.py", "size=len(found))[episodes.number]", "size=len(found))",
+        "a mixture changes its member within an episode",
+        ("policies/test_table_predict.py::test_a_mixture_keeps_its_member_for_an_episode",),
+    ),
+    Mutant(
+        "texts-guessed-anew", "data/formats/any_table.py", "read_delimited(path, asked, known=known)",
+        "read_delimited(path, asked)", "a column of texts is read as numbers or truth values in a table of few rows",
+        ("cli/test_predict.py::test_a_file_of_a_few_rows_is_read_as_the_log_was",),
+    ),
+    Mutant(
+        "columns-for-a-row", "runs/service.py", "given = [rows] if single else rows", "given = rows",
+        "a service takes a dictionary of columns, of as many rows as it has", ("runs/test_service.py",),
+    ),
+    Mutant(
+        "body-without-limit", "runs/service.py", "if size > most:", "if size > 1_000 * most:",
+        "a body whose length is not said has no limit",
+        ("runs/test_service.py::test_large_bodies_are_refused_before_they_are_whole",),
+    ),
     # ---- networks
     Mutant(
         "tanh-correction", "nets/distributions.py", "return (normal - squash).sum(-1)", "return (normal + squash).sum(-1)",
@@ -628,7 +675,7 @@ MUTANTS = (
         "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
-        "csv-empty-text", "data/formats/cells.py", 'values = keep(_without(values, ("",)))', "values = keep(values)",
+        "csv-empty-text", "data/formats/cells.py", 'values = keep(without(values, ("",)))', "values = keep(values)",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
     # ---- databases
@@ -743,7 +790,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-lone", "data/formats/cells.py",
-        "and words <= set(_LONE)", "",
+        "(known or words <= set(_LONE))", "True",
         "a column of one letter is a flag", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -763,7 +810,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-dashes", "data/formats/cells.py",
-        "_without(trimmed, (*MISSING, DASH)), dialect", "_without(trimmed, MISSING), dialect",
+        "without(trimmed, (*MISSING, DASH)), dialect", "without(trimmed, MISSING), dialect",
         "a dash makes numbers texts", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -800,6 +847,21 @@ MUTANTS = (
         "dates-half", "data/formats/dates.py",
         "_compute.if_else(_compute.equal(number, 12), 0, number)", "number",
         "half an hour past midnight is past noon", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-frames", "data/text_dates.py",
+        "if all_match(_texts(values[:SAMPLE]), _WRITTEN)", "if False",
+        "dates as texts in data frames order episodes alphabetically", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "placeholder-far", "data/placeholders.py",
+        "0 < high - low < max(low - end, end - high)", "True",
+        "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/backwards.py",
+        " and not (steps > 0).any()", "",
+        "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
     Mutant(
         "dates-first-wrong", "data/formats/dates.py",
@@ -1056,9 +1118,27 @@ MUTANTS = (
         "late rewards are compared with their own row only", ("data/test_leaks.py",),
     ),
     Mutant(
+        "copies-of-people", "data/copies.py",
+        "if len(kinds) >= _OWN * (rows - found) and (kinds != np.floor(kinds)).any():",
+        "if (kinds != np.floor(kinds)).any():",
+        "equal people are taken for a table that was stored twice", ("data/test_info.py",),
+    ),
+    Mutant(
+        "leak-behind-empty-cells", "data/leaks.py",
+        "return flat[:, column.dimensions[-1]] == 0 if column.marked else np.ones(len(flat), bool)",
+        "return np.ones(len(flat), bool)",
+        "one empty cell hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "leak-behind-rounding", "data/relations.py",
+        "if 0 < unit <= _ROUGH * y.std() and off <= unit + exact:",
+        "if 0 < unit <= _ROUGH * y.std() and off <= exact:",
+        "rounding hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
         "leak-lagged-column", "data/leaks.py",
-        "if len(np.unique(start)) < 2 or (start == ahead[first]).all():",
-        "if (start == ahead[first]).all():",
+        "if filled or (behind[first] == ahead[first]).all():",
+        "if (behind[first] == ahead[first]).all():",
         "a column of earlier values is accused", ("data/test_leaks.py",),
     ),
     Mutant(

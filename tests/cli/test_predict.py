@@ -104,9 +104,13 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     choice = {"name": "bc seed 1", "deploy": True, "reason": "it is better"}
     policies = [{"name": f"bc seed {seed}", "file": str(run.path / "policies" / f"seed{seed}.npz")} for seed in (0, 1)]
     words = ["predict", str(tmp_path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]
-    write_json(tmp_path / "estimates.json", {"choice": choice, "policies": policies})
+    write_json(tmp_path / "estimates.json", {"choice": choice, "policies": policies, "estimand": {"greedy": False}})
+    assert main([*words, "--sampled"]) == 0
+    assert capsys.readouterr().err == ""
     assert main(words) == 0
-    assert f"bc seed 1, the policy to deploy by {tmp_path}: actions in 40 rows" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "! the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled" in said.err
+    assert f"bc seed 1, the policy to deploy by {tmp_path}: actions in 40 rows" in said.out
     want = run.predictor(1).encoder.named(run.policies[1](log.observations)).tolist()
     assert pd.read_csv(tmp_path / "a.csv")["offer"].tolist() == want
     write_json(tmp_path / "estimates.json", read_json(tmp_path / "estimates.json") | {"choice": {**choice, "deploy": False}})

@@ -197,7 +197,7 @@ def test_what_is_noticed():
         ({"done": [0, 1, 2, 0, 0]}, {}, "column done has 2 in row 2, 0 or 1 is needed"),
         ({"who": ["a", "b", None, "a", "a"]}, {}, "column who is empty in row 2"),
         ({"when": [1, 2, 3, None, 4]}, {}, "column when is empty in row 3"),
-        ({"when": list("abcde")}, {}, "column when holds string, numbers are needed"),
+        ({"when": list("abcde")}, {}, "column when orders rows, and holds neither numbers nor dates"),
         ({"action_1": [0, None, 0, 0, 0]}, {}, "column action_1 is empty in row 1"),
         ({"x": [1, 2, float("inf"), 4, 5]}, {}, "column x has inf in row 2"),
         ({"x": [None] * 5}, {"observations": "x"}, "column x is empty; leave it out"),
@@ -345,3 +345,12 @@ def test_dimensions_of_one_name_are_refused():
     table = pa.table({"x": [1.0, None, 3.0], "x_missing": [5.0, 6.0, 7.0], "a": [0.5, 0.6, 0.7], "r": [1.0, 2.0, 3.0]})
     with pytest.raises(UserError, match="two dimensions of the observation are called x_missing"):
         Dataset.from_frame(table, action="a", reward="r")
+
+
+def test_categories_as_polars_has_them():
+    """Dictionaries of a kind of text that pyarrow can hardly work with."""
+    modes = pa.DictionaryArray.from_arrays([0, 1, 0, None], pa.array(["x", "y"], pa.string_view()))
+    table = pa.table({"mode": modes, "action": [0, 1, 0, 1], "reward": [0.0] * 4})
+    log = Dataset.from_frame(table)
+    assert log.provenance.extra["observation_levels"] == {"mode": ["x", "y"]}
+    assert log.observations.tolist() == [[1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1]]

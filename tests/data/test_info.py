@@ -19,7 +19,7 @@ def test_the_numbers(log):
     assert info.fingerprint == log.fingerprint
     text = render(info, warnings_for(log, info))
     assert "13 in 4 episodes" in text
-    assert "! 1 episodes have one step only" in text
+    assert "! 1 episode has one step only" in text
 
 
 def test_every_kind_of_log_can_be_described(variant):
@@ -64,7 +64,7 @@ def test_quantiles_of_a_column(rows):
         ({"observations": _observations([1, 1e6, 1])}, "scales differ by a factor of"),
         ({"actions": np.sign(_observations(1)[:, :2])}, "100% of the action entries are at the bounds"),
         ({"actions": np.full((40, 2), 3.0)}, "actions out of bounds"),
-        ({"actions": np.arange(40) % 2, "action_space": Discrete(5)}, "3 of the actions never occur"),
+        ({"actions": np.arange(40) % 2, "action_space": Discrete(5)}, "3 of 5 actions never occur"),
         ({"observations": np.zeros((40, 3)), "actions": np.zeros((40, 2)), "rewards": np.arange(40) % 2}, "repeat an earlier"),
         ({"next_observations": _observations(2), "timeouts": np.zeros(40)}, "37 rows have a next observation that"),
     ],
@@ -74,6 +74,21 @@ def test_advice(changed, words):
     lines = warnings_for(log)
     assert any(__import__("re").search(words, line) for line in lines), lines
     assert not any("\n" in line for line in lines)
+
+
+def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
+    rng = np.random.default_rng(0)
+    once = {"x": rng.normal(size=200), "act": rng.integers(0, 2, 200), "reward": rng.normal(size=200)}
+    twice = {name: np.tile(values, 2) for name, values in once.items()}
+    told = [line for line in warnings_for(Dataset.from_frame(twice, action="act", reward="reward")) if "repeat" in line]
+    assert told == [
+        "200 of 400 rows repeat an earlier one completely, although nearly all others differ in x: if the table was stored "
+        "twice, leave the copies out, or held-out rows are learned from"
+    ]
+    people = {"age": rng.integers(20, 30, 400), "act": rng.integers(0, 2, 400), "reward": rng.integers(0, 2, 400)}
+    prices = {"price": rng.integers(1, 40, 400) / 4, "act": rng.integers(0, 2, 400), "reward": rng.integers(0, 2, 400)}
+    for honest in (once, people, prices):
+        assert "repeat" not in str(warnings_for(Dataset.from_frame(honest, action="act", reward="reward")))
 
 
 def test_a_time_limit_among_other_ends():

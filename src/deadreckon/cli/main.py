@@ -25,6 +25,7 @@ COMMANDS = {
     "recommend": ("recommend", "recommend", "learn from a log within a time budget, and recommend a policy to deploy, if any"),
     "design": ("design", "design", "propose designs from a table of scored ones; see also design problems|get|methods|bench"),
     "predict": ("predict", "predict", "write a policy's actions in the rows of a new table, named as in its log"),
+    "serve": ("serve", "serve", "serve a policy over HTTP: rows as JSON in, named actions out"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator, for returns and scores with intervals"),
     "bench": ("bench", "bench", "run a benchmark suite and show its table with published numbers; bench list, bench show"),
     "theory": ("theory", "theory", "run experiments on the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),

@@ -59,6 +59,8 @@ def predict(args: Sequence[str]) -> None:
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
     table, told = read_rows(options.table, Schema.from_json(policy.encoder.schema, str(found.file)), **ways)
+    if found.sampled and not options.sampled:
+        told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled", *told]
     for line in told:
         print(f"! {line}", file=sys.stderr)
     for column in options.keep:

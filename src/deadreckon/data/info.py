@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deadreckon.data.copies import about_copies, copies
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names
@@ -114,7 +115,7 @@ def describe(log: Dataset) -> Info:
         # What is legal everywhere carries nothing either, and cannot be left out.
         constant_observations=tuple(np.flatnonzero(constant[: len(constant) - spec.mask_size]).tolist()),
         observation_scales=(float(moving.min()), float(moving.max())),
-        duplicate_rows=_duplicates(log, sample),
+        duplicate_rows=copies(log, sample.stop),
         sampled=sample.stop,
         own_successors=_own_successors(log),
         fingerprint=log.fingerprint,
@@ -173,7 +174,8 @@ def _ends(log: Dataset, info: Info) -> list[str]:
         out.append(f"{text}: log final observations, or mark terminals, to keep them")
     if shortest == 1 and longest > 1:
         count = int((log.lengths == 1).sum())
-        out.append(f"{count:,} episodes have one step only: are their ends marked rightly?")
+        some = "1 episode has one step" if count == 1 else f"{count:,} episodes have one step"
+        out.append(f"{some} only: are their ends marked rightly?")
     return out
 
 
@@ -215,12 +217,10 @@ def _columns(log: Dataset, info: Info) -> list[str]:
     if info.unused_actions:
         names, used = action_names(log), _used(log)
         unused = [name for i, name in enumerate(names) if i not in used]
-        text = f"{info.unused_actions} of the actions never occur in the log ({_shortened(unused)})"
-        out.append(f"{text}: nothing is known about them")
-    if info.duplicate_rows > 0.01 * info.sampled and info.lengths[-1] > 1:
-        text = f"{info.duplicate_rows:,} of {info.sampled:,} rows repeat an earlier one"
-        out.append(f"{text}: a split by rows would leak; split by episodes")
-    return out
+        never = "never occurs" if len(unused) == 1 else "never occur"
+        text = f"{len(unused)} of {len(names)} actions {never} in the log ({_shortened(unused)})"
+        out.append(f"{text}: nothing is known about what they lead to")
+    return [*out, *about_copies(log, info.duplicate_rows, info.sampled)]
 
 
 def _shortened(names: Sequence[str]) -> str:
@@ -249,13 +249,6 @@ def _used(log: Dataset) -> np.ndarray:
 
 def _zeros(column: np.ndarray) -> int:
     return sum(int((column[start : start + _SAMPLE] == 0).sum()) for start in range(0, len(column), _SAMPLE))
-
-
-def _duplicates(log: Dataset, rows: slice) -> int:
-    parts = [np.ascontiguousarray(column[rows]).reshape(rows.stop, -1).view(np.uint8).reshape(rows.stop, -1)
-             for column in (log.observations, log.actions, log.rewards)]  # fmt: skip
-    packed = np.ascontiguousarray(np.concatenate(parts, 1))
-    return rows.stop - len(np.unique(packed.view(np.dtype((np.void, packed.shape[1]))).ravel()))
 
 
 def _own_successors(log: Dataset) -> int:

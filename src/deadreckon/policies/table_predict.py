@@ -68,10 +68,15 @@ class Predictor:
         player: what acts.
         log: what its file keeps of its log; see `TableEncoder`.
         name: of the rows, for errors.
+
+    Attributes:
+        encoder: between rows and observations, codes and named actions.
+        steps: last observations of an episode that it acts on.
     """
 
     def __init__(self, player: Player, log: Mapping[str, Any], name: str = "rows"):
         self.player, self.encoder = player, TableEncoder(log, name)
+        self.steps = max(each.steps for each in (player, *player.members))
 
     def predict(
         self, rows: Any, *, probabilities: bool = False, greedy: bool = True, seed: int | np.random.Generator = 0,
@@ -107,9 +112,8 @@ class Predictor:
         if probabilities and not self.encoder.discrete:
             raise RowsError("probabilities are those of discrete actions, and this policy's are continuous")
         rng = seed if isinstance(seed, np.random.Generator) else np.random.default_rng(seed)
-        steps = max(each.steps for each in (self.player, *self.player.members))
-        remembers = steps > 1 or self.player.members
-        episodes = _Episodes.of(self.encoder, found, steps) if remembers else None
+        remembers = self.steps > 1 or self.player.members
+        episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)
         named = self.encoder.named(actions)
         if not probabilities and outside == "raise":

@@ -19,10 +19,12 @@ class Chosen(NamedTuple):
     Attributes:
         file: where it is.
         words: which it is, and how many there are.
+        sampled: whether the decision that chose it was about its sampled actions; False where there is no decision.
     """
 
     file: Path
     words: str
+    sampled: bool = False
 
 
 def chosen(path: Path | str, seed: int | None = None) -> Chosen:
@@ -72,7 +74,8 @@ def _of_decision(path: Path) -> Chosen:
     file = next((each["file"] for each in results["policies"] if each["name"] == choice["name"]), None)
     if file is None or not Path(file).exists():
         raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {file}; name its run")
-    return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}")
+    sampled = not (results.get("estimand") or {}).get("greedy", True)
+    return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}", sampled)
 
 
 def predictor(file: Path, name: str = "rows") -> Predictor:

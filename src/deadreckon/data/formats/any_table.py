@@ -64,8 +64,12 @@ def read_table(
     if kind == "parquet":
         from pyarrow import parquet
 
+        from deadreckon.data.text_dates import with_dates
+
         with reading(path, "Parquet", pa.ArrowException):
-            return parquet.read_table(path), None, []
+            found = parquet.read_table(path)
+        found, order, told = with_dates(found, asked.dates)
+        return found, None if order is None else Dialect(dates=order), told
     if kind == "excel":
         from deadreckon.data.formats.excel import read_excel
 

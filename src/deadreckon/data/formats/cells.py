@@ -67,13 +67,13 @@ def converted(
         if not is_string(values.type) or name in known.texts:
             continue
         trimmed = _compute.utf8_trim_whitespace(values)
-        present = _without(trimmed, MISSING)
+        present = without(trimmed, MISSING)
         if present.null_count == len(present):
             continue
         if (found := _flags(present, name in known.flags)) is not None:
             done[name], words = keep(found[0]), found[1]
-            flags += [f"{name} ({words})"] if words else []
-        elif (number := _numbers(_without(trimmed, (*MISSING, DASH)), dialect)) is not None:
+            flags += [f"{name} ({words})"] if words and name not in known.flags else []
+        elif (number := _numbers(without(trimmed, (*MISSING, DASH)), dialect)) is not None:
             done[name], lines, marked = keep(number[0]), *number[1:]
             told += [f"column {name}: {line}" for line in lines]
             grouped += [name] if marked else []
@@ -94,7 +94,7 @@ def converted(
         if name in done:
             values = done[name]
         elif is_string(values.type):
-            values = keep(_without(values, ("",)))
+            values = keep(without(values, ("",)))
             lines += [] if name in known.texts else _of_texts(f"column {name}", values)
         columns.append(values)
     told += lines[:_SHOWN]
@@ -108,7 +108,7 @@ def with_dates(dialect: Dialect, order: str | None) -> Dialect:
     return dialect if order is None else replace(dialect, dates=order)
 
 
-def _without(values: Any, words: tuple[str, ...]) -> Any:
+def without(values: Any, words: tuple[str, ...]) -> Any:
     """The texts, without those of `words`, which are missing."""
     gone = _compute.is_in(values, value_set=pa.array(words, values.type))
     return _compute.if_else(gone, pa.scalar(None, values.type), values)
@@ -174,7 +174,7 @@ def _of_texts(called: str, values: Any) -> list[str]:
     if count := _compute.sum(gone).as_py():
         word = values.filter(gone)[0].as_py()
         told.append(f"{called}: {word!r} is a text like others in {_rows(count)}; empty such cells if they are missing")
-    found = likeness(_without(values, (*MISSING, DASH)))
+    found = likeness(without(values, (*MISSING, DASH)))
     if found.alike and (found.row < 0 or found.numbers):
         where = f"; row {found.row} has {found.odd[:40]!r}" if found.numbers and found.odd != found.first else ""
         told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date{where}")

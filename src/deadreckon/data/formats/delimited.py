@@ -13,11 +13,13 @@ from pyarrow import csv as arrow
 from deadreckon.data.arrow import compute as _compute
 from deadreckon.data.formats.cells import MISSING, NOTHING, Known, converted, with_dates
 from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
+from deadreckon.data.formats.marks import LARGEST, of_large, of_zeros
 from deadreckon.data.formats.spool import Spool
 from deadreckon.errors import UserError, reading
 from deadreckon.files import unpacked
 
 _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
+_SEEN = 2_000  # rows of the head, whose cells are looked at as they stand
 _NULLS = (*MISSING, "-nan", "-NaN", "#N/A N/A", "1.#QNAN", "-1.#IND")
 
 
@@ -46,6 +48,7 @@ def read_delimited(
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
         table = _parsed(path, source, dialect, spool, known)
+        told += _late_digits(source, dialect, table)
         told += _of_names(path, table.column_names)
         table = _named(path, table)
         table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
@@ -72,9 +75,7 @@ def _head(source: BinaryIO) -> tuple[bytes, bool]:
 
 
 def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None, known: Known) -> pa.Table:
-    read = arrow.ReadOptions(encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK)
-    # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
-    parse = arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
+    read, parse = _options(dialect)
     convert: dict[str, Any] = {"decimal_point": dialect.decimal, "null_values": _NULLS}
     convert |= {"column_types": dict.fromkeys(known.texts, pa.string())} if known.texts else {}
     try:
@@ -87,6 +88,43 @@ def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool |
         if "Empty CSV" in text:
             raise UserError(f"{path}: the log has no rows, only a line of names") from error
         raise UserError(f"{path}: cannot be read as CSV, it is damaged or cut short ({text[:200]})") from error
+
+
+def _options(dialect: Dialect) -> tuple[arrow.ReadOptions, arrow.ParseOptions]:
+    read = arrow.ReadOptions(encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK)
+    # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
+    return read, arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
+
+
+def _late_digits(source: BinaryIO, dialect: Dialect, table: pa.Table) -> list[str]:
+    """What to tell of columns of integers that have their first zeros in front, or more digits than integers, behind the head.
+
+    Only columns whose values leave that open are read again: without its zeros a number has fewer digits than all of the head.
+    """
+    names: dict[str, str] = {}  # and what to look for
+    for name, values in () if table.num_rows <= _SEEN else zip(table.column_names, table.columns, strict=True):
+        if not (pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
+            continue
+        (low, high), head = _compute.min_max(values).as_py().values(), values[:_SEEN].drop_null()
+        if low is None or not len(head):
+            continue
+        if pa.types.is_integer(values.type):
+            least = _compute.min(head).as_py()
+            names |= {name: r"^0\d+$"} if low >= 0 and len(str(low)) < len(str(least)) else {}
+        elif high >= LARGEST and _compute.all(_compute.equal(head, _compute.floor(head))).as_py():
+            names[name] = r"^\d{19,}$"
+    if not names or len(set(table.column_names)) < table.num_columns:  # names that occur twice are refused later
+        return []
+    source.seek(0)
+    convert = arrow.ConvertOptions(include_columns=list(names), column_types=dict.fromkeys(names, pa.string()))
+    found: dict[str, str] = {}
+    for batch in arrow.open_csv(source, *_options(dialect), convert):
+        for name, pattern in names.items():
+            cells = _compute.utf8_trim_whitespace(batch.column(name))
+            cells = cells.filter(_compute.match_substring_regex(cells, pattern)).to_pylist()
+            odd = next((cell for cell in cells if cell[0] == "0" or int(cell) >= LARGEST), None)
+            found |= {name: odd} if odd is not None and name not in found else {}
+    return [of_zeros(name, cell) if cell[0] == "0" else of_large(name, cell) for name, cell in found.items()]
 
 
 def _diagnose(path: Path | str, dialect: Dialect) -> None:

@@ -23,7 +23,7 @@ TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # columns have names o
 # How a file is read, and the formats that can be read so.
 READING = {
     "separator": ("csv",), "decimal": ("csv",), "thousands": ("csv",), "encoding": ("csv",),
-    "dates": ("csv", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
+    "dates": ("csv", "parquet", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
 DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those which say how values are written
@@ -83,6 +83,9 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
     for kind, test in (("vw", is_vw), ("rllib", is_rllib)) if separator is None else ():
         if test(head):
             return kind
+    if re.match(rb"\s*\[\s*[{\[]", head):
+        how = f"in Python, Dataset.from_frame(pandas.read_json({path.name!r}))"
+        raise UserError(f"{path}: a list in JSON, which is not read; {how}")
     if is_table(head, separator):
         return "csv"
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")

@@ -25,6 +25,7 @@ from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.spread import from_anybody
 from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
+from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.progress import Progress, unwatched
@@ -122,7 +123,9 @@ def convert_table(
             if kind == "csv":
                 mapping, table, told = _of_text(source, work, mapping, progress)
             else:
-                table = _spooled(source, kind, work, progress)
+                schema = None if mapping.get("schema") is None else as_schema(mapping["schema"])
+                dates = Dialect.asked(dates=mapping.pop("dates", None)).dates or (schema.table.get("dates") if schema else None)
+                table, _, told = with_dates(_spooled(source, kind, work, progress), dates)
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
             columns.mkdir()
