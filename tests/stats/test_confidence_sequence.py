@@ -49,6 +49,7 @@ def test_a_sample_beyond_the_range_opens_the_end_that_rests_on_it_and_no_other()
     assert np.isfinite(found.high[found.counts <= 150]).all()
     assert np.isfinite(found.low).all()
     assert refuted_at(x, (0.0, 1.0), 0.9, 0.05) == refuted_at(x[:150], (0.0, 1.0), 0.9, 0.05)  # what was found before holds
+    assert refuted_at(np.append(1.5, np.zeros(100)), (0.0, 1.0), 0.9, 0.05) is None
     below = confidence_sequence(-x, (-1.0, 0.0), 0.1)
     assert np.isneginf(below.low[-1])
     assert np.isfinite(below.high[-1])

@@ -10,8 +10,8 @@ from deadreckon.runs.explained_tree import Node
 from deadreckon.stats.interval import PERCENT, Interval
 
 SHOWN = 12  # columns
-COLUMN, ROW = 190, 34  # width of a question and height of an action, in pixels
-LETTERS = 25  # of a text; its tooltip has it all
+COLUMN, ROW, TOP = 220, 36, 12  # width of a question, height of an action, and room above, in pixels
+LETTERS, ENDING = 22, 9  # of a text, and of those at its end, where its number is; its tooltip has it all
 
 
 def section(page: Page) -> Markup | None:
@@ -35,7 +35,10 @@ def _part(found: Explained) -> Markup:
     more = len(found.columns) - len(marks)
     rest = f" {more:,} more columns are not drawn." if more > 0 else ""
     how = "Each column's values were exchanged between fresh rows; columns that say the same can hide each other in this."
-    columns = figure(forest.forest(marks, unit), f"Columns that the policy acts on: {unit}") if marks else None
+    columns = None
+    if marks:
+        drawn = figure(forest.forest(marks, unit), f"Columns that the policy acts on: {unit}")
+        columns = tag("div", drawn, class_="charts two")
     return join(tag("h3", found.name), tag("p", told), tree, columns, note(how, rest))
 
 
@@ -50,7 +53,7 @@ def drawing(root: Node, title: str) -> Markup:
         deepest = max(deepest, depth)
         x = 8 + depth * COLUMN
         if node.yes is None or node.no is None:
-            y = ROW * (leaves + 0.5)
+            y = TOP + ROW * (leaves + 0.5)
             leaves += 1
             parts.append(_text(node.text, x, y, "label"))
             parts.append(tag("text", f"{node.share:.0%} of rows", x=x, y=f"{y + 17:.1f}", class_="tick"))
@@ -65,7 +68,7 @@ def drawing(root: Node, title: str) -> Markup:
         return y
 
     draw(root, 0)
-    width, height = 8 + (deepest + 1) * COLUMN, ROW * leaves + 12
+    width, height = 8 + (deepest + 1) * COLUMN, TOP + ROW * leaves + 12
     return tag(
         "svg", tag("g", parts, class_="s0"), viewBox=f"0 0 {width} {height}", width=width, height=height, role="img",
         aria_label=title, class_="chart tree",
@@ -73,5 +76,5 @@ def drawing(root: Node, title: str) -> Markup:
 
 
 def _text(text: str, x: float, y: float, kind: str) -> Markup:
-    short = text if len(text) <= LETTERS else f"{text[: LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
+    short = text if len(text) <= LETTERS else f"{text[: LETTERS - ENDING - 1]}\N{HORIZONTAL ELLIPSIS}{text[-ENDING:]}"
     return tag("text", tag("title", text), short, x=x, y=f"{y + 4:.1f}", class_=kind)

@@ -63,12 +63,10 @@ def _value(found: Monitored) -> Markup:
         return tag("p", _sentence(value))
     sequence = value.sequence
     lines = [Series("realised", 0, sequence.counts.astype(float), sequence.means, sequence.low, sequence.high)]
-    references = []
-    if value.estimated is not None:
-        ends = zip(("lower end of the estimate", "estimate"), (value.estimated.low, value.estimated.value))
-        references = [(name, end) for name, end in ends if np.isfinite(end)]
+    least = None if value.estimated is None else value.estimated.low
+    references = [("lower end of the estimate", least)] if least is not None and np.isfinite(least) else []
     chart = charts.lines(
-        lines, title="realised value", unit="mean return of episodes", size=(640, 320), references=references,
+        lines, title="realised value", unit="mean return of episodes", size=(480, 300), references=references,
         across="finished episodes",
     )  # fmt: skip
     low, high = value.range
@@ -77,7 +75,8 @@ def _value(found: Monitored) -> Markup:
         f"{number(low)} and {number(high)} ({value.source}). {_sentence(str(value.estimand))}"
     )
     lost = f" {value.beyond:,} returns lie outside this range, so that the band is open on that side." if value.beyond else ""
-    return join(figure(chart, "Mean return of the new log's episodes so far"), note(told, lost))
+    drawn = figure(chart, "Mean return of the new log's episodes so far")
+    return join(tag("div", drawn, class_="charts two"), note(told, lost))
 
 
 def _columns(found: Monitored) -> Markup:

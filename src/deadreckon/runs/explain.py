@@ -170,13 +170,15 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     whole = max(float(plain.mean()), 1e-12)
     if discrete:
         right = _mean(1.0 - own, unit[fresh])
-        fidelity, still = (right.value, right.low, right.high), 1.0 - float(plain.mean())
+        fidelity, still = right, 1.0 - float(plain.mean())
     else:
-        fidelity, still = (gain.value / whole, gain.low / whole, gain.high / whole), 1.0 if plain.mean() < 1e-12 else 0.0
+        fidelity = Interval(gain.value / whole, gain.low / whole, gain.high / whole)
+        still = 1.0 if plain.mean() < 1e-12 else 0.0
     said = action_names(data)
     tree = node_of(trees[depth], names, said, discrete) if explains else None
     matters = _matters(ask, x[fresh], done[fresh], unit[fresh], _groups(data, names, steps), scale, discrete, rng)
-    return Explained(name, data.name, discrete, len(own), depth, *map(float, fidelity), still, bool(explains), tree, matters)
+    ends = fidelity.value, fidelity.low, fidelity.high
+    return Explained(name, data.name, discrete, len(own), depth, *ends, still, bool(explains), tree, matters)
 
 
 def _asker(function: Pure, rows: int) -> Any:

@@ -64,7 +64,7 @@ def node_of(tree: Any, names: Sequence[str], actions: Sequence[str], discrete: b
         yes, no = made(left), made(right)
         if yes.leaf and no.leaf and yes.text == no.text:
             return Node(yes.text, share)  # a question whose answer changes nothing
-        name = names[inner.feature[i]]
+        name = str(names[int(inner.feature[i])])
         column, equals, level = name.rpartition("=")
         if equals and column:  # a level, or a legal action, is there or not
             return Node(f"{column} is {level}", share, no, yes)
