@@ -8,6 +8,7 @@ from typing import Any
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import read
+from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
@@ -16,6 +17,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.folder import policy_seed
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
+from deadreckon.runs.player import chosen
 from deadreckon.runs.reading import HORIZON, Read, check_encoding
 from deadreckon.runs.run import Run, load
 
@@ -71,30 +73,40 @@ class Subject:
             raise UserError(f"{self.name} does not say where its log lies; name it")
         if path is not None and not Path(path).exists():
             raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it")
-        found = self._like(path) if path is not None else catalogue.load(known["name"])
+        try:
+            found = self._like(path) if path is not None else catalogue.load(known["name"])
+        except UserError as error:
+            raise UserError(f"the log that {self.name} learned from cannot be read again, so name it: {error}") from error
         if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
             raise UserError(f"the log that {self.name} learned from has changed ({path or known['name']}); name a copy of it")
         return found
 
     def _like(self, path: Path | str) -> Dataset:
         schema, horizon = self.schema, (self.read.extra or {}).get(HORIZON)
-        if schema is None:
+        if schema is None or not Path(path).is_file() or sniff(path) not in TABLES:
             return catalogue.load(path, horizon=horizon)
-        # The new file may have another dialect, and its own name.
-        return read(path, schema=replace(schema, table={}), horizon=horizon)
+        # A file of another kind than the policy's own may have another dialect, and has another name.
+        alike = self.read.path is not None and Path(path).suffix == Path(self.read.path).suffix
+        return read(path, schema=replace(schema, table=schema.options() if alike else {}), horizon=horizon)
 
 
 def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     """The policy of a run, a cross-fit or a policy file.
 
     Args:
-        given: the run, its folder, a cross-fit's folder, or a policy file.
-        seed: of the run's seeds; None: the first.
+        given: the run, its folder, a cross-fit's folder, a policy file, or a folder of `ope` or `recommend`, whose policy to
+            deploy is meant.
+        seed: of the run's seeds; None: the first that has not failed.
 
     Raises:
         UserError: there is none.
     """
     folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
+    if folder is not None and (folder / NAME).exists() and not (folder / "run.json").exists():
+        if (run_of := chosen(folder).file.parents[1]) == folder or not (run_of / "run.json").exists():
+            raise UserError(f"{folder} decides for a policy that is in no run folder; name its file")
+        name = read_json(folder / NAME)["choice"]["name"]
+        return subject(run_of, next(each["seed"] for each in read_json(folder / NAME)["policies"] if each["name"] == name))
     run = load(folder) if folder is not None and (folder / "run.json").exists() else None
     if run is not None:  # one whose seed has diverged is used where it is asked for alone
         seed = policy_seed(str(run.path), run.seeds, run.failures, seed)
