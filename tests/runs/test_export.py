@@ -172,6 +172,43 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
     assert found["action_name"].tolist() == flagged.actions.tolist()
 
 
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """Runs on several continuous actions in episodes, on histories, cross-fitted, and with legal actions."""
+    folder, rng, n = tmp_path_factory.mktemp("others"), np.random.default_rng(0), 400
+    frame = pd.DataFrame({
+        "day": np.repeat(np.arange(20), 20), "hour": np.tile(np.arange(20), 20), "temp": rng.normal(size=n),
+        "mode": rng.choice(["a", "b"], n), "valve": rng.uniform(0, 50, n), "fan": rng.uniform(-1, 1, n), "reward": 0.0,
+    })  # fmt: skip
+    frame.loc[rng.random(n) < 0.1, "temp"] = np.nan
+    frame.to_csv(folder / "days.csv", index=False)
+    days = dr.read(folder / "days.csv", action=["valve", "fan"], reward="reward", episode="day", time="hour")
+    second = rng.integers(0, 2, n)
+    allowed = pd.DataFrame({"x": rng.normal(size=n), "legal_a": 1, "legal_b": second, "reward": 0.0})
+    allowed["action"] = np.where((second == 1) & (rng.random(n) < 0.5), "b", "a")
+    allowed.to_csv(folder / "legal.csv", index=False)
+    some = dr.read(folder / "legal.csv", action="action", reward="reward", legal=["legal"])
+    small, short = {"hidden": (4,), "batch_size": 16}, {"steps": 2, "task": False}
+    return {
+        "continuous": dr.train(dr.agents.TD3BC(**small), days, out=folder / "td3", **short),
+        "candidates": dr.train(dr.agents.BEAR(**small), days, out=folder / "bear", **short),
+        "history": dr.train(dr.agents.BC(**small), days, out=folder / "history", history=2, **short),
+        "mixture": dr.cross_fit(dr.agents.BC(**small), days, out=folder / "cross", folds=2, **short).path,
+        "legal": dr.train(dr.agents.BCQ(**small), some, out=folder / "legal", **short),
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("format", exporting.FORMATS)
+@pytest.mark.parametrize("which", ["continuous", "candidates", "history", "mixture", "legal"])
+def test_all_kinds_of_policies_go_into_all_formats(others, tmp_path, which, format):
+    """The check itself compares them with the policy."""
+    card = (export(others[which], format, tmp_path / "x") / "card.md").read_text()
+    assert ("`member`, 0 .. 1" in card) == (which == "mixture")
+    assert ("2 observations with the actions between" in card) == (which == "history")
+    assert ("legal has to be given" in card) == (which == "legal")
+
+
 @pytest.mark.slow
 def test_an_mlflow_model_is_no_pickle_and_names_actions(place):
     pyfunc = pytest.importorskip("mlflow.pyfunc")

@@ -19,8 +19,8 @@ from deadreckon.policies.sequence import Asking
 MEMBER = "member"
 # Kinds that no format but the package's own can hold, and why.
 REFUSED = {
-    Planner: "plans by random draws in a learned model at every step",
-    Asking: "remembers returns, observations and actions of the steps before",
+    Planner: "plan by random draws in a learned model at every step",
+    Asking: "remember returns, observations and actions of earlier steps",
 }
 
 
@@ -53,7 +53,7 @@ def pure(policy: EnvPolicy) -> Pure:
     inner = policy.inner
     for kind, why in REFUSED.items():
         if isinstance(inner, kind):
-            raise UserError(f"a {kind.__name__} policy {why}, which no exported file can do; use it with the package")
+            raise UserError(f"policies of the kind {kind.__name__} {why}: they cannot be exported; use them with the package")
     if isinstance(inner, History):
         return pure(inner.member)._replace(history=inner.steps)
     if isinstance(inner, Mixture):

@@ -159,7 +159,7 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
         alpha: over all tests that can ever be made of this log as it grows.
     """
     found: dict[int, tuple[int, int]] = {}
-    if len(old.starts) >= drift.FIRST:
+    if len(old.starts) >= FEWEST:
         for number, epoch in enumerate(drift.epochs(new.episodes, alpha)):
             window = some(np.arange(epoch.start, epoch.stop), "new episodes", number)
             now = sample(new, window, first)

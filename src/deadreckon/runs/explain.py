@@ -27,7 +27,7 @@ from deadreckon.randomness import generator
 from deadreckon.runs.explained_tree import Node, node_of
 from deadreckon.runs.subject import subject
 from deadreckon.stats import inference
-from deadreckon.stats.interval import Interval
+from deadreckon.stats.interval import ALPHA, Interval
 
 NAME = "explain.json"
 DEPTHS = range(1, 7)
@@ -164,16 +164,10 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     losses = np.stack([loss(guess(tree, chooses), chooses) for tree in trees])
     depth = _simplest(losses, unit[chooses])
     own, plain = loss(guess(trees[depth], fresh), fresh), loss(constant(fresh), fresh)
-    gain = _mean(plain - own, unit[fresh])
     names = _names(data, steps)
-    explains = depth > 0 and gain.low > 0
-    whole = max(float(plain.mean()), 1e-12)
-    if discrete:
-        right = _mean(1.0 - own, unit[fresh])
-        fidelity, still = right, 1.0 - float(plain.mean())
-    else:
-        fidelity = Interval(gain.value / whole, gain.low / whole, gain.high / whole)
-        still = 1.0 if plain.mean() < 1e-12 else 0.0
+    explains = depth > 0 and _mean(plain - own, unit[fresh]).low > 0
+    fidelity = _agreement(own, unit[fresh]) if discrete else _explained_variance(own, plain, unit[fresh])
+    still = 1.0 - float(plain.mean()) if discrete else float(plain.mean() < 1e-12)
     said = action_names(data)
     tree = node_of(trees[depth], names, said, discrete) if explains else None
     matters = _matters(ask, x[fresh], done[fresh], unit[fresh], _groups(data, names, steps), scale, discrete, rng)
@@ -238,6 +232,22 @@ def _mean(x: np.ndarray, unit: np.ndarray) -> Interval:
     influence = len(rows) * (totals - mean * rows) / len(x)
     low, high = inference.student(np.array([mean]), influence[:, None])
     return Interval(mean, float(low[0]), float(high[0]))
+
+
+def _agreement(wrong: np.ndarray, unit: np.ndarray) -> Interval:
+    """The share of (rows,) that are not wrong; where none is, its lower end is what that many units show (Clopper and Pearson)."""
+    right = _mean(1.0 - wrong, unit)
+    low = (ALPHA / 2) ** (1 / len(np.unique(unit))) if not wrong.any() else right.low
+    return Interval(right.value, max(low, 0.0), min(right.high, 1.0))
+
+
+def _explained_variance(own: np.ndarray, plain: np.ndarray, unit: np.ndarray) -> Interval:
+    """1 less the ratio of two mean losses, with an interval by the linearised ratio."""
+    whole = max(float(plain.mean()), 1e-12)
+    ratio = float(own.mean()) / whole
+    spread = _mean(own - ratio * plain, unit)
+    half = (spread.high - spread.value) / whole
+    return Interval(1.0 - ratio, 1.0 - ratio - half, min(1.0 - ratio + half, 1.0))
 
 
 def _names(data: Dataset, steps: int) -> list[str]:

@@ -141,8 +141,9 @@ def monitor(
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
     if by_policy or reference is not None:
         value = realised(new, old, told, return_range, VALUE * alpha)
-    few = min(len(before.starts), new.episodes) < drift.FIRST
-    tested = f"not tested: {drift.FIRST} finished episodes are needed in each log" if few else ""
+    tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
+    if len(before.starts) < compared.FEWEST:
+        tested = f"not tested: the reference has {len(before.starts)} episodes or clusters, {compared.FEWEST} are needed"
     findings = [*_of_value(value, alpha), *_of_columns(columns, tested), *_of_outside(outside, len(new))]
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy)

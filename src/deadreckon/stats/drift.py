@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-FIRST = 20  # new units before the first test, and units of the reference that are needed
+FIRST = 20  # new units before the first test
 MOST = 4_000  # units on each side that a test looks at; of more, so many drawn at random
 THRESHOLDS = 16  # quantiles at which the distribution of numbers is compared
 ENOUGH = 20  # permutations at least as extreme, after which there is no doubt (Besag and Clifford 1991)
