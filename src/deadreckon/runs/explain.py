@@ -235,7 +235,7 @@ def _mean(x: np.ndarray, unit: np.ndarray) -> Interval:
 
 
 def _agreement(wrong: np.ndarray, unit: np.ndarray) -> Interval:
-    """The share of (rows,) that are not wrong; where none is, its lower end is what that many units show (Clopper and Pearson)."""
+    """The share of rows that are not wrong; where none is, the lower end is what so many units show (Clopper and Pearson)."""
     right = _mean(1.0 - wrong, unit)
     low = (ALPHA / 2) ** (1 / len(np.unique(unit))) if not wrong.any() else right.low
     return Interval(right.value, max(low, 0.0), min(right.high, 1.0))
