@@ -383,6 +383,36 @@ MUTANTS = (
         "terminals and timeouts change places in the replay file",
         ("online/test_exploration.py::test_rows_are_what_the_simulator_did",),
     ),
+    # ---- Gymnasium environments as tasks
+    Mutant(
+        "gymnasium-fall-in-time", "tasks/gymnasium_copies.py", "timeouts = self._alive & ~terminals & (",
+        "timeouts = self._alive & (", "a fall in an environment's last step is a timeout too",
+        ("tasks/test_gymnasium.py::test_a_fall_in_the_last_step_is_a_terminal",),
+    ),
+    Mutant(
+        "gymnasium-replayed", "tasks/gymnasium_copies.py", "in self._taken[i, : self._age[i]]:",
+        "in self._taken[i, 1 : self._age[i]]:", "an environment that is taken up again misses the first action of its episode",
+        ("tasks/test_gymnasium.py::test_restored_copies_go_on_bit_for_bit",),
+    ),
+    Mutant(
+        "gymnasium-start", "tasks/gymnasium_spaces.py", "space.dtype.type(space.start + i)", "space.dtype.type(i)",
+        "an environment's discrete actions are counted from 0, wherever they start",
+        ("tasks/test_gymnasium.py::test_numbers_that_do_not_begin_at_zero",),
+    ),
+    Mutant(
+        "gymnasium-episode-seed", "tasks/gymnasium_copies.py", "SeedSequence([seed, number])", "SeedSequence([seed])",
+        "all later episodes of a copy of an environment are the same", ("tasks/test_gymnasium.py::test_seeds_of_episodes",),
+    ),
+    Mutant(
+        "chance-of-discrete", "collect/rollouts.py", "-jnp.log(high + 1.0)", "-jnp.log(high)",
+        "uniform discrete actions are logged with the probability of one action less",
+        ("runs/test_gymnasium_runs.py::test_a_log_by_chance",),
+    ),
+    Mutant(
+        "minari-bounds", "data/formats/minari_rows.py", "np.minimum(environment.low, seen.min)", "environment.low",
+        "bounds of observations in Minari's data sets leave rows outside",
+        ("runs/test_gymnasium_runs.py::test_bounds_hold_every_row",),
+    ),
     # ---- intervals, bootstrap, scores
     Mutant(
         "student-two-sided", "stats/means.py", "special.stdtrit(n - 1, 1 - alpha / 2) * x.std(ddof=1)",
@@ -519,6 +549,42 @@ MUTANTS = (
         "looks-spend-nothing", "runs/looks.py", "1 + len(own.looks) + sum(len(note.looks) for note in others)",
         "1 + len(own.looks)", "looks at overlapping episodes are not counted together",
         ("runs/test_offline.py::test_each_look_at_the_same_episodes_spends_half_of_what_is_left",),
+    ),
+    Mutant(
+        "tracked-before-checkpoint", "runs/trackers/feed.py", "self.waiting[0] < below", "self.waiting[0] <= below",
+        "trackers are told what no checkpoint holds yet", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-without-evaluation", "runs/trackers/feed.py",
+        "return not judged or self.folder.part(\"evaluations\", step).exists()", "return True",
+        "a point is told before its evaluation is done, which is then lost", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-id-anew", "runs/trackers/feed.py", "if not path.exists():", "if True:",
+        "a resumed run is another tracked run",
+        ("runs/test_trackers.py::test_a_resumed_run_is_the_same_tracked_run_and_gives_all_points_again",),
+    ),
+    Mutant(
+        "wandb-doubles", "runs/trackers/wandb_runs.py", "if step >= run.starting_step:", "if step >= 0:",
+        "points are doubled in W&B when a run is resumed",
+        ("runs/test_trackers.py::test_wandb_takes_only_what_its_server_lacks",),
+    ),
+    Mutant(
+        "callback-too-early", "runs/recorder.py", "pc.field(\"step\") <= step", "pc.field(\"step\") < step",
+        "a callback does not see the evaluation that has just been done",
+        ("runs/test_trackers.py::test_a_callback_sees_the_run_and_ends_it",),
+    ),
+    Mutant(
+        "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',
+        'if (found := _sum(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "hub-any-file", "runs/hub.py", "if not allowed.fullmatch(name):", "if not name:",
+        "files of other kinds and in other folders are taken from the Hub", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "rounds-untold", "bench/sampler.py", "self.study.tell(trial, value)", "self.study.tell(trial, 0.0)",
+        "Optuna proposes without knowing what its proposals came to", ("bench/test_sampler.py",),
     ),
     Mutant(
         "holdout-of-resumed", "runs/holdout.py", "if given is None and before is not None:", "if before is not None:",
@@ -859,7 +925,19 @@ MUTANTS = (
         "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
     ),
     Mutant(
-        "backwards-rises", "data/backwards.py",
+        "actions-that-nobody-took", "data/encode.py",
+        "if found == list(range(len(found))):",
+        "if found[0] >= 0 and found[-1] < 2 * len(found):",
+        "numbers between the actions of a table become actions", ("data/test_frame.py",),
+    ),
+    Mutant(
+        "steps-out-of-order", "data/row_order.py",
+        "if (falls & inside).any() and",
+        "if not (falls & inside).any() and",
+        "shuffled steps are not told by the column that counts them", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/row_order.py",
         " and not (steps > 0).any()", "",
         "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
@@ -1281,6 +1359,26 @@ MUTANTS = (
         "explain-seen-rows", "runs/explain.py", "own, plain = loss(guess(trees[depth], fresh), fresh),",
         "own, plain = 0.0 * loss(guess(trees[depth], fresh), fresh),",
         "a tree is said to do all that the policy does", ("runs/test_explain.py",),
+    Mutant(
+        "legal-empty", "data/legal_columns.py", "if isinstance(found, list) and None in found:", "if False:",
+        "an empty entry of a list of legal actions is an action called None",
+        ("data/test_legal.py::test_an_empty_entry_of_a_list_is_no_action",),
+    ),
+    # ---- what is told of tables
+    Mutant(
+        "zeros-rows", "data/formats/delimited.py", "        row += batch.num_rows\n", "        break\n",
+        "codes with zeros in front are looked for in the first rows alone",
+        ("data/formats/test_spool.py::test_zeros_in_front_are_told_wherever_they_are",),
+    ),
+    Mutant(
+        "stream-columns", "data/formats/stream.py", "found if schema is None else opened(schema=schema)", "found",
+        "a folder of files has the columns of the first file",
+        ("data/formats/test_stream.py::test_files_with_other_columns_and_types",),
+    ),
+    Mutant(
+        "recommend-leaks", "runs/recommend.py", 'told["choice"]["warnings"] += state.get("leaks", [])', "pass",
+        "suspected leaks are not on the card of a recommendation",
+        ("runs/test_recommend.py::test_suspected_leaks_are_on_the_card_once",),
     ),
     # ---- costs
     Mutant(

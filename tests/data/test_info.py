@@ -56,7 +56,9 @@ def test_quantiles_of_a_column(rows):
         ({"terminals": np.arange(40) == 39}, "one single episode"),
         ({"terminals": np.arange(40) % 10 == 9}, "all 4 terminal episodes have 10 steps: if that is a time limit"),
         ({"terminals": np.isin(np.arange(40), (6, 17)), "timeouts": np.arange(40) % 4 == 0}, "no known successor"),
-        ({"rewards": np.full(40, 2.0)}, "all rewards are 2"),
+        ({"rewards": np.full(40, 2.0), "terminals": np.zeros(40), "timeouts": np.isin(np.arange(40), (6, 17, 39))},
+         "all rewards are 2"),
+        ({"rewards": np.zeros(40)}, "all rewards are 0"),
         ({"rewards": np.arange(40) % 4 == 0}, r"mostly zero \(75%"),
         ({"rewards": np.arange(40.0) * 1000}, "rewards reach 3.9e"),
         ({"rewards": np.arange(40.0) * 1e-6}, "rewards are at most 3.9e-05"),
@@ -94,6 +96,10 @@ def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
 def test_a_time_limit_among_other_ends():
     log = make_log((3, 5, 9, 9, 2, 9, 4, 9, 7, 9, 9, 1), terminal=(True,))
     assert any("50% of the terminal episodes have the longest length, 9" in line for line in warnings_for(log))
+
+
+def test_a_constant_reward_teaches_something_where_episodes_can_end_sooner_or_later():
+    assert warnings_for(_log(rewards=np.full(40, 2.0))) == ()
 
 
 def test_sparse_rewards():

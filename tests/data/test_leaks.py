@@ -37,6 +37,18 @@ def shifted(values, by):
     return out
 
 
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda reward: 3 * reward + 3e3, "0.3333 times it - 1000 in"), (lambda reward: -reward, "-1 times it in"),
+    (lambda reward: reward.copy(), "equal to it in"), (lambda reward: 1e-3 * reward - 5, "1000 times it + 5000 in"),
+])  # fmt: skip
+def test_offsets_of_float32_do_not_hide_a_reward(change, words):
+    frame = table(bill=lambda frame: change(frame["reward"]))
+    told = [line for line in leaks(read(frame)) if "by another name" in line]
+    assert [words in line for line in told] == [True], told
+    frame["bill"] = frame["bill"] + 0.01 * np.std(frame["bill"]) * np.random.default_rng(1).normal(size=len(frame["bill"]))
+    assert leaks(read(frame)) == ()  # what tells it nearly, as states do, is not accused
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_an_honest_table_is_not_accused(seed):
     assert leaks(read(table(seed))) == ()

@@ -347,7 +347,7 @@ def test_zeros_in_front_are_told_where_they_stand_behind_the_head(tmp_path, last
     cells = [f"{50_000 + i % 9},{i % 7},{i % 3},1" for i in range(rows)]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["code,x,action,reward", *cells, f"{last},0,1,2"]))
-    assert told(read(path), "column code: '04998' is read as the number 4998; put a letter before") == ("0" in last)
+    assert told(read(path), "column code: '04998' is read as the number 4998 \\(row 3000\\)") == ("0" in last)
     assert not told(read(path), "column x:")
 
 
@@ -456,13 +456,23 @@ def written(tmp_path, **columns):
     return path
 
 
+def test_a_reward_of_percentages_says_what_to_do():
+    table = {"x": np.arange(30.0), "action": np.arange(30) % 2, "reward": [f"{i}%" for i in range(30)]}
+    with pytest.raises(UserError, match="column reward holds string, numbers are needed; row 0 has '0%'; write all cells as"):
+        Dataset.from_frame(table, action="action", reward="reward")
+
+
 @pytest.mark.parametrize(
     ("cells", "odd"),
     [
         ([*map(str, range(N - 1)), "1,5"], "'1,5' in row 119, beside '0'"),
-        ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"), ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
-        ([f"{i}k" for i in range(N)], "'0k' in row 0;"), ([f"{i}.5 %" for i in range(N)], "'0.5 %' in row 0;"),
-        ([f"1,{i}00,5" for i in range(N)], None), ([f"10.{i}.0.1" for i in range(N)], None),
+        ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"),
+        ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
+        ([f"{i}k" for i in range(N)], "'0k' in row 0;"),
+        ([f"{i}.5 %" for i in range(N)], r"'0.5 %' in row 0; write its cells as plain numbers without %, .* \(--ignore y\)"),
+        ([f"€{i}" for i in range(N)], "'€0' in row 0; write its cells as plain numbers without €,"),
+        ([f"1,{i}00,5" for i in range(N)], None),
+        ([f"10.{i}.0.1" for i in range(N)], None),
     ],
 )
 def test_texts_that_look_like_numbers_are_no_levels(tmp_path, cells, odd):
@@ -504,6 +514,20 @@ def test_what_replaces_missing_values_is_told_as_it_is():
     log = Dataset.from_frame(base(x=[None, *X[1:]]), schema=schema)
     assert log.observations[0].tolist() == [0, 1]
     assert told(log, r"1 missing values in 1 of 120 rows are replaced by the column's fill \(the mean by default\)")
+
+
+def test_rows_of_an_episode_that_are_not_together_are_told():
+    """With the column that counts their steps, where there is one; rows that are together are taken as they stand."""
+    step, episode = np.arange(N) % 12, np.arange(N) // 12
+    shuffled = RNG.permutation(N)
+    for order, words in ((shuffled, "column minute counts their steps in another order: --time minute"),
+                         (np.argsort(step, kind="stable"), "they are taken in the table's order")):  # fmt: skip
+        log = Dataset.from_frame(base(minute=step[order], machine=episode[order]), episode="machine")
+        assert told(log, f"rows of an episode are not together \\(10 episodes in \\d+ pieces\\).*{words}")
+        assert not told(
+            Dataset.from_frame(base(minute=step[order], machine=episode[order]), episode="machine", time="minute"), "together"
+        )
+    assert not told(Dataset.from_frame(base(minute=step, machine=episode), episode="machine"), "together")
 
 
 @pytest.mark.parametrize("word", ["Total", "total:", "AVERAGE", "Summe", "Gesamtsumme", "Mittelwert", "Grand Total"])

@@ -151,6 +151,7 @@ def test_what_is_filled_by_the_mean_though_the_log_missed_nothing():
 LEGAL = {
     "texts": ["wait|call", "call", "visit|wait|call", "wait|call"],
     "lists": [["wait", "call"], ["call"], ["visit", "wait", "call"], ["wait", "call"]],
+    "JSON": ['["wait", "call"]', '["call"]', '["visit", "wait", "call"]', '["wait", "call"]'],
     "commas": ["wait, call", "call", "['visit', 'wait', 'call']", "wait,call"],
 }  # fmt: skip
 

@@ -32,6 +32,7 @@ class AlgaeDICE(SAC):
     """Policy gradients from arbitrary experience by DICE."""
 
     revision: ClassVar[int] = 1
+    supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor

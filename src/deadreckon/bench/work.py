@@ -134,14 +134,14 @@ def _result(job: Job, run: Any) -> JobResult:
     """Rows and curves of a run: means over the episodes of its evaluations, and what else its last one and last chunk say."""
     table = {name: np.asarray(column) for name, column in run.evaluations.to_pydict().items()}
     metrics = {name: np.asarray(column) for name, column in run.metrics.to_pydict().items()}
-    judged = "score" in table
+    scored = "score" in table  # where no reference is known there are returns alone
     step, seed = table["step"], table["seed"]
     rows, curves = [], []
     for number, failure in zip(run.seeds, run.failures):
         own = seed == number
         for at in np.unique(step[own]):
             here = own & (step == at)
-            score, raw = (table[name][here] if judged else np.array([np.nan]) for name in ("score", "return"))
+            score, raw = (table[name][here] if name in table else np.array([np.nan]) for name in ("score", "return"))
             spread = float(score.std(ddof=1)) if len(score) > 1 else None
             point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
             curves.append({"cell": job.cell(number), "spread": spread} | point)
@@ -157,7 +157,7 @@ def _result(job: Job, run: Any) -> JobResult:
             {
                 "seed": number, "score": last["score"], "raw": last["raw"], "steps": steps,
                 "more": json.dumps({name: value for name, value in more.items() if math.isfinite(value)}),
-                "episodes": [float(score) for score in table["score"][final]] if judged else [],
+                "episodes": [float(score) for score in table["score"][final]] if scored else [],
                 "log": run.config["data"]["fingerprint"],
                 "failure": "" if failure is None else f"{failure.metric} was not finite at update {failure.step}",
                 "versions": json.dumps(run.config["versions"]),

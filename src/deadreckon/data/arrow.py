@@ -17,16 +17,24 @@ _EXACT = 2**53  # up to which float64 holds every integer
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
 
-def flat(table: pa.Table, column: str) -> Any:
+def flat(table: pa.Table, column: str, ignored: bool = False) -> Any:
     """(rows,) the column as one pyarrow array, of a type with which all functions of pyarrow work.
 
+    Args:
+        table: that has it.
+        column: its name.
+        ignored: whether it is left out of the log, so that it may have any type.
+
     Raises:
-        UserError: the column has a type of a library's own, such as pandas' intervals.
+        UserError: the column has a type of a library's own, such as pandas' intervals or UUIDs.
     """
     values = table.column(column)
     kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
     if isinstance(kind, pa.BaseExtensionType):
-        raise UserError(f"column {column} holds {kind.extension_name}, numbers, texts, dates or truth values are needed")
+        if not ignored:
+            text = f"column {column} holds {kind.extension_name}, numbers, texts, dates or truth values are needed"
+            raise UserError(f"{text}; leave it out (--ignore {column})")
+        values = values.cast(kind.storage_type)
     if pa.types.is_float16(kind):
         values = (values.cast(kind) if pa.types.is_dictionary(values.type) else values).cast(pa.float32())
     elif pa.types.is_decimal(kind):
@@ -239,7 +247,7 @@ def first_text(values: Any) -> str:
     """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
     for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
         if isinstance(value, str) and not is_number(value):
-            return f"; row {row} has {value!r}"
+            return f"; row {row} has {value!r}; write all cells as plain numbers"
     return ""
 
 

@@ -285,7 +285,8 @@ class _Maker:
         alone = len(self.having("action")) == 1
         for name in dict.fromkeys([*(name for name in asked if name in self.roles), *self.names]):
             role, why = self.roles[name]
-            kind, reason, doubt = kind_of(name, flat(self.table, name), role, alone=alone, asked=self.kinds.get(name))
+            values = flat(self.table, name, ignored=role == "ignore")
+            kind, reason, doubt = kind_of(name, values, role, alone=alone, asked=self.kinds.get(name))
             if doubt:
                 self.doubt(name, doubt)
             why, keep = ", ".join(filter(None, (why, reason))), name in self.kept and role != "keep"

@@ -29,7 +29,6 @@ from deadreckon.data.schema import Column
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.errors import UserError
 
-_SPARSE = 4  # integers that leave more than 3 of 4 values unused are identifiers, and numbered anew
 _SHOWN = 5  # levels named in a message
 
 
@@ -230,7 +229,7 @@ class Encoder:
             codes, column = self._codes(column, values.cast(pa.int64()))
             self.extra["action_levels"] = list(column.levels or ())
             return codes
-        if found[0] >= 0 and found[-1] < _SPARSE * len(found):
+        if found == list(range(len(found))):
             return codes
         self.extra["action_levels"] = found
         self.resolved[column.name] = replace(column, levels=tuple(found))

@@ -9,7 +9,6 @@ import pyarrow as pa
 
 from deadreckon.data.arrow import log_probabilities, numbers, to_arrow
 from deadreckon.data.asked import Asked
-from deadreckon.data.backwards import backwards
 from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
@@ -17,6 +16,7 @@ from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.held import HELD, held
 from deadreckon.data.kinds import check_column
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
+from deadreckon.data.row_order import about_order
 from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
@@ -175,7 +175,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
     if codes is not None and time is None:
-        encoder.warnings += backwards(table, schema.named("ignore", "keep"), codes)
+        encoder.warnings += about_order(table, schema, codes)
     order, ends = _order(table.num_rows, codes, moments)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:

@@ -23,11 +23,11 @@ def held(table: pa.Table, schema: Schema) -> dict[str, dict[str, Any]]:
     by = {column.name: column for column in schema.columns}
     out: dict[str, dict[str, Any]] = {}
     for name in table.column_names:
-        values = flat(table, name)
+        column = by.get(name)
+        values = flat(table, name, ignored=column is None or column.role == "ignore")
         told: dict[str, Any] = {"missing": int(is_missing(values).sum())}
         if pa.types.is_integer(values.type) or pa.types.is_floating(values.type):
             told |= _range(values)
-        column = by.get(name)
         if column is not None and column.role == "observation" and column.kind != "category":
             told |= _observed(name, values)
         if column is None:

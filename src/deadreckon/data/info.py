@@ -183,7 +183,9 @@ def _rewards(info: Info) -> list[str]:
     """Advice on rewards."""
     out = []
     largest = max(abs(info.rewards[0]), abs(info.rewards[-1]))
-    if info.rewards[0] == info.rewards[-1]:
+    # A constant reward, where episodes can end sooner or later, says how long to go on.
+    length_tells = largest > 0 and info.terminal_share > 0 and info.lengths[0] != info.lengths[-1]
+    if info.rewards[0] == info.rewards[-1] and not length_tells:
         out.append(f"all rewards are {info.rewards[0]:g}: nothing can be learned from them")
     elif info.reward_zero_share > 0.98:
         share = 1 - info.reward_zero_share

@@ -7,7 +7,7 @@ import numpy as np
 
 LEAST = 20  # rows below which nothing is said
 FEW = 64  # rows compared first
-_EXACT = 1e-5  # of a standard deviation: what float32 leaves of an exact linear relation
+_EXACT, _CLOSE = 1e-5, 1e-3  # of a standard deviation: what float32 leaves of an exact linear relation, usually and at most
 _ROUGH = 0.02  # of a standard deviation: the coarsest rounding through which a linear relation is seen
 _DECIMALS = range(7)  # to which a column may have been rounded
 
@@ -63,8 +63,10 @@ def _line(values: np.ndarray, other: np.ndarray) -> _Line | None:
         return None
     slope = float(((x - x.mean()) * (y - y.mean())).mean() / x.var())
     shift = float(y.mean() - slope * x.mean())
-    exact, off = _EXACT * y.std(), float(np.abs(y - slope * x - shift).max())
-    words = f"{slope:.4g} times it {'-' if shift < 0 else '+'} {abs(shift):.4g}"
+    # Columns are float32: a large offset or a small slope leaves less of an exact relation than numbers around 0 do.
+    left = float(np.finfo(np.float32).eps) * (abs(slope) * np.abs(x).max() + np.abs(y).max())
+    exact, off = min(_EXACT * y.std() + left, _CLOSE * y.std()), float(np.abs(y - slope * x - shift).max())
+    words = f"{slope:.4g} times it" + ("" if abs(shift) <= exact else f" {'-' if shift < 0 else '+'} {abs(shift):.4g}")
     if off <= exact:
         return _Line("equal to it" if abs(slope - 1) < _EXACT and abs(shift) <= exact else words, 0.0)
     # Of either column, what rounding it to the decimals that it has can move the other by.

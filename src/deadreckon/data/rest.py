@@ -4,7 +4,7 @@ import re
 from typing import Any, NamedTuple
 
 from deadreckon.data import roles
-from deadreckon.data.arrow import as_dates, decoded, distinct, is_text, levels_of_whole_numbers, says_numbers
+from deadreckon.data.arrow import as_dates, decoded, distinct, is_missing, is_text, levels_of_whole_numbers, says_numbers
 from deadreckon.data.likeness import FEW, likeness
 from deadreckon.data.schema import Kind, Role
 
@@ -29,7 +29,7 @@ def rest(column: str, values: Any, kind: Kind | None) -> Rest:
         kind: that was asked for, or None.
     """
     rows = len(values)
-    if values.null_count == rows:
+    if is_missing(values).all():
         return Rest("ignore", "empty", "is empty and is left out of the observations")
     if kind is None and is_text(values.type) and as_dates(values) is not None:
         how = f"--time {column} orders rows by it"

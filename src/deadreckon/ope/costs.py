@@ -10,6 +10,7 @@ beside the chance alpha / 2 of deploying one that is no gain.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,18 +72,19 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
     """{column: limit, or None} of all costs of a log.
 
     Args:
-        given: one limit, where there is one cost; {column: limit}; or texts such as energy=25, or 25 alone.
+        given: one limit, where there is one cost; {column: limit}; or one or several texts such as energy=25, or 25 alone.
         log: whose costs are meant.
 
     Raises:
         UserError: a column that is no cost, or a limit that is no number.
     """
     columns = cost_columns(log)
+    given = [given] if isinstance(given, str) else given
     found: dict[str, float | None] = dict.fromkeys(columns)
     pairs: list[tuple[str, Any]] = []
     if isinstance(given, Mapping):
         pairs = list(given.items())
-    elif isinstance(given, str | int | float):
+    elif isinstance(given, int | float | Real):  # NumPy's numbers are Real
         pairs = [("", given)]
     elif given is not None:
         pairs = [(column, limit) for column, _, limit in (str(each).rpartition("=") for each in given)]
@@ -90,12 +92,15 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
         if not columns:
             text = "a cost limit needs a column of costs, which the log does not have; name it when it is read (--cost COLUMN)"
             raise UserError(f"{log.name}: {text}")
-        first = next(iter(columns))
+        if not column and limit in columns:
+            raise UserError(f"--cost-limit {limit}: a cost needs its limit beside it, such as {limit}=25")
         if not column and len(columns) > 1:
-            raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {first}={limit}")
-        column = column or first
+            raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {columns[0]}={limit}")
+        column = column or next(iter(columns))
         if column not in found:
             raise UserError(f"{log.name}: {unknown('cost', column, columns)}")
+        if found[column] is not None:
+            raise UserError(f"--cost-limit {column}={limit}: {column} has the limit {found[column]:g} already; give one")
         try:
             number = float(limit)
         except (TypeError, ValueError):

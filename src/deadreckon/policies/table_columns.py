@@ -3,6 +3,8 @@
 With `table_rows` it needs numpy alone, and can be copied with it beside `portable.py`.
 """
 
+import contextlib
+import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -181,18 +183,34 @@ class Legal:
         """The actions that a cell lists, as texts."""
         if is_missing(cell):
             raise RowsError(f"{name}: column {key} is empty in row {row}; it must list the actions that are legal there")
-        if isinstance(cell, str):
-            text = re.sub(r"""[\[\](){}'"]""", "", cell).strip()
-            ways = [[text], *([part.strip() for part in text.split(mark) if part.strip()] for mark in _SEPARATORS)]
-            ways = [[re.sub(r"^(-?\d+)\.0+$", r"\1", part) for part in parts] for parts in ways]
+        found = _unwrapped(cell) if isinstance(cell, str) else cell
+        if isinstance(found, str):
+            ways = [[found], *(found.split(mark) for mark in _SEPARATORS)]
+            ways = [[_bare(part.strip()) for part in parts if part.strip()] for parts in ways]
             parts = next((parts for parts in ways if all(part in self.places for part in parts)), max(ways, key=len))
         else:
-            parts = [text_of(each) for each in (cell if isinstance(cell, list | tuple | np.ndarray) else [cell])]
+            parts = [text_of(each) for each in (found if isinstance(found, list | tuple | np.ndarray) else [found])]
         for part in parts:
             if part not in self.places:
                 close = near(part, self.actions, "actions")
                 raise RowsError(f"{name}: column {key} has {part!r} in row {row}, which is no action{close}")
         return parts
+
+
+def _unwrapped(cell: str) -> Any:
+    """The actions of a cell that is a list in JSON; of another one the text within its brackets. As `data.legal_columns`."""
+    text = cell.strip()
+    if text.startswith("["):
+        with contextlib.suppress(json.JSONDecodeError):
+            return json.loads(text)
+    inner = text[1:-1]
+    return inner if text[:1] + text[-1:] in ("[]", "()", "{}") and not set(inner) & {text[0], text[-1]} else text
+
+
+def _bare(part: str) -> str:
+    """An action in a text without quotes around it; 2.0 is 2."""
+    part = part[1:-1] if len(part) > 1 and part[0] == part[-1] and part[0] in "'\"" else part
+    return re.sub(r"^(-?\d+)\.0+$", r"\1", part)
 
 
 def some_legal(mask: np.ndarray, name: str) -> np.ndarray:

@@ -48,7 +48,7 @@ def columns_of(
         if any(not _is_many(given[key]) for key in needed if key in given):
             return {key: _array([value]) for key, value in given.items()}, 1, True
     elif isinstance(rows, Sequence) and not isinstance(rows, str | bytes) and len(rows) and isinstance(rows[0], Mapping):
-        given, count = _of_mappings(rows, needed, name), len(rows)
+        given, count = _of_mappings(rows, needed, more, name), len(rows)
     elif hasattr(rows, "columns") and hasattr(rows, "__getitem__"):
         frame: Any = rows
         keys = list(frame.column_names if hasattr(frame, "column_names") else frame.columns)  # Arrow's; of the others
@@ -67,7 +67,9 @@ def columns_of(
     return columns, count or 0, False
 
 
-def _of_mappings(rows: Sequence[Any], needed: Collection[str], name: str) -> dict[str, Any]:
+def _of_mappings(
+    rows: Sequence[Any], needed: Collection[str], more: Collection[str], name: str
+) -> dict[str, Any]:  # fmt: skip
     """Columns of a sequence of mappings; only columns that are not needed may be absent from some, where they are missing."""
     if (wrong := next((i for i, row in enumerate(rows) if not isinstance(row, Mapping)), None)) is not None:
         raise RowsError(f"{name}: row {wrong} is {kind(rows[wrong])}, a dictionary of columns is needed")
@@ -79,9 +81,9 @@ def _of_mappings(rows: Sequence[Any], needed: Collection[str], name: str) -> dic
             row = next(i for i, row in enumerate(rows) if key not in row)
             text = f"row {row} has no column {key}{near(key, rows[row])}"
             raise RowsError(f"{name}: {text}; say null where a value is missing") from None
-    for key in dict.fromkeys(key for row in rows for key in row):
-        if key not in out:
-            out[str(key)] = [row.get(key) for row in rows]
+    for key in more:
+        if key not in out and any(key in row for row in rows):
+            out[key] = [row.get(key) for row in rows]
     return out
 
 

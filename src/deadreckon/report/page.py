@@ -108,11 +108,12 @@ def document(
         tag("main", [tag("section", tag("h2", heading), body, id=name) for name, heading, body in shown]),
         tag("footer", "Made by deadreckon; the file holds everything it shows and loads nothing."),
     )
-    parts = {"title": tag("title", title), "body": body, "css": _asset("page.css"), "js": _asset("page.js")}
-    return Template(_asset("page.html")).substitute(parts)
+    parts = {"title": tag("title", title), "body": body, "css": asset("page.css"), "js": asset("page.js")}
+    return Template(asset("page.html")).substitute(parts)
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """The text of a file that pages are made of."""
     return resources.files("deadreckon.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 

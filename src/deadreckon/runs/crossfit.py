@@ -29,7 +29,6 @@ from deadreckon.runs.reading import noted
 from deadreckon.runs.seen import seen
 from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.runs.train import Run, load, train
-from deadreckon.tasks.task import Task
 from deadreckon.versions import differences
 
 Deliver = Literal["mixture", "refit"]
@@ -99,7 +98,7 @@ def cross_fit(
     deliver: Deliver = "mixture",
     steps: int = 100_000,
     seeds: int = 1,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> CrossFit:
     """Trains an agent once for each fold of a log, from the other folds, and makes what is to be deployed.

@@ -5,7 +5,7 @@ import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -22,7 +22,10 @@ from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
+from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -32,7 +35,7 @@ from deadreckon.versions import versions
 
 def train_online(
     agent: Agent | str | Sequence[Agent],
-    task: Task | str,
+    task: Any,
     *,
     steps: int = 1_000_000,
     seeds: int = 1,
@@ -44,20 +47,21 @@ def train_online(
 
     Args:
         agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only.
-        task: the simulator to learn and to be judged in, or its name.
+        task: the simulator to learn and to be judged in, its name, or a Gymnasium environment, its id, or what makes one
+            (see `tasks.registry.task`).
         steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
         out: run folder; None is `runs/AGENT-TASK-online`.
-        **settings: `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`, `threads`, `demonstrations` and
-            `watch`; see `runs.settings.OnlineSettings`.
+        **settings: `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`, `threads`, `demonstrations`,
+            `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
     asked = OnlineSettings.of(settings)
     asked.check(seed, seeds=seeds)
-    task = find_task(task) if isinstance(task, str) else task
+    task = find_task(task)
     lanes = lanes_of(agent, seeds)
     folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-online"))
     with folder.alone():
@@ -69,6 +73,7 @@ def _train_online(
 ) -> Run:
     """The run in `folder`, of one agent a seed."""
     turns = asked.settings or Online(**type(lanes[0]).acting(task.name))
+    trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)
     numbers = list(range(seed, seed + seeds))
     name = agent_name(lanes[0])
@@ -86,7 +91,7 @@ def _train_online(
         "seeds": numbers,
         "steps": updates,
         "evaluation": {"every": job.stops, "episodes": asked.episodes},
-        "versions": versions() | {"lanes": seeds},
+        "versions": versions() | {"lanes": seeds, **task.versions},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
     if shown is not None:
@@ -105,11 +110,12 @@ def _train_online(
 
     recorder = Recorder([folder], job, task, None, job.stops, asked.episodes, taught)
     try:
-        if job.step == 0:
-            recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
-        else:
-            recorder.catch_up()
-        recorder.follow(asked.watch)
+        with tracked([folder], trackers) as tracking:
+            if job.step == 0:
+                recorder.judge_now(0)  # the randomly initialised policy, which some logs are made with
+            else:
+                recorder.catch_up()
+            recorder.follow(asked, tracking)
     finally:
         recorder.close()
     return load(folder.path)
@@ -144,7 +150,7 @@ def reopened(path: Path | str) -> Fit:
     lanes = agents_of(config)
     every = config["evaluation"]["every"]
     settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
-    job = _job(lanes, find_task(config["task"]), config["seeds"], config["steps"], folder, settings, every, None)
+    job = _job(lanes, of_run(config["task"]), config["seeds"], config["steps"], folder, settings, every, None)
     job.resume()
     if job.step == 0:
         raise UserError(f"{path} has no checkpoint yet in which something was learned")

@@ -7,6 +7,8 @@ from typing import Any
 
 import jax
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from deadreckon.agents import agent_name
 from deadreckon.data.dataset import Dataset
@@ -14,20 +16,18 @@ from deadreckon.data.history import beginning, stacked
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, History, memoryless
+from deadreckon.runs.callback import StopTraining, TrainingProgress, ends
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.reading import noted
-from deadreckon.runs.settings import ChunkWatcher
+from deadreckon.runs.settings import RunSettings
+from deadreckon.runs.trackers.feed import Tracking
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 
 RECORDED = 8  # episodes per policy whose observations are kept for pictures
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
-
-
-class StopTraining(Exception):
-    """Raised by a watcher: the run ends with this chunk, as if no more had been asked for. It may be resumed with more."""
 
 
 def _nothing(policy: EnvPolicy) -> dict[str, float]:
@@ -109,12 +109,18 @@ class Recorder:
         """A run's part of columns that have `each` rows per lane."""
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
-    def follow(self, watch: ChunkWatcher) -> None:
-        """Walks the fit to its end: every chunk is recorded, then passed to `watch`, which may raise `StopTraining`."""
+    def follow(self, settings: RunSettings, tracking: Sequence[Tracking] = ()) -> None:
+        """Walks the fit to its end: every chunk is recorded, then told to trackers, watcher and callback, which may end it."""
+        for each in tracking:
+            each.start()
         for progress in self.job.chunks():
             self.record(progress)
+            for each in tracking:
+                each.told(progress.step)
             try:
-                watch(progress, self.job.steps)
+                settings.watch(progress, self.job.steps)
+                if settings.callback is not None and any([ends(settings.callback, each) for each in self._seen(progress)]):
+                    raise StopTraining
             except StopTraining:
                 self.job.steps = progress.step
                 for folder in self.folders:
@@ -124,6 +130,26 @@ class Recorder:
                 self.job.save()
                 break
         self.finish()
+
+    def _seen(self, progress: Chunk) -> list[TrainingProgress]:
+        """What a callback sees of each run."""
+        every = []
+        for run, folder in enumerate(self.folders):
+            own, metrics = self._share(run), {name: values[self._share(run)] for name, values in progress.metrics.items()}
+            every.append(
+                TrainingProgress(
+                    folder.path, progress.step, self.job.steps, list(self.job.seeds[own]), metrics, progress.failures[own],
+                    lambda folder=folder: self._judged(folder, progress.step), lambda own=own: self.policies()[own],
+                )
+            )  # fmt: skip
+        return every
+
+    def _judged(self, folder: Folder, step: int) -> pa.Table:
+        """All evaluations of a run up to a step, those included that are not done yet, for which it waits."""
+        for future in self.pending:
+            future.result()
+        table = folder.table("evaluations")
+        return table if not table.num_rows else table.filter(pc.field("step") <= step)
 
     def record(self, progress: Chunk) -> None:
         """Called after every chunk, before its checkpoint is written."""
@@ -186,10 +212,10 @@ class Recorder:
             result = evaluate(
                 policies, self.judge, episodes=count, discount=self.discounts, record=min(RECORDED, count) if last else 0
             )
-            columns |= {
-                "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
-                "discounted_return": result.discounted.ravel(),
-            }  # fmt: skip
+            columns |= {"return": result.returns.ravel(), "length": result.lengths.ravel()}
+            columns |= {"discounted_return": result.discounted.ravel()}
+            if (scores := result.scores) is not None:
+                columns["score"] = scores.ravel()
             if all("estimated_values" in meta for meta in metas):
                 columns["estimated_value"] = np.concatenate([meta["estimated_values"] for meta in metas])
             if result.trajectories is not None:

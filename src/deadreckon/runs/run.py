@@ -8,16 +8,17 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import copy_folder, read_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.loaded import TablePolicy
+from deadreckon.provided import Shown
 from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.training.fit import Failure
 
 
 @dataclasses.dataclass
-class Run:
+class Run(Shown):
     """A finished (or failed) run: its folder, and what it learned.
 
     Attributes:
@@ -59,6 +60,19 @@ class Run:
     def held(self) -> np.ndarray | None:
         """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
         return Folder(self.path).episodes("held")
+
+    def save(self, path: Path | str) -> Path:
+        """Copies the whole run folder, with which it can be loaded and resumed, to a new place; gives the copy's path.
+
+        Raises:
+            UserError: there is something already, or it cannot be written.
+        """
+        return copy_folder(self.path, path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Run":
+        """A run that was saved, or its own folder; the same as `deadreckon.load_run`."""
+        return load(path)
 
     def predictor(self, seed: int | None = None) -> TablePolicy:
         """A seed's policy, which takes rows of a table by the names of the log's columns.

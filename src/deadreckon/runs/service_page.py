@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
 _STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:50rem;margin:2rem auto;padding:0 1rem}
 table{border-collapse:collapse;display:block;overflow-x:auto}td,th{border:1px solid #8886;padding:.3rem .6rem;text-align:left}
-pre{background:#8881;padding:1rem;overflow-x:auto}@media(prefers-color-scheme:dark){body{background:#111;color:#eee}a{color:#8cf}}"""
+pre{background:#8881;padding:1rem;overflow-x:auto}
+@media(prefers-color-scheme:dark){body{background:#111;color:#eee}a{color:#8cf}}"""
 
 
 def described(policy: Predictor, words: str) -> dict[str, Any]:
@@ -70,7 +71,10 @@ def openapi(policy: Predictor, words: str, limits: "Limits", sampled: bool = Fal
         ],
         "responses": {"200": {"description": "the actions", "content": _as_json(ok)}, **answers},
     }  # fmt: skip
-    get = lambda text: {"get": {"summary": text, "responses": {"200": {"description": text, "content": _as_json({})}}}}  # noqa: E731
+
+    def get(text: str) -> dict[str, Any]:
+        return {"get": {"summary": text, "responses": {"200": {"description": text, "content": _as_json({})}}}}
+
     return {
         "openapi": "3.1.0", "info": {"title": "deadreckon policy", "version": __version__, "description": words},
         "paths": {"/predict": {"post": predict}, "/health": get("whether the service answers"),

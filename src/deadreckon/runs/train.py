@@ -6,7 +6,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, Unpack
+from typing import Any, Unpack
 
 from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
@@ -23,6 +23,8 @@ from deadreckon.runs.lanes import fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder
 from deadreckon.runs.run import Run, load
 from deadreckon.runs.settings import TrainOptions, TrainSettings
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -38,7 +40,7 @@ def train(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     out: Path | str | None = None,
     **settings: Unpack[TrainOptions],
 ) -> Run:
@@ -50,10 +52,11 @@ def train(
         steps: number of updates.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
-        task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
+        task: the simulator to evaluate in, a task, its name, or a Gymnasium environment (see `tasks.registry.task`); None takes
+            that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
-        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history` and `watch`;
-            see `runs.settings.TrainSettings`.
+        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `callback`,
+            `track` and `watch`; see `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
@@ -76,7 +79,7 @@ def train_together(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> dict[str, Run]:
     """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
@@ -119,13 +122,14 @@ def _train(
     log: Dataset,
     steps: int,
     seed: int,
-    task: Task | str | Literal[False] | None,
+    task: Any,
     settings: TrainSettings,
 ) -> list[Run]:
     """One run a path, of the agents there, which have a seed each; checkpoints lie in `out`."""
     judge = judge_of(log, task)
     log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
     folders, resume = [Folder(path) for path in asked], settings.resume
+    trackers = trackers_of(settings.track, len(folders))
     before = folders[0].read_config() if resume and folders[0].config.exists() else None
     part = divided(log, settings.holdout, judge, before)
     seen = stacked(part.learning, settings.history)
@@ -147,7 +151,7 @@ def _train(
         "seeds": numbers,
         "steps": steps,
         "evaluation": {"every": every, "episodes": settings.episodes},
-        "versions": versions() | {"lanes": len(lanes)},
+        "versions": versions() | {"lanes": len(lanes), **({} if judge is None else judge.versions)},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }  # fmt: skip
     if settings.history > 1:
@@ -181,15 +185,16 @@ def _train(
         folders, job, judge, part.learning, every, settings.episodes, part.taught, part.held, settings.history
     )
     try:
-        recorder.picture(part.learning)
-        recorder.catch_up()
-        recorder.follow(settings.watch)
+        with tracked(folders, trackers) as tracking:
+            recorder.picture(part.learning)
+            recorder.catch_up()
+            recorder.follow(settings, tracking)
     finally:
         recorder.close()
     return [load(folder.path) for folder in folders]
 
 
-def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | None:
+def judge_of(log: Dataset, task: Any) -> Task | None:
     """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
 
     Raises:
@@ -197,7 +202,7 @@ def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | N
     """
     if task is False:
         return None
-    judge = task if isinstance(task, Task) else find_task(task) if task is not None else of_log(log.name)
+    judge = of_log(log.name) if task is None else find_task(task)
     if judge is not None and judge.observation_shape != log.spec.observation_shape:
         raise UserError(
             f"{judge.name} shows observations of shape {judge.observation_shape}, "

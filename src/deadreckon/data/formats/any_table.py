@@ -1,5 +1,6 @@
 """Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ def read_table(
     sheet: str | int | None = None,
     query: str | None = None,
     table: str | None = None,
-    known: Known = NOTHING,
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
     """A file of a table, whose format is told by its content; what is None is found.
 
@@ -38,7 +38,6 @@ def read_table(
         sheet: of a spreadsheet: its name, or its number counted from 1.
         query: of a database: one SELECT.
         table: of a database: its name.
-        known: what some columns hold, whatever their cells suggest.
 
     Returns:
         The table; the dialect of a text file, of other formats the order of dates alone, None where there are no such dates;
@@ -47,12 +46,26 @@ def read_table(
     Raises:
         UserError: one line with the file; the file is no table, is damaged, or takes no such option.
     """
-    given: dict[str, Any] = {
+    ways = {
         "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
         "sheet": sheet, "query": query, "table": table,
     }  # fmt: skip
-    kind = sniff(path, separator)
-    no_options(path, kind, given)
+    return table_of_kind(path, sniff(path, separator), ways)
+
+
+def table_of_kind(
+    path: Path | str, kind: str, ways: Mapping[str, Any], known: Known = NOTHING
+) -> tuple[pa.Table, Dialect | None, list[str]]:
+    """See `read_table`.
+
+    Args:
+        path: of the file.
+        kind: its format, as `kind.sniff` tells it.
+        ways: {keyword of `read_table`: its value}; those that are absent are found.
+        known: what some columns hold, whatever their cells suggest.
+    """
+    no_options(path, kind, dict(ways))
+    separator, decimal, thousands, encoding, dates, sheet, query, table = map(ways.get, READING)
     asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
     from deadreckon.data.formats.totals import of_totals
 
@@ -67,8 +80,10 @@ def read_table(
         from deadreckon.data.text_dates import with_dates
 
         with reading(path, "Parquet", pa.ArrowException):
-            found = parquet.read_table(path)
-        found, order, told = with_dates(found, asked.dates)
+            stored = parquet.read_table(path)
+        found, order, told = with_dates(stored, asked.dates)
+        for index, name in enumerate(found.column_names):
+            found = found.set_column(index, name, stored[name]) if name in known.texts else found
         return found, None if order is None else Dialect(dates=order), told
     if kind == "excel":
         from deadreckon.data.formats.excel import read_excel
@@ -107,7 +122,7 @@ def read_rows(path: Path | str, schema: Schema, **ways: Any) -> tuple[pa.Table, 
     given = {key: value for key, value in ways.items() if value is not None}
     kind = sniff(path, given.get("separator", schema.options().get("separator")))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
-    table, _, told = read_table(path, **{**own, **given}, known=known)
+    table, _, told = table_of_kind(path, kind, {**own, **given}, known)
     return table, told
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.formats import folder as folders
-from deadreckon.data.formats import minari as minaris
+from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.dialect import is_table
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
@@ -62,7 +62,7 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
                 file.seek(0)
                 head = gzip.GzipFile(fileobj=file).read(4096)
     except FileNotFoundError as error:
-        raise UserError(f"no file {path}") from error
+        raise UserError(minaris.missing(str(path)) if minaris.is_id(str(path)) else f"no file {path}") from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise UserError(f"{path}: cannot be unpacked, it is damaged or cut short ({error})") from error
     except OSError as error:

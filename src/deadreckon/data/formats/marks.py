@@ -128,7 +128,7 @@ class Marks:
 
 
 def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """What to tell of columns of digits that lose something as numbers: zeros in front, or places that no integer has.
+    """What to tell of columns of digits that lose something as numbers, because no integer has so many places.
 
     Args:
         names: of the columns.
@@ -139,16 +139,9 @@ def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
         found = [cell for cell in map(str.strip, cells) if cell]
         if not all(cell.isdecimal() for cell in found):
             continue
-        if zeros := [cell for cell in found if cell[0] == "0" and len(cell) > 1]:
-            told.append(of_zeros(name, zeros[0]))
         if large := [cell for cell in found if int(cell) >= LARGEST]:
             told.append(of_large(name, large[0]))
     return told
-
-
-def of_zeros(name: str, cell: str) -> str:
-    """What to tell of a column that has a cell of digits with zeros in front."""
-    return f"column {name}: {cell!r} is read as the number {int(cell)}; put a letter before codes"
 
 
 def of_large(name: str, cell: str) -> str:
