@@ -1359,6 +1359,7 @@ MUTANTS = (
         "explain-seen-rows", "runs/explain.py", "own, plain = loss(guess(trees[depth], fresh), fresh),",
         "own, plain = 0.0 * loss(guess(trees[depth], fresh), fresh),",
         "a tree is said to do all that the policy does", ("runs/test_explain.py",),
+    ),
     Mutant(
         "legal-empty", "data/legal_columns.py", "if isinstance(found, list) and None in found:", "if False:",
         "an empty entry of a list of legal actions is an action called None",

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from deadreckon.runs.evaluate import evaluate
     from deadreckon.runs.explain import explain
     from deadreckon.runs.export import export
-    from deadreckon.runs.monitor import monitor
     from deadreckon.runs.hub import from_hub, push_to_hub
+    from deadreckon.runs.monitor import monitor
     from deadreckon.runs.online import train_online
     from deadreckon.runs.run import Run
     from deadreckon.runs.run import load as load_run
@@ -72,8 +72,8 @@ _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "re
 __all__ = [
     "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log",
     "cross_fit", "data", "dope", "evaluate", "explain", "export", "from_hub", "load", "load_cross_fit", "load_policies",
-    "load_policy", "load_run", "mbo", "monitor", "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs", "task",
-    "tasks", "theory", "train", "train_online", "train_together",
+    "load_policy", "load_run", "mbo", "monitor", "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs",
+    "task", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
 
 
