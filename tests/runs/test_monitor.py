@@ -117,6 +117,13 @@ def test_a_new_level_is_outside_the_log_and_a_new_action_is_refused(place):
     found = of_reference(place, "levels.csv")
     assert found.outside.share >= 0.5
     assert any(each.about == "outside" and each.alarm and "level" in each.text for each in found.findings)
+    gaps = table(250, 5)
+    gaps.loc[gaps.index % 3 == 0, "age"] = np.nan
+    gaps.to_csv(place / "gaps.csv", index=False)
+    found = of_reference(place, "gaps.csv")
+    assert ("age", "a missing value", 84, True) in found.outside.columns
+    assert found.outside.share == pytest.approx(84 / 250, abs=0.02)
+    assert abs(found.columns[0].now - found.columns[0].before) < 2  # filled with the mean that was there
     rows["action"] = "shout"
     rows.to_csv(place / "actions.csv", index=False)
     with pytest.raises(UserError, match="none of its levels: 'shout'"):

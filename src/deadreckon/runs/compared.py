@@ -19,7 +19,7 @@ from deadreckon.stats import drift
 
 WITHIN = 100  # rows of an episode that are looked at
 FEWEST = 5  # units on each side: of fewer, no exchange says anything
-UNKNOWN = "a level that the log does not have"
+UNKNOWN, MISSING = "a level that the log does not have", "a missing value"
 
 
 class What(NamedTuple):
@@ -199,8 +199,8 @@ def _compared(what: What, old: Sample, now: Sample, found: tuple[int, int] | Non
 
 
 class Outside(NamedTuple):
-    """Rows of the new log that lie outside the reference: with a number beyond the least or greatest there, or a level that it
-    does not have.
+    """Rows of the new log that lie outside the reference: with a number beyond the least or greatest there, a level that it
+    does not have, or a missing value in a column that misses none there.
 
     Attributes:
         share: of the new log's rows, 0 .. 1.
@@ -235,7 +235,8 @@ def _sides(what: What) -> list[tuple[str, str]]:
     """In which ways a value of the column can lie outside."""
     if what.about != "observation":
         return []
-    return [(what.name, UNKNOWN)] if what.kind == "category" else [(what.name, "above"), (what.name, "below")]
+    ways = [UNKNOWN] if what.kind == "category" else ["above", "below"]
+    return [(what.name, way) for way in (*ways, MISSING)]
 
 
 def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
@@ -243,11 +244,15 @@ def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
     flat = np.asarray(log.observations[:], np.float32).reshape(len(log), -1)
     sides = [np.zeros((len(log), 0), np.float32)]
     for what in which:
-        if what.about == "observation" and what.kind == "category":
-            sides.append((flat[:, list(what.dimensions)].sum(1, keepdims=True) < 0.5).astype(np.float32))
-        elif what.about == "observation":
+        if what.about != "observation":
+            continue
+        missing = np.asarray(log.extras.get(f"missing {what.name}", np.zeros(len(log), bool)), np.float32)[:, None]
+        if what.kind == "category":
+            unknown = (flat[:, list(what.dimensions)].sum(1, keepdims=True) < 0.5).astype(np.float32)
+            sides += [unknown - missing, missing]
+        else:
             column = flat[:, what.dimensions[:1]]
-            sides += [column, -column]
+            sides += [column, -column, missing]
     return np.concatenate(sides, 1)
 
 

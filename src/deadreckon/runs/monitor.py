@@ -122,7 +122,7 @@ def monitor(
         raise UserError(f"made_by is policy or reference, got {made_by!r}")
     one = subject(run, seed)
     told = estimates_of(one, estimates)
-    old, new = one.log(reference), one.log(log)
+    old, new = one.log(reference), one.log(log, gaps=True)
     sizes = [(log.spec.observation_shape, log.spec.action_size, log.spec.discrete) for log in (old, new)]
     if sizes[0] != sizes[1]:
         shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))
@@ -211,4 +211,6 @@ def _of_outside(outside: Outside, rows: int) -> list[Finding]:
 
 
 def _side(how: str) -> str:
+    if how == compared.MISSING:
+        return "without a value, which no row of the log lacks"
     return f"with {how}" if how == compared.UNKNOWN else f"{how} all of the reference"

@@ -9,6 +9,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import read
 from deadreckon.data.formats.kind import TABLES, sniff
+from deadreckon.data.held import HELD
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
@@ -54,8 +55,12 @@ class Subject:
         found = (self.read.extra or {}).get("schema")
         return None if found is None else Schema.from_json(found, self.name)
 
-    def log(self, given: Dataset | Path | str | None = None) -> Dataset:
+    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False) -> Dataset:
         """A log, read as the one that the policy learned from; that one itself where none is given.
+
+        Args:
+            given: the log, or where it is.
+            gaps: whether values may be missing where the policy's log had all; see `_with_gaps`.
 
         Raises:
             UserError: it cannot be read so, or the policy's own log is not where it was or has changed.
@@ -64,7 +69,7 @@ class Subject:
             check_encoding(self.name, self.read, given)
             return given
         if given is not None:
-            found = self._like(given)
+            found = self._like(given, gaps)
             check_encoding(self.name, self.read, found)
             return found
         known = (self.config or {}).get("data", {})
@@ -81,13 +86,39 @@ class Subject:
             raise UserError(f"the log that {self.name} learned from has changed ({path or known['name']}); name a copy of it")
         return found
 
-    def _like(self, path: Path | str) -> Dataset:
+    def _like(self, path: Path | str, gaps: bool = False) -> Dataset:
         schema, horizon = self.schema, (self.read.extra or {}).get(HORIZON)
         if schema is None or not Path(path).is_file() or sniff(path) not in TABLES:
             return catalogue.load(path, horizon=horizon)
         # A file of another kind than the policy's own may have another dialect, and has another name.
         alike = self.read.path is not None and Path(path).suffix == Path(self.read.path).suffix
-        return read(path, schema=replace(schema, table=schema.options() if alike else {}), horizon=horizon)
+        schema = replace(schema, table=schema.options() if alike else {})
+        return self._with_gaps(path, schema, horizon) if gaps else read(path, schema=schema, horizon=horizon)
+
+    def _with_gaps(self, path: Path | str, schema: Schema, horizon: int | None) -> Dataset:
+        """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
+
+        The extra columns `missing NAME` say where.
+        """
+        extra = self.read.extra or {}
+        held = extra.get(HELD) or {}
+        complete = [column for column in schema.having("observation") if not column.marked]
+        lenient = [
+            replace(column, marked=True, fill=held.get(column.name, {}).get("mean") if column.fill is None else column.fill)
+            for column in complete
+        ]
+        log = read(path, schema=schema.resolved(lenient), horizon=horizon)
+        told = dict(log.provenance.extra)
+        names = list(told["observation_names"])
+        marks = {f"{column.name}_missing": f"missing {column.name}" for column in complete}
+        kept = [i for i, name in enumerate(names) if name not in marks]
+        flags = {marks[name]: log.observations[:, i] > 0.5 for i, name in enumerate(names) if name in marks}
+        following = None if log.successors is None else log.successors[:, kept]
+        told |= {"observation_names": [names[i] for i in kept], "schema": schema.to_json()}
+        return replace(
+            log, observations=log.observations[:, kept], final_observations=log.final_observations[:, kept],
+            successors=following, extras={**log.extras, **flags}, provenance=replace(log.provenance, extra=told),
+        )  # fmt: skip
 
 
 def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
