@@ -2,7 +2,6 @@
 
 A file is an npz archive of float32 or float16 arrays and one JSON text, `policy.json`. Nothing is pickled. The JSON is a tree:
 `{"kind": "EnvPolicy", "inner": {...}, "mean": array, ...}`, where an array is the string `"@name"` of an archive member.
-`deadreckon.policies.save` writes it, `deadreckon.policies.load` reads it back into the package.
 
     play = load("policy.npz")
     action = play(observation)
@@ -46,19 +45,20 @@ def read(path):
     """The JSON tree and the arrays of a policy file; ValueError in one line if it is none."""
     try:
         with open(path, "rb") as file:
-            archive = file.read(4) == b"PK\x03\x04"
+            if file.read(4) != b"PK\x03\x04":
+                raise ValueError(f"{path} is not a policy file (.npz)")
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    if not archive:
-        raise ValueError(f"{path} is not a policy file (.npz)")
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: _single(file[name]) for name in file.files}
+            arrays = {name: file[name] for name in file.files}
         if "policy.json" not in arrays:
             raise ValueError("no policy.json in it")
         tree = json.loads(arrays.pop("policy.json").tobytes())
         if tree["format"] != FORMAT:
             raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
+        # Weights may be stored as float16; one acts with float32.
+        arrays = {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
         return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is not a whole policy file: {error}") from error
@@ -94,11 +94,6 @@ def _noise_size(actor, arrays):
         return arrays[actor["net"]["biases"][-1][1:]].shape[-1]
     net = actor["net"] if actor["kind"] == "TanhGaussian" else actor["vae"]["encoder"]
     return arrays[net["biases"][-1][1:]].shape[-1] // 2
-
-
-def _single(array):
-    """Weights may be stored as float16; one acts with float32."""
-    return array.astype(np.float32) if array.dtype == np.float16 else array
 
 
 def load(path):
@@ -151,10 +146,8 @@ class NumpyPolicy:
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy)
-        if kind in ("ClippedGaussian", "TanhMeanGaussian"):
-            action = np.clip(action, -1.0, 1.0)
-        elif kind != "Gaussian":
-            action = np.tanh(action)
+        if kind != "Gaussian":
+            action = np.clip(action, -1.0, 1.0) if kind in ("ClippedGaussian", "TanhMeanGaussian") else np.tanh(action)
         if self.tree["low"] is not None:
             low, high = get(self.tree["low"]), get(self.tree["high"])
             action = low + 0.5 * (action + 1.0) * (high - low)
@@ -227,6 +220,7 @@ class NumpyPolicy:
 
     def _net(self, net, x):
         seen, last, mask = x, len(net["weights"]) - 1, net.get("mask", 0)
+        check_size(x, self._array(net["weights"][0]).shape[-2], mask)
         for i, (w, b) in enumerate(zip(net["weights"], net["biases"])):
             x = x @ self._array(w) + self._array(b)
             if i < last:
@@ -258,10 +252,8 @@ class NumpyPolicy:
             return self._net(node["net"], x)
         if kind == "GreedyQ":
             actor, noise = node["actor"], self._array(node["noise"])
-            if greedy:
-                noise = noise[:, None]
-            else:
-                noise = rng.standard_normal((len(noise), len(x), noise.shape[-1]), np.float32)
+            drawn = (len(noise), len(x), noise.shape[-1])
+            noise = noise[:, None] if greedy else rng.standard_normal(drawn, np.float32)
             pre = self._from_noise(actor, x, noise)
             q = self._net(node["critic"], _beside(x, np.tanh(pre)))[..., 0]
             return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
@@ -274,8 +266,7 @@ class NumpyPolicy:
         if kind not in _SAMPLERS:
             raise ValueError(f"unknown kind of policy {kind!r}")
         shape = len(x), _noise_size(node, self.arrays)
-        noise = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
-        return self._from_noise(node, x, noise)
+        return self._from_noise(node, x, np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32))
 
     def _from_noise(self, node, x, noise):
         """Actions before the tanh from standard normal noise, (*count, n or 1, z)."""
@@ -292,6 +283,15 @@ class NumpyPolicy:
         if kind == "OneStep":
             return np.arctanh(np.clip(self._net(node["net"], _beside(x, noise)), -_EDGE, _EDGE))
         raise ValueError(f"unknown kind of policy {kind!r} among candidates")
+
+
+def check_size(x, size, mask):
+    """ValueError where rows are not of `size` numbers, the last `mask` of which say which actions are legal."""
+    parts = f", {size - mask} and which of the {mask} actions are legal (legal=)" if mask else ""
+    if x.shape[-1] != size:
+        raise ValueError(f"an observation has {x.shape[-1]} numbers, {size} are needed{parts}")
+    if mask and not (some := (x[..., -mask:] > 0.5).any(-1)).all():
+        raise ValueError(f"no action is legal in row {int(np.argmin(some))}; at least one must be")
 
 
 def _beside(x, many):

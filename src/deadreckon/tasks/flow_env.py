@@ -22,7 +22,7 @@ class FlowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     line, one pixel a metre of the way along it, (24, 1024, 3) uint8: learners red, other cars blue.
     """
 
-    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 (Gymnasium's own protocol)
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's own protocol)
 
     def __init__(self, task: str | Flow = "flow-ring", render_mode: str | None = None):
         found = registry.task(task) if isinstance(task, str) else task
