@@ -82,7 +82,7 @@ MUTANTS = (
     ),
     Mutant(
         "greedy-candidates-drawn", "policies/candidates.py",
-        "pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, len(observation), size)))",
+        "pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, observation.shape[0], size)))",
         "pre = self.actor.drawn(observation, key, (samples, *count))", "greedy actions depend on the place in a batch",
         ("policies/test_policies.py::test_file_round_trip_and_numpy_player",),
     ),
@@ -1380,6 +1380,42 @@ MUTANTS = (
     Mutant(
         "legal-by-name", "data/legal_columns.py", "if own and any(len(cell)", "if any(len(cell)",
         "a column is believed by its name alone", ("data/test_legal.py",),
+    ),
+    # ---- policies in use: exports, trees, monitoring
+    Mutant(
+        "sequence-clips-beyond", "stats/confidence_sequence.py", "known = x[: beyond[0]] if len(beyond) else x",
+        "known = np.minimum(x, high)", "returns beyond the range count as its end, and prove what they do not",
+        ("stats/test_confidence_sequence.py",),
+    ),
+    Mutant(
+        "drift-level-anew", "stats/drift.py", "share = alpha / (k * (k + 1))", "share = alpha",
+        "every look at a new log has the whole level", ("stats/test_drift.py",),
+    ),
+    Mutant(
+        "drift-one-column", "stats/drift.py", "largest = np.abs(chosen @ table).max(1)",
+        "largest = np.abs(chosen @ table).mean(1)", "many columns are not corrected for", ("stats/test_drift.py",),
+    ),
+    Mutant(
+        "realised-unfinished", "runs/realised.py",
+        "if log.terminals[-1] or log.lengths[-1] >= like.lengths.max():", "if len(log):",
+        "an episode that goes on counts with the return that it has so far", ("runs/test_monitor.py",),
+    ),
+    Mutant(
+        "export-check-loose", "runs/exported.py", "<= CLOSE * rows.room", "<= rows.room",
+        "an export that does something else is kept", ("runs/test_export.py",),
+    ),
+    Mutant(
+        "export-first-member", "policies/pure.py", "is_it = (member == i)", "is_it = (member > i)",
+        "another member of a mixture acts than is asked for", ("policies/test_pure.py",),
+    ),
+    Mutant(
+        "explain-never-exchanged", "runs/explain.py", "other[:, dimensions] = x[rng.permutation(len(x))][:, dimensions]",
+        "other[:, dimensions] = x[:, dimensions]", "no column seems to matter", ("runs/test_explain.py",),
+    ),
+    Mutant(
+        "explain-seen-rows", "runs/explain.py", "own, plain = loss(guess(trees[depth], fresh), fresh),",
+        "own, plain = 0.0 * loss(guess(trees[depth], fresh), fresh),",
+        "a tree is said to do all that the policy does", ("runs/test_explain.py",),
     ),
     Mutant(
         "legal-empty", "data/legal_columns.py", "if isinstance(found, list) and None in found:", "if False:",

@@ -69,3 +69,25 @@ def test_serve(folder, monkeypatch):
         assert list(names["ask"](row)["action"]) == ["offer"]
         assert names["ask"]([row, {**row, "age": 99}], "?outside=flag")["outside"] == [False, True]
         process.terminate()
+
+
+def test_export_explain_and_monitor(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    if not Path("runs/offers").exists():
+        pytest.skip("the first page has not made its run")
+    pd.read_csv("visits.csv").sample(300, random_state=0).to_csv("new.csv", index=False)
+    names: dict = {}
+    exec("import deadreckon as dr", names)
+    codes = {"export.md": 0, "explain.md": 0, "monitor.md": 1}  # the new log is not the policy's own, and that is found
+    for page, code in codes.items():
+        for kind, text in blocks(page):
+            text = text.replace(', estimates="runs/offers-ope"', "").replace(" --estimates runs/offers-ope", "")
+            if kind == "python":
+                exec(compile(text.replace('"offers-numpy"', '"offers-again"'), page, "exec"), names)
+            for words in commands(text) if kind == "sh" else ():
+                if "onnx" not in words and "mlflow" not in words:  # which take long to be imported, and have slow tests
+                    assert main(words[1:]) == code
+    assert Path("offers-again/card.md").exists()
+    assert "What the policy does" in Path("report.html").read_text()
+    assert Path("monitor.html").exists()
+    assert "drift" in capsys.readouterr().out

@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     from deadreckon.runs.crossfit import cross_fit, load_cross_fit
     from deadreckon.runs.dope import dope
     from deadreckon.runs.evaluate import evaluate
+    from deadreckon.runs.explain import explain
+    from deadreckon.runs.export import export
     from deadreckon.runs.hub import from_hub, push_to_hub
+    from deadreckon.runs.monitor import monitor
     from deadreckon.runs.online import train_online
     from deadreckon.runs.run import Run
     from deadreckon.runs.run import load as load_run
@@ -46,12 +49,15 @@ _HOMES = {
     "cross_fit": ("runs.crossfit", "cross_fit"),
     "dope": ("runs.dope", "dope"),
     "evaluate": ("runs.evaluate", "evaluate"),
+    "explain": ("runs.explain", "explain"),
+    "export": ("runs.export", "export"),
     "from_hub": ("runs.hub", "from_hub"),
     "load": ("data.catalogue", "load"),
     "load_cross_fit": ("runs.crossfit", "load_cross_fit"),
     "load_policies": ("policies.library", "load_policies"),
     "load_policy": ("policies.loaded", "load_policy"),
     "load_run": ("runs.run", "load"),
+    "monitor": ("runs.monitor", "monitor"),
     "push_to_hub": ("runs.hub", "push_to_hub"),
     "read": ("data.formats.io", "read"),
     "recommend": ("report.recommended", "recommend"),
@@ -65,9 +71,9 @@ _PROVIDED = {"fit": ("runs.fit", "fit"), "notebook": ("report.notebook", "html")
 _PACKAGES = ("agents", "bench", "collect", "data", "mbo", "ope", "policies", "report", "runs", "tasks", "theory")
 __all__ = [
     "Dataset", "Designs", "Run", "StopTraining", "UserError", "__version__", "agents", "bench", "collect", "collect_log",
-    "cross_fit", "data", "dope", "evaluate", "from_hub", "load", "load_cross_fit", "load_policies", "load_policy", "load_run",
-    "mbo", "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs", "task", "tasks", "theory", "train",
-    "train_online", "train_together",
+    "cross_fit", "data", "dope", "evaluate", "explain", "export", "from_hub", "load", "load_cross_fit", "load_policies",
+    "load_policy", "load_run", "mbo", "monitor", "ope", "policies", "push_to_hub", "read", "recommend", "report", "runs",
+    "task", "tasks", "theory", "train", "train_online", "train_together",
 ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.report import curves, decision, provenance, simulated
+from deadreckon.report import curves, decision, explained, provenance, simulated
 from deadreckon.report import estimates as estimated
 from deadreckon.report.entries import Page, read
 from deadreckon.report.markup import Markup, join, tag
@@ -66,6 +66,7 @@ def render(page: Page, title: str | None = None) -> str:
         ("scores", "Scores" if found else "Runs", scores(page)),
         ("learning", "Learning curves", curves.learning(page)),
         ("values", "Estimated and realised return", curves.values(page)),
+        ("explained", "What the policy does", explained.section(page)),
         ("distance", "Distance to the log", curves.distance(page)),
         ("training", "Training", curves.training(page)),
         ("mazes", "Trajectories", curves.trajectories(page)),
