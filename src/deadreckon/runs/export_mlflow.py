@@ -25,11 +25,11 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("MLFLOW_UV_AUTO_DETECT", "false")  # else it copies the lock file of the folder one happens to be in
     try:
-        import mlflow.pyfunc
+        import mlflow.pyfunc  # pyright: ignore[reportMissingImports] - an extra
         import pandas
-        from mlflow.models import ModelSignature, infer_signature
-        from mlflow.types import ColSpec, Schema
-        from mlflow.types.schema import AnyType
+        from mlflow.models import ModelSignature, infer_signature  # pyright: ignore[reportMissingImports]
+        from mlflow.types import ColSpec, Schema  # pyright: ignore[reportMissingImports]
+        from mlflow.types.schema import AnyType  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         text = f"the format mlflow needs mlflow-skinny and pandas ({error}): pip install 'deadreckon[mlflow]'"
         raise UserError(text) from error
