@@ -20,6 +20,8 @@ from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.files import read_json
 from deadreckon.online.exploration import Online
+from deadreckon.report.entries import read
+from deadreckon.report.provenance import command, section
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.training.checkpoint import load_arrays
@@ -142,6 +144,20 @@ def test_the_last_lines_count_the_steps_of_simulation(run):
     lengths = sum(run.evaluations["length"].to_pylist()) // 2
     assert f"simulated: {STEPS} steps a seed to learn, {lengths} in 4 evaluations" in told
     assert "from return" in told
+
+
+def test_the_report_tells_what_it_began_with_and_how_it_is_made_again(offline, run):
+    page = read([run.path])
+    [entry] = page.entries
+    assert entry.label.endswith(" fine-tuned")
+    words = command(entry).split()
+    assert words[:5] == ["deadreckon", "train", "--online", "--task", "hopper"]
+    assert words[words.index("--from") + 1] == str(offline.path)
+    assert words[words.index("--data") + 1] == "hops"
+    told = str(section(page))
+    for fact in ("goes on from", "after 20 updates on the log", "90 rows, 50% of each batch; 3 episodes are held out"):
+        assert fact in told
+    assert f"{STEPS} steps a seed to learn" in told
 
 
 @pytest.mark.parametrize("step", [8, 16, 48])
