@@ -1253,6 +1253,22 @@ MUTANTS = (
         "late rewards are compared with their own row only", ("data/test_leaks.py",),
     ),
     Mutant(
+        "propensities-that-fit", "data/propensities.py", "own = np.where(actions == action, weights, 0.0)", "own = weights",
+        "right propensities are said to be too small", ("data/test_info.py",),
+    ),
+    Mutant(
+        "copies-in-any-order", "data/copies.py", "(before[1:] == before[:-1] + 1)", "(before[1:] >= 0)",
+        "equal people are taken for a part of a table that was stored twice", ("data/test_info.py",),
+    ),
+    Mutant(
+        "midnight", "data/row_order.py", "(own[1:] == own[:-1]) & (order[1:] < order[:-1])", "order[1:] < order[:-1] - 1e9",
+        "episodes that pass midnight are put in another order without a word", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "leak-empty-at-ends", "data/leaks.py", "(sample.known[names[i]] == sample.followed).all() and not", "False and not",
+        "a next value that is empty in last rows passes for a column of earlier values", ("data/test_leaks.py",),
+    ),
+    Mutant(
         "copies-of-people", "data/copies.py",
         "if len(kinds) >= _OWN * (rows - found) and (kinds != np.floor(kinds)).any():",
         "if (kinds != np.floor(kinds)).any():",
@@ -1272,7 +1288,7 @@ MUTANTS = (
     ),
     Mutant(
         "leak-lagged-column", "data/leaks.py",
-        "if filled or (behind[first] == ahead[first]).all():",
+        "if (filled and not ends_empty) or (behind[first] == ahead[first]).all():",
         "if (behind[first] == ahead[first]).all():",
         "a column of earlier values is accused", ("data/test_leaks.py",),
     ),

@@ -71,6 +71,18 @@ def test_a_planted_column_is_told_by_name(name, make, words):
     assert words in found[0]
 
 
+def test_a_next_value_that_is_empty_in_last_rows_is_told_wherever_episodes_begin():
+    frame = table()
+    walk = np.random.default_rng(5).normal(size=(EPISODES, STEPS))
+    walk[:, 0] = 0.0
+    place = walk.cumsum(1)
+    ahead = np.concatenate([place[:, 1:], np.full((EPISODES, 1), np.nan)], 1)
+    assert (
+        "column next_info equals the next row's place"
+        in leaks(read(frame | {"place": place.ravel(), "next_info": ahead.ravel()}))[0]
+    )
+
+
 def emptied(values, share, seed=9):
     """The values with some of them missing."""
     gone = np.random.default_rng(seed).random(len(values)) < share

@@ -530,6 +530,33 @@ def test_rows_of_an_episode_that_are_not_together_are_told():
     assert not told(Dataset.from_frame(base(minute=step, machine=episode), episode="machine"), "together")
 
 
+def test_times_of_day_that_pass_midnight_are_told(tmp_path):
+    path, words = tmp_path / "log.csv", "10 of 10 episodes are put in another order than the table's by clock"
+    table = pd.DataFrame(base(clock=[f"{(22 + i % 6) % 24:02}:00" for i in range(N)], night=np.arange(N) // 12))
+    table[table.index % 12 < 6].to_csv(path, index=False)
+    assert told(read(path, episode="night", time="clock"), words)
+    table["clock"] = [f"{i % 6:02}:00" for i in range(N)]
+    table[table.index % 12 < 6].to_csv(path, index=False)
+    assert not told(read(path, episode="night", time="clock"), "another order")
+
+
+def test_columns_that_count_rows_are_told():
+    log = Dataset.from_frame(base(order=70_001 + RNG.permutation(N)))
+    assert told(log, "column order has whole numbers without gaps, each once")
+    assert not told(Dataset.from_frame(base(order=RNG.permutation(N) * 2)), "column order has")
+
+
+def test_subtotals_among_levels_are_told():
+    log = Dataset.from_frame(base(action=["a Total" if i % 30 == 0 else "ab"[i % 2] for i in range(N)]))
+    assert told(log, "column action has 'a Total' beside 'a', as subtotals are called")
+    assert not told(Dataset.from_frame(base(action=["Total" if i % 2 else "a" for i in range(N)])), "subtotals")
+
+
+def test_placeholders_among_rewards_are_told():
+    log = Dataset.from_frame(base(reward=[-999.0 if i % 20 == 0 else i / N for i in range(N)]))
+    assert told(log, "column reward has -999 in 6 rows")
+
+
 @pytest.mark.parametrize("word", ["Total", "total:", "AVERAGE", "Summe", "Gesamtsumme", "Mittelwert", "Grand Total"])
 def test_a_last_row_that_calls_itself_a_total_is_told(tmp_path, word):
     path = tmp_path / "log.csv"

@@ -80,7 +80,7 @@ def test_who_may_cost_too_much_is_not_deployed(limit, deployed):
     choice = decided(limit, [ImportanceSampling()]).choice
     assert choice.deploy == deployed
     assert choice.objections[0] == ()
-    told = f", which is not surely within {limit:g}" if isinstance(limit, float) else ""
+    told = f", which may be above its limit of {limit:g}" if isinstance(limit, float) else ""
     assert [told in line for line in choice.objections[1]] == ([True] if told else [])
 
 

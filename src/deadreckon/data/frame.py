@@ -174,9 +174,9 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     if not (ordered or terminal or timeout or following):
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
-    if codes is not None and time is None:
-        encoder.warnings += about_order(table, schema, codes)
     order, ends = _order(table.num_rows, codes, moments)
+    if codes is not None:
+        encoder.warnings += about_order(table, schema, codes, order)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:
         columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.data.copies import about_copies, copies
+from deadreckon.data.copies import Copies, about_copies, copies
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.propensities import about_propensities
 from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names
 
@@ -45,6 +46,7 @@ class Info:
         constant_observations: dimensions (of the flattened observation, without masks of actions) that never change.
         observation_scales: smallest and largest standard deviation among those that do.
         duplicate_rows: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
+        duplicates_together: share of these that follow one another as the earlier ones do.
         sampled: rows that were looked at for duplicates and distinct rewards.
         own_successors: rows inside an episode whose next observation is not the following row's.
         fingerprint: of the log.
@@ -75,6 +77,7 @@ class Info:
     constant_observations: tuple[int, ...]
     observation_scales: tuple[float, float]
     duplicate_rows: int
+    duplicates_together: float
     sampled: int
     own_successors: int
     fingerprint: str
@@ -89,6 +92,7 @@ def describe(log: Dataset) -> Info:
     constant = (spec.observation.min == spec.observation.max).ravel()
     moving = std[~constant] if not constant.all() else np.zeros(1)
     sample = slice(0, min(len(log), _SAMPLE))
+    repeated = copies(log, sample.stop)
     return Info(
         name=log.name,
         source=log.provenance.source,
@@ -115,7 +119,8 @@ def describe(log: Dataset) -> Info:
         # What is legal everywhere carries nothing either, and cannot be left out.
         constant_observations=tuple(np.flatnonzero(constant[: len(constant) - spec.mask_size]).tolist()),
         observation_scales=(float(moving.min()), float(moving.max())),
-        duplicate_rows=copies(log, sample.stop),
+        duplicate_rows=repeated.count,
+        duplicates_together=repeated.together,
         sampled=sample.stop,
         own_successors=_own_successors(log),
         fingerprint=log.fingerprint,
@@ -222,7 +227,8 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         never = "never occurs" if len(unused) == 1 else "never occur"
         text = f"{len(unused)} of {len(names)} actions {never} in the log ({_shortened(unused)})"
         out.append(f"{text}: nothing is known about what they lead to")
-    return [*out, *about_copies(log, info.duplicate_rows, info.sampled)]
+    repeated = Copies(info.duplicate_rows, info.duplicates_together)
+    return [*out, *about_propensities(log), *about_copies(log, repeated, info.sampled)]
 
 
 def _shortened(names: Sequence[str]) -> str:

@@ -74,7 +74,9 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
         return kind, reason, _alphabetical(values)
     if role == "observation" and kind == "category":
         return kind, reason, _alike(values)
-    if role == "observation" and (doubt := placeholder(values) or _rounded(values)):
+    if role in ("observation", "reward", "cost") and (doubt := placeholder(values)):
+        return kind if role == "observation" else "number", reason, doubt
+    if role == "observation" and (doubt := _rounded(values)):
         return kind, reason, doubt
     # What does not go with the role is refused when it is encoded, with the value that is wrong.
     return (kind, reason, "") if kind in ALLOWED.get(role, KINDS) else ("number", reason, "")
@@ -118,6 +120,9 @@ def _alike(values: Any) -> str:
         other = found.setdefault(" ".join(level.lower().split()), level)
         if other != level:
             return f"has levels that differ in blanks or capitals alone, such as {other!r} and {level!r}"
+    for lower, level in found.items():
+        if (of := lower.removesuffix(" total").removesuffix(" ergebnis")) != lower and of in found:
+            return f"has {level!r} beside {found[of]!r}, as subtotals are called: leave such rows out if they sum others up"
     return ""
 
 

@@ -157,7 +157,9 @@ def _leading(sample: _Sample) -> list[str]:
             continue
         start = behind[first & sample.known[names[j]]]
         filled = len(start) == 0 or (len(np.unique(start)) < 2 and start[0] in _FILLS)
-        if filled or (behind[first] == ahead[first]).all():
+        # A column of later values, and no column of earlier ones, is empty in last rows and nowhere else.
+        ends_empty = (sample.known[names[i]] == sample.followed).all() and not sample.followed.all()
+        if (filled and not ends_empty) or (behind[first] == ahead[first]).all():
             continue  # `behind` is filled up at first rows: it holds earlier values of `ahead`, which is no leak
         text = f"column {names[i]} equals the next row's {names[j]} in all {len(now):,} rows that another one follows"
         out.append(f"{text}; unless {names[j]} is the earlier value of {names[i]}, leave {names[i]} out (--ignore)")

@@ -1,4 +1,4 @@
-"""What speaks against the order in which the rows of an episode stand in a table that nothing orders."""
+"""What speaks against the order in which the rows of an episode are taken."""
 
 import numpy as np
 import pyarrow as pa
@@ -9,16 +9,30 @@ from deadreckon.data.schema import Schema
 _LEAST = 10  # falls below which nothing is told: by chance they have no rise among them with probability 2^-10
 
 
-def about_order(table: pa.Table, schema: Schema, codes: np.ndarray) -> list[str]:
+def about_order(table: pa.Table, schema: Schema, codes: np.ndarray, order: np.ndarray | slice | None) -> list[str]:
     """What to say of rows that may be in another order than they stand in.
 
     Args:
         table: (rows,) of each column.
-        schema: of it, without a time.
-        codes: (rows,) index of each row's episode, whose rows are taken in the order of the table.
+        schema: of it.
+        codes: (rows,) index of each row's episode.
+        order: in which the rows are taken; a slice where that is the table's.
     """
+    if (time := schema.one("time")) is not None:
+        return _past_midnight(table, time.name, codes, order)
     left_out = schema.named("ignore", "keep")
     return [*_falling(table, left_out, codes), *_apart(table, [*schema.named("observation"), *left_out], codes)]
+
+
+def _past_midnight(table: pa.Table, time: str, codes: np.ndarray, order: np.ndarray | slice | None) -> list[str]:
+    """What to say of episodes that times of day, which have no date, put in another order than the table does."""
+    if not pa.types.is_time(table.column(time).type) or not isinstance(order, np.ndarray):
+        return []
+    own = codes[order]
+    changed = len(np.unique(own[1:][(own[1:] == own[:-1]) & (order[1:] < order[:-1])]))
+    text = f"{changed:,} of {int(codes.max()) + 1:,} episodes are put in another order than the table's by {time}"
+    how = f"give {time} with its date, or leave it out if the rows are in order"
+    return [f"{text}, which has times of day without a date, as where one passes midnight: {how}"] if changed else []
 
 
 def _apart(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:

@@ -36,19 +36,26 @@ class Cost(NamedTuple):
         limit: that it must not exceed; None: there is none.
         ends: (policies, 3) totals with lower and upper ends, of the behaviour policy last.
         warnings: of the estimate, one line each.
+        discount: of each further step, as of the value; 1 where episodes have one step.
     """
 
     column: str
     limit: float | None
     ends: np.ndarray
     warnings: tuple[str, ...]
+    discount: float = 1.0
+
+    @property
+    def told(self) -> str:
+        """The column, and how it is summed up."""
+        return self.column if self.discount == 1 else f"{self.column}, discounted by {self.discount:g} a step,"
 
     def words(self, which: int, level: float) -> str:
         """The total of a policy, beside that of the behaviour policy, in a line."""
         (value, low, high), logged = self.ends[which], self.ends[-1][0]
         within = "" if self.limit is None else f", limit {self.limit:g}"
         between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)}, for all policies at once{within})"
-        return f"its {self.column} is {between}; that of the behaviour policy is {logged:.4g}"
+        return f"its {self.told} is {between}; that of the behaviour policy is {logged:.4g}"
 
     def objection(self, which: int, level: float) -> str | None:
         """Why a policy may cost too much; None where it does not, or there is no limit."""
@@ -56,9 +63,9 @@ class Cost(NamedTuple):
         if self.limit is None or high <= self.limit:
             return None
         if not np.isfinite(high):
-            return f"nobody knows whether its {self.column} stays within {self.limit:g}"
+            return f"nobody knows whether its {self.told} stays within {self.limit:g}"
         between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)})"
-        return f"its {self.column} is {between}, which is not surely within {self.limit:g}"
+        return f"its {self.told} is {between}, which may be above its limit of {self.limit:g}"
 
 
 def cost_columns(log: Dataset) -> tuple[str, ...]:
@@ -127,7 +134,8 @@ def costs_of(
     for column, limit in limits.items():
         told = estimator.on(_with_cost(case, column))
         ends = totals(told, alpha / len(limits), supported(told, support))
-        found.append(Cost(column, limit, ends, told.warnings))
+        discount = case.estimand.discount if case.given.lengths.max() > 1 and case.estimand.horizon != 1 else 1.0
+        found.append(Cost(column, limit, ends, told.warnings, discount))
     return found
 
 
