@@ -194,7 +194,7 @@ def decided(table, folder, capsys, rows):
     (folder / "log.toml").write_text("\n".join(line.strip() for line in table.schema.splitlines()))
     table.make(rows, seed=0).to_csv(folder / "log.csv", index=False)
     log, run, card = str(folder / "log.toml"), folder / "run", folder / "card"
-    words = ["train", "--agent", "bc", "--agent.hidden", "16", "--agent.lr", "0.05", "--agent.batch-size", "32"]
+    words = ["train", "--agent", "bc", "--agent.hidden", "32", "--agent.lr", "0.01", "--agent.batch-size", "32"]
     command([*words, "--steps", "100", "--holdout", "0.5", "--data", log, "--out", str(run)], capsys)
     words = ["ope", "--data", log, "--policies", str(run), "--select", "--out", str(card)]
     words += ["--estimators", "is", "--steps", "50", "--hidden", "8", *table.ope.split()]

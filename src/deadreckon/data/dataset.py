@@ -157,8 +157,8 @@ class Dataset(Shown):
             UserError: one line with the column and the row (counted from 0, as in the table given).
         """
         from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
-        columns, extra, warnings, space = frame_columns(frame, name=name, **mapping)
-        log = cls.from_arrays(**columns, action_space=space, name=name, provenance=Provenance(source, extra=extra), strict=strict)
+        given, more, warnings, space = frame_columns(frame, name=name, **mapping)
+        log = cls.from_arrays(**given, action_space=space, name=name, strict=strict, provenance=Provenance(source, extra=more))
         return replace(log, warnings=(*warnings, *log.warnings))
 
     def __len__(self) -> int:
