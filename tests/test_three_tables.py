@@ -29,6 +29,7 @@ class Table(NamedTuple):
         ranges: half the range of each action; None of a discrete one.
         renamed: (column, level, other name) of the new rows.
         deploy: whether the decision is to deploy the policy.
+        right: of new rows and actions, (rows,) whether these are as the log teaches, so that names cannot be exchanged.
         units: what `predict` says of them, if anything.
     """
 
@@ -38,18 +39,19 @@ class Table(NamedTuple):
     ranges: dict
     renamed: tuple
     deploy: bool
+    right: object
     units: str
 
 
 def offers(rows, seed):
-    """One step: the best of three offers depends on the plan; it has been made to 60 % of the customers."""
+    """One step: the best of three offers depends on the plan; it has been made to 80 % of the customers."""
     rng = np.random.default_rng(seed)
     plan = rng.integers(0, 3, rows)
-    offer = np.where(best := rng.random(rows) < 0.6, (plan + 1) % 3, (plan + rng.choice([0, 2], rows)) % 3)
+    offer = np.where(best := rng.random(rows) < 0.8, (plan + 1) % 3, (plan + rng.choice([0, 2], rows)) % 3)
     return pd.DataFrame({
         "id": np.arange(rows), "age": rng.integers(18, 80, rows), "plan": np.array(["free", "pro", "team"])[plan],
         "grade": rng.choice([1, 3, 7], rows), "member": rng.random(rows) < 0.5,
-        "offer": np.array(["call", "mail", "none"])[offer], "logged_with": np.where(best, 0.6, 0.2),
+        "offer": np.array(["call", "mail", "none"])[offer], "logged_with": np.where(best, 0.8, 0.1),
         "paid": (2.0 * (offer == (plan + 1) % 3) + rng.random(rows)).round(3),
     })  # fmt: skip
 
@@ -70,7 +72,8 @@ OFFERS = Table(
     logged_with = {role = "propensity", kind = "number"}
     paid = {role = "reward", kind = "number", unit = "EUR"}
     """,
-    "--greedy", {"offer": None}, ("plan", "pro", "professional"), True, "",
+    "--greedy", {"offer": None}, ("plan", "pro", "professional"), True,
+    lambda rows, actions: actions["offer"] == rows["plan"].map({"free": "mail", "pro": "none", "team": "call"}), "",
 )  # fmt: skip
 
 
@@ -102,13 +105,14 @@ VISITS = Table(
     patient = {role = "episode", kind = "category"}
     date = {role = "time", kind = "date"}
     lab = {role = "observation", kind = "number", marked = true, unit = "mmol/l"}
-    ward = {role = "observation", kind = "category", levels = ["south", "north", "east"], marked = true}
+    ward = {role = "observation", kind = "category", levels = ["north", "south", "east"], marked = true}
     dose = {role = "action", kind = "category", levels = ["low", "high"]}
     logged_with = {role = "propensity", kind = "number"}
     recovered = {role = "reward", kind = "number"}
     """,
     "--greedy --discount 0.9", {"dose": None},
-    ("ward", "north", "North"), True, "",
+    ("ward", "north", "North"), True,
+    lambda rows, actions: (actions["dose"] == np.where(rows["ward"] == "north", "high", "low")) | rows["ward"].isna(), "",
 )  # fmt: skip
 
 
@@ -142,6 +146,7 @@ ROOMS = Table(
     """,
     "--discount 0.9",
     {"supply": 25.0, "fan": 0.5}, ("room", "lab", "laboratory"), False,
+    lambda rows, actions: (actions["fan"] > 0.55) == (rows["room"] == "office"),
     "units: supply in degC, fan in share",
 )  # fmt: skip
 
@@ -195,7 +200,7 @@ def decided(table, folder, capsys, judged):
     table.make(ROWS, seed=0).to_csv(folder / "log.csv", index=False)
     log, run, card = str(folder / "log.toml"), folder / "run", folder / "card"
     words = ["train", "--agent", "bc", "--agent.hidden", "32", "--agent.lr", "0.01", "--agent.batch-size", "32"]
-    command([*words, "--steps", "100", "--holdout", "0.5", "--data", log, "--out", str(run)], capsys)
+    command([*words, "--steps", "200", "--holdout", "0.5", "--data", log, "--out", str(run)], capsys)
     if not judged:
         return run
     words = ["ope", "--data", log, "--policies", str(run), "--select", "--out", str(card)]
@@ -217,6 +222,7 @@ def used(table, folder, capsys, judged=True):
     wanted = by_name(table, dr.load_policy(found.file).predict(given))  # in JAX
     for key, values in wanted.items():
         assert len(set(np.asarray(values).tolist())) > 1, key  # a policy that does one thing would hide a wrong encoding
+    assert np.mean(table.right(fresh, wanted)) > 0.8
     said = command(["predict", str(place), str(folder / "fresh.csv"), "--out", str(folder / "actions.csv")], capsys)
     assert ("units: " in said) == bool(table.units)
     assert table.units in said
