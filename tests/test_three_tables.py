@@ -83,7 +83,7 @@ def visits(rows, seed):
     lab, ward = rng.normal(5, 1, rows), rng.integers(0, 3, rows)
     right = rng.random(rows) < 0.8
     dose = np.where(right, ward == 0, ward != 0).astype(int)
-    patient, visit = np.arange(rows) // 5, np.arange(rows) % 5
+    patient, visit = np.arange(rows) // 3, np.arange(rows) % 3
     dates = pd.Timestamp("2024-01-05") + pd.to_timedelta(9 * visit + patient, unit="D")
     return pd.DataFrame({
         "patient": [f"p{each}" for each in patient], "date": dates.strftime("%d.%m.%Y"),
