@@ -13,6 +13,7 @@ from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks import task
+from deadreckon.tasks.task import Task
 
 
 @pytest.fixture(scope="module")
