@@ -87,6 +87,18 @@ def test_a_value_below_the_estimate_is_an_alarm_and_stays_one(place):
     assert at.alarm
 
 
+def test_a_log_of_the_policy_in_use_needs_no_propensities_and_estimates_lie_beside(tmp_path):
+    table(300, 0).assign(p=0.5, cost=1.0).to_csv(tmp_path / "log.csv", index=False)
+    table(250, 1).to_csv(tmp_path / "same.csv", index=False)
+    log = dr.read(tmp_path / "log.csv", action="action", reward="reward", propensity="p", cost="cost")
+    dr.train(BC, log, steps=2, task=False, out=tmp_path / "runs" / "run")
+    (tmp_path / "runs" / "run-ope").mkdir()
+    promise(tmp_path / "runs" / "run-ope", 0.4)
+    found = monitor(tmp_path / "runs" / "run", tmp_path / "same.csv", reference=log)
+    assert not found.alarm
+    assert isinstance(found.value, Realised)
+
+
 def test_what_an_early_look_finds_later_looks_find_too(place):
     """So that one may look daily: drift is tested at fixed numbers of episodes alone, from the same rows."""
     log = dr.read(place / "older.csv", action="action", reward="reward")

@@ -7,6 +7,7 @@ from typing import Any
 
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import read
 from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.held import HELD
@@ -20,6 +21,8 @@ from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
 from deadreckon.runs.reading import HORIZON, Read, check_encoding
 from deadreckon.runs.run import Run, load
+
+OPTIONAL = ("propensity", "cost", "weight", "group", "keep")  # roles of columns that nobody compares
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,7 @@ class Subject:
             replace(column, marked=True, fill=held.get(column.name, {}).get("mean") if column.fill is None else column.fill)
             for column in complete
         ]
+        schema = _without_absent(path, schema)
         log = read(path, schema=schema.resolved(lenient), horizon=horizon)
         told = dict(log.provenance.extra)
         names = list(told["observation_names"])
@@ -120,6 +124,13 @@ class Subject:
             log, observations=log.observations[:, kept], final_observations=log.final_observations[:, kept],
             successors=following, extras={**log.extras, **flags}, provenance=replace(log.provenance, extra=told),
         )  # fmt: skip
+
+
+def _without_absent(path: Path | str, schema: Schema) -> Schema:
+    """The schema without columns that a log of a policy in use need not have, such as propensities, where it lacks them."""
+    there = set(read_rows(path, schema)[0].column_names)
+    kept = tuple(column for column in schema.columns if column.role not in OPTIONAL or column.name in there)
+    return schema if len(kept) == len(schema.columns) else replace(schema, columns=kept)
 
 
 def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
@@ -156,13 +167,16 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
 
     Args:
         one: the policy.
-        given: the folder or file; None looks in that of the decision which chose the policy, in the run's folder and beside
-            it, where `recommend` puts it.
+        given: the folder or file; None looks in that of the decision which chose the policy, in the run's folder, in the one
+            above, where `recommend` puts it, and in those beside it, where `ope --out` usually does.
 
     Raises:
         UserError: the given one is none, or does not have this policy.
     """
     known = [*([one.decision] if one.decision else []), *([one.folder, one.folder.parent] if one.folder else [])]
+    if one.folder is not None:  # such as runs/clinic-ope beside runs/clinic, the newest first
+        beside = [file.parent for file in one.folder.parent.glob(f"*/{NAME}") if file.parent not in known]
+        known += sorted(beside, key=lambda folder: (folder / NAME).stat().st_mtime, reverse=True)
     places = known if given is None else [Path(given)]
     for place in places:
         file = place / NAME if place.is_dir() or given is None else place
