@@ -15,7 +15,7 @@ from deadreckon.cli.main import main
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.policies import portable
-from deadreckon.policies.table_decoded import decoded
+from deadreckon.policies.decoded_rows import decoded
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.runs import export as exporting
 from deadreckon.runs.export import export
