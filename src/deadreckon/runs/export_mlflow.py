@@ -10,9 +10,9 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.policies import portable
+from deadreckon.policies.decoded_rows import decoded
 from deadreckon.policies.mlflow_loader import Model
 from deadreckon.policies.pure import Pure
-from deadreckon.policies.decoded_rows import decoded
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.runs.exported import PLAYER, Rows, check, played, put_player
 from deadreckon.runs.subject import Subject

@@ -9,8 +9,8 @@ import numpy as np
 from deadreckon._version import __version__
 from deadreckon.errors import UserError
 from deadreckon.policies import onnx_graph
-from deadreckon.policies.pure import MEMBER, Pure
 from deadreckon.policies.decoded_rows import decoded
+from deadreckon.policies.pure import MEMBER, Pure
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.policies.table_predict import OUTSIDE
 from deadreckon.policies.table_rows import text_of
