@@ -69,7 +69,7 @@ def test_with_a_judge(table, capsys):
         (["--method", "best"], "design needs --data FILE --target COLUMN, or --problem NAME"),
         (["--method", "best", "--data", "alloys.csv"], "missing --target, the column of the scores"),
         (["--method", "best", "--data", "alloys.csv", "--target", "price"], "alloys: unknown column 'price': known: "),
-        (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "nothing.csv: "),
+        (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "no file nothing.csv"),
         (["--method", "best", "--problem", "brannin"], "unknown problem 'brannin': did you mean branin or "),
         (["--method", "best", "--problem", "branin", "--path", "x"], "unknown option of branin 'path'"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--path", "x"], "--path is the file of a --problem"),

@@ -182,7 +182,7 @@ class NEMO(Designer):
             g=None,  # a function has no name that lasts; `worths` are what it makes of the bins
         )
         scale = float(y.min()), float(y.max())
-        return Training(resolved, setting.n, scale, Fixed(view.low), Fixed(view.high), worths)
+        return Training(resolved, setting.n, scale, *map(Fixed, view.bounds), worths)
 
     def _worths(self, data: Designs) -> np.ndarray:
         """(bins,) what g makes of the middle of each bin."""
