@@ -19,6 +19,7 @@ from deadreckon.errors import UserError
 from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.validation import Quality
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
@@ -43,6 +44,7 @@ class Proposals(Shown):
         predicted_std: (n,) standard deviation of that belief; NaN likewise.
         seed: random seed.
         seconds: it took, of all seeds of a program together.
+        quality: how well the method predicts out of fold; None where that was not looked at.
     """
 
     method: str
@@ -51,6 +53,7 @@ class Proposals(Shown):
     predicted_std: np.ndarray
     seed: int
     seconds: float = 0.0
+    quality: Quality | None = None
 
     def __len__(self) -> int:
         return len(self.x)

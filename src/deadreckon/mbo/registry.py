@@ -10,6 +10,7 @@ from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
 from deadreckon.mbo.designer import Designer
 from deadreckon.mbo.forward import Forward
+from deadreckon.mbo.gp import GP
 from deadreckon.mbo.gp_bo import GPBO
 from deadreckon.mbo.mins import MINs
 from deadreckon.mbo.nemo import NEMO
@@ -17,6 +18,7 @@ from deadreckon.mbo.ram import RaM
 from deadreckon.training.field_names import with_field_names
 
 DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
+    "gp": (GP, "greatest prediction of a Gaussian process with a length for each variable (Rasmussen and Williams 2006)"),
     "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
     "forward": (Forward, "a model of the score and gradient ascent on it (thesis 6.5)"),
     "ensemble": (lambda: Forward(members=5), "the mean of five models on redrawn designs (thesis 6.5)"),

@@ -94,6 +94,13 @@ class Repair:
         x[:, moved] = z * scale
         return x
 
+    def allowed(self, x: np.ndarray) -> np.ndarray:
+        """(rows,) which designs are no forbidden combination, in floating point."""
+        out = np.ones(len(x), bool)
+        for each in self.rules.forbidden:
+            out &= ~np.all([clause.met(x[:, clause.column]) for clause in each.clauses], 0)
+        return out
+
     def exact(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Designs near to these that satisfy all rules exactly.
 

@@ -3,6 +3,7 @@
 All are checked exactly, as fractions of the decimal numbers that are written, so a mixture that must sum to 1 does.
 """
 
+import operator
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,9 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.variables import Variable
 
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+COMPARED = {
+    "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
 _RELATION = re.compile(r"<=|>=|==|!=|=|<|>")
 
 
@@ -56,10 +60,11 @@ class Clause:
 
     def holds(self, value: Fraction) -> bool:
         """Whether a value satisfies it."""
-        return {
-            "=": value == self.value, "!=": value != self.value, "<": value < self.value, "<=": value <= self.value,
-            ">": value > self.value, ">=": value >= self.value,
-        }[self.relation]  # fmt: skip
+        return COMPARED[self.relation](value, self.value)
+
+    def met(self, values: np.ndarray) -> np.ndarray:
+        """(rows,) which values satisfy it, in floating point."""
+        return COMPARED[self.relation](values, float(self.value))
 
 
 @dataclass(frozen=True)
