@@ -139,7 +139,7 @@ DESIGNS: dict[str, dict[str, Any]] = {
     "ddom": {**NETS, "steps": 4, "sampling_steps": 5},
     "mins": {**NETS, "latent_size": 2, "steps": 4, "critic_updates": 2, "forward_hidden": (8,), "forward_steps": 4,
              "forward_lr": 0.01, "ascent_steps": 3},
-    "best": {}, "random": {},
+    "best": {}, "random": {}, "gp": {"rounds": 5, "folds": 2},
 }  # fmt: skip
 
 

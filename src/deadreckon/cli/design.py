@@ -15,20 +15,19 @@ from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
 from deadreckon.files import file_part
 
-USUAL = "ensemble"  # the method where none is named
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 
 @dataclass
 class Design:
-    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default an ensemble of models.
+    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default a Gaussian process.
 
     The table may stand first, without --data. See also `deadreckon design describe|problems|get|methods|bench`.
     """
 
     data: str | None = None  # table of scored designs (CSV, Parquet, spreadsheet, database), one row per design
     target: str | None = None  # column of the scores, to be maximised
-    schema: str | None = None  # TOML file with roles, kinds, bounds and constraints (`design describe TABLE --save FILE`)
+    schema: str | None = None  # schema of the table, a TOML file with roles, kinds and constraints (see `design describe`)
     kinds: dict[str, str] = dataclasses.field(default_factory=dict)
     """kinds of columns (continuous, integer, ordinal or categorical), as COLUMN KIND pairs"""
     levels: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -81,20 +80,23 @@ def design(args: Sequence[str]) -> None:
         return _MORE[args[0]](args[1:])
     if args and not args[0].startswith("-"):
         args = ["--data", *args]
-    from deadreckon.mbo.registry import DESIGNERS, sized
+    from deadreckon.mbo.registry import DESIGNERS, sized, usual_designer
 
     name, rest = chosen("method", args)
+    usual = usual_designer(0)
     asked, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
-    method = sized(name or USUAL, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
+    method = sized(name or usual, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
     own = "method", type(method), dataclasses.field(default_factory=lambda: method)
     fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")]), own]
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
-    return _propose(name or USUAL, parsed.method, parsed.design)
+    _propose(name, parsed.method, parsed.design)
 
 
-def _propose(name: str, method: Any, options: Design) -> None:
+def _propose(name: str | None, method: Any, options: Design) -> None:
+    from deadreckon.mbo.registry import sized, usual_designer
+
     if (options.data is None) == (options.problem is None):
         raise UserError("design needs --data FILE --target COLUMN, or --problem NAME")
     problem = None
@@ -103,6 +105,11 @@ def _propose(name: str, method: Any, options: Design) -> None:
         data = problem.visible
     else:
         data = _designs(options)
+    if name is None:
+        name = usual_designer(len(data))
+        if name != usual_designer(0):
+            print(f"! {len(data):,} rows are too many for a Gaussian process; the method is {name} (--method)", file=sys.stderr)
+            method = sized(name, options.problem, options.budget or ("full" if problem else "cpu"))
     out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
     with Watch() as watch:
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, repeat=options.repeat)
@@ -129,7 +136,8 @@ def _told(data: Any, made: Any) -> list[str]:
     ties = f" (shared by {tied:,} designs)" if tied > 1 else ""
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
-    return [*lines, f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)"]
+    lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
+    return [*lines, str(made.quality)] if made.quality else lines
 
 
 def _free(name: str, data: Any) -> str:
@@ -256,7 +264,7 @@ class Describe:
 
     data: Annotated[str, tyro.conf.Positional]  # table of scored designs
     target: str | None = None  # column of the scores; None: the last column of numbers
-    save: str | None = None  # TOML file to write; None: print the schema
+    save: str | None = None  # path of the TOML file to write; None: print the schema
 
 
 def describe(args: Sequence[str]) -> None:

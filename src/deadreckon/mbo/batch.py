@@ -12,6 +12,7 @@ from deadreckon.errors import UserError
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nn_distance import nearest_scored, nn_distance, usual_distance
 from deadreckon.mbo.rules import written
+from deadreckon.randomness import generator
 
 Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) what to make large
 APART = 0.1  # least distance between proposals, in usual distances between neighbours of the data
@@ -39,7 +40,7 @@ def batch(
     Raises:
         UserError: there are not so many designs, or none was found.
     """
-    rng = np.random.default_rng([seed, 0xBA7C4])
+    rng = generator(seed, "filling a batch")
     apart = APART * usual_distance(data)
     chosen = Chosen(data, repeat)
     usable = repaired(data, x)

@@ -1,8 +1,9 @@
 """A Gaussian process for tables of experiments, and a batch of designs that it predicts high scores for.
 
 The process is that of `mbo.process`. Its prediction m + kappa s is climbed from designs of the data and from random ones, by
-random changes and gradient steps that are kept within all rules; the batch is chosen greedily, each design given those chosen
-before it (their fantasised scores are the means, which changes s alone; Ginsbourger et al. 2010), at a least distance from them.
+random changes and gradient steps that are kept within all rules; the batch is chosen greedily, each design given those
+before it (their fantasised scores are the means, which changes s alone; Ginsbourger et al. 2010), at a least distance from
+them.
 """
 
 from typing import ClassVar
@@ -15,6 +16,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nn_distance import usual_distance
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import ENOUGH, Predict, cross_validated
+from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
 KEPT = 128  # designs that a search keeps at least
@@ -66,7 +68,7 @@ class GP(Designer):
         if len(order) <= self.max_rows:
             return data
         best, rest = order[: self.max_rows // 2], order[self.max_rows // 2 :]
-        drawn = np.random.default_rng(0).choice(rest, self.max_rows - len(best), replace=False)
+        drawn = generator(0, "rows of the process").choice(rest, self.max_rows - len(best), replace=False)
         return data.part(np.concatenate([best, drawn]))
 
     def predictor(self, data: Designs) -> Predict:
@@ -90,7 +92,7 @@ def sum_of(process: Process, x: np.ndarray, kappa: float) -> np.ndarray:
 
 def search(data: Designs, process: Process, kappa: float, rounds: int, kept: int, seed: int) -> np.ndarray:
     """(kept, variables) or fewer different designs of great m + kappa s, the greatest first, within bounds and constraints."""
-    rng = np.random.default_rng([seed, 0x9B])
+    rng = generator(seed, "search of designs")
     start = data.x[rng.integers(len(data), size=DRAWN)]
     x = _allowed(data, np.concatenate([data.x[data.best(min(len(data), 64))], moved(data, start, 1.0, rng), start[:64]]))
     value, apart = sum_of(process, x, kappa), APART * usual_distance(data)

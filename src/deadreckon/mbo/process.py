@@ -10,11 +10,12 @@ variables smooth (Hvarfner et al. 2024), log noise ~ N(-4, 1), both of standardi
 64 bits on the host: the data are few, and 32 bits would lose the inverse.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
+from deadreckon.randomness import generator
 
 ITERATIONS = 60  # of L-BFGS at most
 LEAST = 1e-6  # variance of the noise at least, in variances of the score
@@ -56,11 +57,6 @@ class Hyper:
     lengths: np.ndarray
     signal: float
     noise: float
-
-    @property
-    def vector(self) -> np.ndarray:
-        """As one vector."""
-        return np.concatenate([self.lengths, [self.signal, self.noise]])
 
 
 @dataclass(frozen=True)
@@ -130,12 +126,11 @@ def relative_noise(data: Designs) -> np.ndarray:
     return np.maximum(square / square.mean(), 1e-3)
 
 
-def fit(data: Designs, start: Hyper | None = None, rows: int = 400) -> Process:
+def fit(data: Designs, rows: int = 400) -> Process:
     """A process of all data.
 
     Args:
         data: scored designs.
-        start: hyperparameters to begin with; None: those of greatest prior.
         rows: on how many of them at most hyperparameters are fitted, drawn with a seed that never changes.
     """
     from scipy.optimize import minimize
@@ -146,10 +141,12 @@ def fit(data: Designs, start: Hyper | None = None, rows: int = 400) -> Process:
     count = len(data.variables)
     prior = np.concatenate([np.full(count, 2**0.5 + 0.5 * np.log(count)), [0.0, -4.0]])
     spread = np.concatenate([np.full(count, 3**0.5), [1.0, 1.0]])
-    some = np.arange(len(y)) if len(y) <= rows else np.sort(np.random.default_rng(0).choice(len(y), rows, replace=False))
+    some = np.arange(len(y))
+    if len(y) > rows:
+        some = np.sort(generator(0, "rows of the hyperparameters").choice(len(y), rows, replace=False))
     bounds = [(-5.0, 8.0)] * count + [(-6.0, 5.0), (np.log(LEAST), 2.0)]
     # The mode of the prior's lengths is long; a second start of shorter ones finds functions that change fast.
-    begins = [start.vector] if start is not None else [prior, np.concatenate([prior[:-2] - 1.5, [0.0, -2.0]])]
+    begins = [prior, np.concatenate([prior[:-2] - 1.5, [0.0, -2.0]])]
     best = None
     for begin in begins:
         of = (f[some], y[some], ratio[some], features.owner, prior, spread)
@@ -157,10 +154,10 @@ def fit(data: Designs, start: Hyper | None = None, rows: int = 400) -> Process:
         found = minimize(_loss, begin, of, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         best = found if best is None or found.fun < best.fun else best
     assert best is not None
-    return conditioned(features, f, y, ratio, _hyper(best.x), y_mean, y_std)
+    return _conditioned(features, f, y, ratio, _hyper(best.x), y_mean, y_std)
 
 
-def conditioned(
+def _conditioned(
     features: Features, f: np.ndarray, y: np.ndarray, ratio: np.ndarray, hyper: Hyper, y_mean: float, y_std: float
 ) -> Process:
     """The process of these hyperparameters, given the data."""
@@ -170,13 +167,6 @@ def conditioned(
 
     inverse = solve_triangular(np.linalg.cholesky(k), np.eye(len(y)), lower=True)
     return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std)
-
-
-def given(process: Process, data: Designs) -> Process:
-    """The same hyperparameters, given other data of the same variables."""
-    y = (data.y - process.y_mean) / process.y_std
-    part = replace(process.features, data=process.features.data)
-    return conditioned(part, part(data.x), y, relative_noise(data), process.hyper, process.y_mean, process.y_std)
 
 
 def _hyper(vector: np.ndarray) -> Hyper:

@@ -57,6 +57,14 @@ CPU_BUDGET: dict[str, dict[str, Any]] = {
 }
 
 
+MOST = 3000  # rows up to which a Gaussian process is the usual method
+
+
+def usual_designer(rows: int) -> str:
+    """The method where none is named: a Gaussian process, or, where the rows are too many for one, an ensemble of networks."""
+    return "gp" if rows <= MOST else "ensemble"
+
+
 def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
     """A designer by name, with some fields changed.
 
