@@ -133,6 +133,7 @@ CLIMB = {"ascent_steps": 5, "design_lr": 0.05}
 ROUNDS = {**NETS, "latent_size": 2, "members": 2, "steps": 4, "rounds": 2, "updates": 2, "samples": 40}
 DESIGNS: dict[str, dict[str, Any]] = {
     "nemo": {**NETS, "bins": 5, "pretrain": 3, "steps": 3, "design_lr": 0.05},
+    "nemo-adversarial": {**NETS, "bins": 5, "pretrain": 3, "steps": 3, "design_lr": 0.05},
     "coms": {**NETS, **CLIMB, "steps": 4}, "ram": {**CLIMB, "hidden": (8,), "lr": 0.01, "list_size": 16, "steps": 4},
     **{name: {**NETS, **CLIMB, "steps": 4} for name in ("forward", "ensemble", "ensemble-min")},
     "cbas": ROUNDS, "autofocus": ROUNDS, "gp-bo": {"max_rows": 40, "ascent_steps": 3},

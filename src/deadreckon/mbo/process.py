@@ -186,6 +186,8 @@ def _matern(squares: np.ndarray, signal: float) -> tuple[np.ndarray, np.ndarray]
 
 def _loss(vector, f, y, ratio, owner, prior, spread) -> tuple[float, np.ndarray]:
     """Negative log of marginal likelihood times prior, and its gradient."""
+    from scipy.linalg import get_lapack_funcs
+
     hyper = _hyper(vector)
     z = f / np.exp(hyper.lengths)[owner]
     k, slope = _matern(_squares(z, z), hyper.signal)
@@ -194,8 +196,9 @@ def _loss(vector, f, y, ratio, owner, prior, spread) -> tuple[float, np.ndarray]
         factor = np.linalg.cholesky(k + np.diag(noise + 1e-8))
     except np.linalg.LinAlgError:
         return 1e10, np.zeros_like(vector)
-    inverse = np.linalg.inv(factor)
-    inverse = inverse.T @ inverse
+    (potri,) = get_lapack_funcs(("potri",), (factor,))
+    lower = potri(factor, lower=1)[0]
+    inverse = np.tril(lower) + np.tril(lower, -1).T
     alpha = inverse @ y
     away = (vector - prior) / spread
     loss = 0.5 * y @ alpha + np.log(np.diag(factor)).sum() + 0.5 * away @ away

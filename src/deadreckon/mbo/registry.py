@@ -20,6 +20,9 @@ from deadreckon.training.field_names import with_field_names
 DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
     "gp": (GP, "greatest prediction of a Gaussian process with a length for each variable (Rasmussen and Williams 2006)"),
     "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
+    "nemo-adversarial": (
+        lambda: NEMO(label_weight=1.0), "the same with claims as heavy as the data: an adversarial regulariser and no NML"
+    ),
     "forward": (Forward, "a model of the score and gradient ascent on it (thesis 6.5)"),
     "ensemble": (lambda: Forward(members=5), "the mean of five models on redrawn designs (thesis 6.5)"),
     "ensemble-min": (lambda: Forward(members=5, objective="min"), "the least of five models (public code's ensemble)"),

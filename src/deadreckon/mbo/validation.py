@@ -81,7 +81,8 @@ def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, m
     flat = np.ptp(mean) == 0 or np.ptp(y) == 0
     return Quality(
         method, y, mean, std, float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
-        0.0 if flat else float(np.corrcoef(rankdata(y), rankdata(mean))[0, 1]), float(np.concatenate(inside).mean()), conformal_factor(error),
+        0.0 if flat else float(np.corrcoef(rankdata(y), rankdata(mean))[0, 1]), float(np.concatenate(inside).mean()),
+        conformal_factor(error),
     )  # fmt: skip
 
 
