@@ -565,8 +565,8 @@ MUTANTS = (
         ("mbo/test_nemo.py::test_designs_travel_no_further_than_they_may",),
     ),
     Mutant(
-        "repair-unchecked", "mbo/repair.py", "        return x, self.good(x)\n", "        return x, np.ones(len(x), bool)\n",
-        "what a program did not find counts as repaired", ("mbo/test_batch.py",),
+        "sum-unchecked", "mbo/rules.py", "total == self.bound if self.equal", "True if self.equal",
+        "sums that must equal a number are not checked", ("mbo/test_batch.py",),
     ),
     Mutant(
         "mixture-projected", "mbo/repair.py", "        good = self.good(x)\n", "        good = np.ones(len(x), bool)\n",

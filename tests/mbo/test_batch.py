@@ -53,6 +53,17 @@ def test_rules_hold_exactly_and_no_proposal_is_there_twice(name, tmp_path):
         assert not {key(row) for row in made.x} & {key(row) for row in data.x}
 
 
+@pytest.mark.parametrize("name", ["mixture", "constrained", "ordinal"])
+def test_methods_that_know_no_rules_keep_them_too(name, tmp_path):
+    """A network is climbed without them; what it proposes is moved to where they hold."""
+    data = TABLES[name]().designs()
+    made = designer("forward", hidden=(8,), steps=50, ascent_steps=20, design_lr=0.2).propose(data, 16)
+    rows = rows_of(data, made.x, tmp_path)
+    assert all(HELD[name](row) for row in rows)
+    assert len({tuple(row.values()) for row in rows}) == 16
+    assert np.isfinite(made.predicted).all()
+
+
 def test_duplicates_are_replaced_and_the_first_stays():
     data = TABLES["wide"]().designs()
     twice = np.repeat(data.x[:2] * 0.9, 4, axis=0)
@@ -162,5 +173,8 @@ def test_the_nearest_design_that_satisfies_all_is_found():
     assert good.all()
     np.testing.assert_allclose(found[0], [0.3, 0.3, 0.5, oil], atol=1e-6)
     np.testing.assert_allclose(found[1].astype(float) @ [1, 1, 0, 0], 0.8, atol=1e-4)
+    mixture = TABLES["mixture"]().designs()
+    away = mixture.x + np.random.default_rng(0).normal(0, 0.2, mixture.x.shape)
+    assert mixture.repair.exact(away)[1].all()  # the grid has a point for each, however it was rounded
     # Projection in units of the data's deviations: both move alike, as these are nearly the same.
     np.testing.assert_allclose(found[1][:2], [0.5, 0.3], atol=0.02)

@@ -88,12 +88,19 @@ def test_proposals_of_the_default_are_within_the_rules_and_better_than_the_data(
 
 
 def test_of_noise_no_skill_is_claimed():
-    rng = np.random.default_rng(0)
-    data = Designs.from_arrays(rng.normal(size=(100, 3)), rng.normal(size=100))
-    quality = cross_validated(data, designer("gp").predictor, "GP")
-    assert quality.r2 < 0.1
-    assert abs(quality.rank_correlation) < 0.25
-    assert 0.88 <= quality.coverage <= 1.0
+    """At most one table in forty is taken for more than noise on average; of twelve, none or one are here."""
+    praised = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        data = Designs.from_arrays(rng.normal(size=(60, 3)), rng.normal(size=60))
+        quality = cross_validated(data, designer("gp").predictor, "GP")
+        assert quality.r2 < 0.1
+        assert 0.85 <= quality.coverage <= 1.0
+        praised += quality.skilled
+        assert (quality.warning is None) == quality.skilled
+    assert praised <= 1
+    data = TABLES["wide"](60, variables=6).designs()
+    assert cross_validated(data, designer("gp").predictor, "GP").skilled
 
 
 def test_the_factor_is_the_quantile_with_its_correction():

@@ -137,7 +137,9 @@ def _told(data: Any, made: Any) -> list[str]:
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
-    return [*lines, str(made.quality)] if made.quality else lines
+    if made.quality is None:
+        return lines
+    return [*lines, str(made.quality), *([f"! {made.quality.warning}"] if made.quality.warning else [])]
 
 
 def _free(name: str, data: Any) -> str:

@@ -44,6 +44,19 @@ class Quality:
     coverage: float
     factor: float
 
+    @property
+    def skilled(self) -> bool:
+        """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957)."""
+        chance = float(np.tanh(NORMAL * (1.06 / max(len(self.observed) - 3, 1)) ** 0.5))
+        return self.rank_correlation > chance
+
+    @property
+    def warning(self) -> str | None:
+        """What should be known before anybody tries the proposals; None where nothing."""
+        if self.skilled:
+            return None
+        return "the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows"
+
     def __str__(self) -> str:
         return (
             f"{self.method} out of fold: R2 {self.r2:.2f}, rank correlation {self.rank_correlation:.2f}, "

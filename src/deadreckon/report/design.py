@@ -54,6 +54,8 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
         parts.append(f"By the oracle, the best of them has {best_true} and the median {middle}.")
+    if made.quality is not None and made.quality.warning:
+        parts.append(f"{made.quality.warning.capitalize()}.")
     share = float((far > FAR).mean())
     if share > 0:
         parts.append(f"{share:.0%} lie more than {FAR:g} usual distances from any scored design, where no data supports them.")
