@@ -136,6 +136,16 @@ def test_designs_that_are_kept_lie_apart():
     assert sorted(order.tolist()) == [5, 6, 7, 8, 9]
 
 
+def test_networks_are_judged_on_designs_that_they_have_not_seen():
+    data = TABLES["wide"](100, variables=4).designs()
+    small = designer("forward", hidden=(16,), steps=300, lr=0.01, ascent_steps=5)
+    made, plain = small.propose(data, 4, validate=True), small.propose(data, 4)
+    assert len(made.quality.observed) == 20
+    assert made.quality.rank_correlation > 0.5
+    np.testing.assert_allclose(made.predicted_std, made.quality.factor * plain.predicted_std, rtol=1e-5)
+    assert plain.quality is None
+
+
 def test_the_rule_of_the_default():
     assert [usual_designer(rows) for rows in (10, 3000, 3001)] == ["gp", "gp", "ensemble"]
 

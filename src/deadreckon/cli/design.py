@@ -112,7 +112,8 @@ def _propose(name: str | None, method: Any, options: Design) -> None:
             method = sized(name, options.problem, options.budget or ("full" if problem else "cpu"))
     out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
     with Watch() as watch:
-        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, repeat=options.repeat)
+        asked: dict[str, Any] = {"repeat": options.repeat, "validate": problem is None}
+        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **asked)
     scores = None if problem is None else problem.score(made)
     from deadreckon.mbo.nn_distance import nn_distance
     from deadreckon.report.design import write_design
@@ -124,6 +125,8 @@ def _propose(name: str | None, method: Any, options: Design) -> None:
     written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
     for line in _told(data, made):
         print(line)
+    if made.quality is not None and made.quality.warning:
+        print(f"! {made.quality.warning}", file=sys.stderr)
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)
@@ -137,9 +140,7 @@ def _told(data: Any, made: Any) -> list[str]:
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
-    if made.quality is None:
-        return lines
-    return [*lines, str(made.quality), *([f"! {made.quality.warning}"] if made.quality.warning else [])]
+    return lines if made.quality is None else [*lines, str(made.quality)]
 
 
 def _free(name: str, data: Any) -> str:

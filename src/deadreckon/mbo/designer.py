@@ -74,6 +74,7 @@ class DesignInput(NamedTuple):
     watch: Watcher
     distinct: bool = False
     repeat: bool = False
+    validate: bool = False
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -132,6 +133,7 @@ class Designer(eqx.Module):
         watch: Watcher = unwatched,
         distinct: bool = True,
         repeat: bool = False,
+        validate: bool = False,
     ) -> Proposals:
         """Designs that should score high.
 
@@ -144,11 +146,14 @@ class Designer(eqx.Module):
             distinct: whether proposals are made different and satisfy the rules of the data (`mbo.batch`); False: they are the
                 method's own, as in published comparisons.
             repeat: whether designs of the data may be proposed.
+            validate: whether a method that can (`forward` and ensembles; `gp` always does) also fits a part of the data and
+                predicts the rest, which gives `Proposals.quality` and calibrated deviations.
 
         Raises:
             UserError: settings that no designer can work with, a fit that diverged, or fewer designs than are asked for.
         """
-        return self.propose_many(data, n, seeds=[seed], out=out, watch=watch, distinct=distinct, repeat=repeat)[0]
+        asked = {"distinct": distinct, "repeat": repeat, "validate": validate}
+        return self.propose_many(data, n, seeds=[seed], out=out, watch=watch, **asked)[0]
 
     def propose_many(
         self,
@@ -160,6 +165,7 @@ class Designer(eqx.Module):
         watch: Watcher = unwatched,
         distinct: bool = True,
         repeat: bool = False,
+        validate: bool = False,
     ) -> list[Proposals]:
         """The same for several seeds, as one program where the method is a compiled one."""
         if n < 1:
@@ -168,7 +174,8 @@ class Designer(eqx.Module):
             raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
         check_fields(self)
         begun = time.perf_counter()
-        found = self.solve(DesignInput(data, n, list(seeds), None if out is None else Path(out), watch, distinct, repeat))
+        folder = None if out is None else Path(out)
+        found = self.solve(DesignInput(data, n, list(seeds), folder, watch, distinct, repeat, validate))
         seconds = time.perf_counter() - begun
         for each in found:
             data.check(each.x)
