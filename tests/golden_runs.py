@@ -134,13 +134,14 @@ CLIMB = {"ascent_steps": 5, "design_lr": 0.05}
 ROUNDS = {**NETS, "latent_size": 2, "members": 2, "steps": 4, "rounds": 2, "updates": 2, "samples": 40}
 DESIGNS: dict[str, dict[str, Any]] = {
     "nemo": {**NETS, "bins": 5, "pretrain": 3, "steps": 3, "design_lr": 0.05},
+    "nemo-adversarial": {**NETS, "bins": 5, "pretrain": 3, "steps": 3, "design_lr": 0.05},
     "coms": {**NETS, **CLIMB, "steps": 4}, "ram": {**CLIMB, "hidden": (8,), "lr": 0.01, "list_size": 16, "steps": 4},
     **{name: {**NETS, **CLIMB, "steps": 4} for name in ("forward", "ensemble", "ensemble-min")},
     "cbas": ROUNDS, "autofocus": ROUNDS, "gp-bo": {"max_rows": 40, "ascent_steps": 3},
     "ddom": {**NETS, "steps": 4, "sampling_steps": 5},
     "mins": {**NETS, "latent_size": 2, "steps": 4, "critic_updates": 2, "forward_hidden": (8,), "forward_steps": 4,
              "forward_lr": 0.01, "ascent_steps": 3},
-    "best": {}, "random": {},
+    "best": {}, "random": {}, "gp": {"rounds": 5, "folds": 2},
 }  # fmt: skip
 
 
@@ -156,7 +157,7 @@ def designs() -> Designs:
 
 def design(name: str) -> Numbers:
     """Eight designs, and what is believed of them."""
-    found = designer(name, **DESIGNS[name]).propose(designs(), 8, seed=3)
+    found = designer(name, **DESIGNS[name]).propose(designs(), 8, seed=3, distinct=False)
     believed = {"predicted": found.predicted.tolist()} if found.predicts else {}
     return {f"variable {i}": column.tolist() for i, column in enumerate(found.x.T)} | believed
 

@@ -371,10 +371,6 @@ MUTANTS = (
         "truncations are read as terminals", ("data/formats/test_minari.py",),
     ),
     Mutant(
-        "csv-separator", "mbo/designs.py", 'max(",;\\t", key=first.count)', 'max(",\\t", key=first.count)',
-        "semicolons separate nothing", ("mbo/test_designs.py",),
-    ),
-    Mutant(
         "holdout-share", "data/split.py", "round((1 - self.share) * log.episodes)", "round(self.share * log.episodes)",
         "the share is learned from and the rest held out", ("data/test_split.py",),
     ),
@@ -670,6 +666,46 @@ MUTANTS = (
         ("runs/test_train.py::test_nothing_counts_after_an_episodes_end",),
     ),
     # ---- designers
+    Mutant(
+        "claim-weight", "mbo/nemo.py", "label_weight=setting.n / len(data)", "label_weight=1.0 / len(data)",
+        "a claim counts less than a row of the data, by the number of designs",
+        ("mbo/test_nemo.py::test_a_claim_counts_as_one_row_of_the_data",),
+    ),
+    Mutant(
+        "lecun-bias", "nets/mlp.py", 'LECUN = Init("lecun", 0.0)', 'LECUN = Init("lecun")', "biases begin at random",
+        ("mbo/test_nemo.py::test_models_begin_as_lecun_s",),
+    ),
+    Mutant(
+        "travel-cap", "mbo/nemo.py", "jnp.minimum(high, origin + reach)", "high", "designs travel upwards without limit",
+        ("mbo/test_nemo.py::test_designs_travel_no_further_than_they_may",),
+    ),
+    Mutant(
+        "sum-unchecked", "mbo/rules.py", "total == self.bound if self.equal", "True if self.equal",
+        "sums that must equal a number are not checked", ("mbo/test_batch.py",),
+    ),
+    Mutant(
+        "mixture-projected", "mbo/repair.py", "        good = self.good(x)\n", "        good = np.ones(len(x), bool)\n",
+        "mixtures are projected in floating point alone", ("mbo/test_batch.py",),
+    ),
+    Mutant(
+        "batch-known", "mbo/batch.py", "set() if repeat else", "set() if True else",
+        "designs of the data are proposed", ("mbo/test_batch.py::test_designs_of_the_data_are_proposed_only_where_asked",),
+    ),
+    Mutant(
+        "replicate-scatter", "mbo/replicates.py", "error = scatter / np.sqrt(count)", "error = scatter / count",
+        "the standard error of a mean falls with the number of measurements",
+        ("mbo/test_batch.py::test_replicates_are_pooled_with_their_noise",),
+    ),
+    Mutant(
+        "conformal-rank", "mbo/validation.py", "(len(error) + 1) * share", "len(error) * share",
+        "intervals lack the correction for few rows",
+        ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
+    ),
+    Mutant(
+        "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
+        "designs judge themselves",
+        ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
+    ),
     Mutant(
         "nemo-phase", "mbo/nemo.py", "% settings.model_updates == settings.model_updates - 1",
         "% settings.model_updates == 0", "designs move before their models have learned",

@@ -30,10 +30,13 @@ def table(tmp_path, monkeypatch):
 def test_from_a_table_to_proposals(table, capsys):
     asked = ["--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
     assert main(["design", *FORWARD, *asked]) == 0
-    out = capsys.readouterr().out.splitlines()
+    out, told = (text.splitlines() for text in capsys.readouterr())
     assert out[0].startswith("alloys: 60 designs, 3 variables; best cost 0.")
     assert out[1].startswith("Forward: 5 proposals, best predicted ")
-    with open(out[2], newline="") as file:
+    # So small and short a network knows nothing of designs that it has not seen, and that is said.
+    assert out[2].startswith("Forward out of fold: R2 -")
+    assert "! the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows" in told
+    with open(out[3], newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["heat", "layers", "colour", "predicted", "predicted_std", "distance"]
     assert len(rows) == 5
@@ -44,7 +47,8 @@ def test_from_a_table_to_proposals(table, capsys):
     # Costs as the table holds them, not their negatives.
     assert f"{min(float(row['predicted']) for row in rows):,.4g}" in out[1]
     page = (table / "runs" / "design" / "forward-alloys" / "report.html").read_text()
-    assert out[3].endswith("report.html")
+    assert out[4].endswith("report.html")
+    assert "The model ranks unseen designs no better than chance" in page
     for said in ("5 designs for cost", "usual distances", "colour"):
         assert said in page
 
@@ -69,7 +73,7 @@ def test_with_a_judge(table, capsys):
         (["--method", "best"], "design needs --data FILE --target COLUMN, or --problem NAME"),
         (["--method", "best", "--data", "alloys.csv"], "missing --target, the column of the scores"),
         (["--method", "best", "--data", "alloys.csv", "--target", "price"], "alloys: unknown column 'price': known: "),
-        (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "nothing.csv: "),
+        (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "no file nothing.csv"),
         (["--method", "best", "--problem", "brannin"], "unknown problem 'brannin': did you mean branin or "),
         (["--method", "best", "--problem", "branin", "--path", "x"], "unknown option of branin 'path'"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--path", "x"], "--path is the file of a --problem"),

@@ -13,6 +13,7 @@ from deadreckon.mbo.variables import Variable
 
 SMALL = {
     "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},
+    "nemo-adversarial": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "batch_size": 32},
     "coms": {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent_steps": 5, "lr": 3e-3},
     "gp-bo": {"max_rows": 100, "ascent_steps": 50},
     "ddom": {"hidden": (32,), "steps": 1000, "batch_size": 64, "lr": 3e-3, "sampling_steps": 50},
@@ -56,7 +57,7 @@ def test_the_small_budget_changes_fields_that_exist():
 
 # Slow are those whose code fast ones share: AutoFocus is CbAS and more, the mean of an ensemble is its least with another
 # reduction, NEMO and DDOM's sampler have tests of their own. All of them have golden numbers.
-SELDOM = ("cbas", "ddom", "ensemble", "nemo", "mins")
+SELDOM = ("cbas", "ddom", "ensemble", "nemo", "nemo-adversarial", "mins")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SELDOM else ()) for n in DESIGNERS])

@@ -103,10 +103,13 @@ def test_a_compressed_file_is_read(tmp_path):
     assert len(Designs.from_csv(tmp_path / "mine.csv.gz", "y")) == 20_000
 
 
-def test_a_file_in_another_encoding_is_refused(tmp_path):
-    (tmp_path / "mine.csv").write_bytes("größe,y\n1,2\n".encode("latin-1"))
-    with pytest.raises(UserError, match=r"its text is not UTF-8 \(.* at byte 2\)"):
-        Designs.from_csv(tmp_path / "mine.csv", "y")
+def test_a_file_in_another_encoding_is_read_and_told(tmp_path):
+    text = "größe;y\n" + "".join(f"{i},5;{i}\n" for i in range(12))
+    (tmp_path / "mine.csv").write_bytes(text.encode("latin-1"))
+    with pytest.warns(UserWarning, match="the text is not UTF-8"):
+        found = Designs.from_csv(tmp_path / "mine.csv", "y")
+    assert found.variables[0].name == "größe"
+    np.testing.assert_allclose(found.x[:, 0], np.arange(12) + 0.5)
 
 
 def test_levels_as_texts_are_those_of_the_column():

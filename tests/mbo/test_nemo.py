@@ -288,3 +288,36 @@ def test_models_with_constant_predictions_are_warned_of(bowl, monkeypatch):
     monkeypatch.setattr(Training, "worth", lambda self, stacks, z: 0.3 + 0.0 * z.sum(-1))
     with pytest.warns(UserWarning, match=r"NEMO: its models predict the same .*seeds \[5, 6\].* lower lr \(now 0.01\)"):
         SMALL.propose_many(bowl, 4, seeds=[5, 6])
+
+
+def test_a_claim_counts_as_one_row_of_the_data(bowl):
+    """One of M claims is drawn an update: each has on average w / M beside a mean over N rows, which must be 1 / N."""
+    for designs in (1, 4, 16):
+        setting = DesignInput(bowl, designs, [0], None, lambda what, step, steps: None)
+        learner = SMALL.training(setting)
+        assert learner.settings.label_weight / designs == pytest.approx(1 / len(bowl))
+        assert SMALL.replace(label_weight=1.0).training(setting).settings.label_weight == 1.0
+
+
+def test_models_begin_as_lecun_s():
+    """Variance 1 / inputs, zero biases: PyTorch's uniform has a third of it."""
+    net = Net.create(200, (300,), K, True, jax.random.key(0))
+    for weights, inputs in zip(net.mlp.weights, (200, 300)):
+        assert float(weights.var()) * inputs == pytest.approx(1.0, rel=0.2)
+    assert all(not np.asarray(biases).any() for biases in net.mlp.biases)
+
+
+def test_designs_travel_no_further_than_they_may(bowl):
+    """In deviations of the data; categories, which have none, are free."""
+    far = SMALL.replace(design_lr=0.2)
+    found = far.replace(max_travel=0.25).propose(bowl, 4, distinct=False)
+    started = bowl.x[bowl.best(4)]
+    travelled = np.abs(found.x - started) / bowl.coordinates.std
+    assert travelled.max() == pytest.approx(0.25, abs=1e-4)
+    free = far.replace(max_travel=None).propose(bowl, 4, distinct=False)
+    assert (np.abs(free.x - started) / bowl.coordinates.std).max() > 0.5
+    level = Variable("c", "categorical", levels=tuple("xyz"))
+    rng = np.random.default_rng(0)
+    x = np.stack([rng.normal(size=20), rng.integers(0, 3, 20)], 1)
+    mixed = Designs.from_arrays(x, rng.normal(size=20), [Variable("a"), level])
+    np.testing.assert_array_equal(SMALL._reach(mixed.coordinates), [1.0, np.inf, np.inf])

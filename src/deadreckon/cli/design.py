@@ -1,4 +1,5 @@
-"""`deadreckon design`: designs that should score high, from scored ones alone; `design problems`, `get`, `methods`, `bench`."""
+"""`deadreckon design`: designs that should score high, from scored ones alone; and `design describe`, `problems`, `get`,
+`methods`, `bench`."""
 
 import dataclasses
 import sys
@@ -14,27 +15,40 @@ from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
 from deadreckon.files import file_part
 
-USUAL = "ensemble"  # the method where none is named
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 
 @dataclass
 class Design:
-    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default an ensemble of models.
+    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default a Gaussian process.
 
-    See also `deadreckon design problems|get|methods|bench`.
+    The table may stand first, without --data. See also `deadreckon design describe|problems|get|methods|bench`.
     """
 
-    data: str | None = None  # CSV file of scored designs, one row per design
+    data: str | None = None  # table of scored designs (CSV, Parquet, spreadsheet, database), one row per design
     target: str | None = None  # column of the scores, to be maximised
+    schema: str | None = None  # schema of the table, a TOML file with roles, kinds and constraints (see `design describe`)
     kinds: dict[str, str] = dataclasses.field(default_factory=dict)
-    """kinds of columns (continuous, integer or categorical), as COLUMN KIND pairs"""
+    """kinds of columns (continuous, integer, ordinal or categorical), as COLUMN KIND pairs"""
     levels: dict[str, str] = dataclasses.field(default_factory=dict)
-    """all levels of a categorical column, if some are not in the data, as COLUMN A,B,C pairs"""
+    """levels of a categorical column, if some are not in the data, or of an ordinal one in order, as COLUMN A,B,C pairs"""
     bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     """bounds of columns, as COLUMN LOW HIGH; default: the range of the data"""
     ignore: tuple[str, ...] = ()  # columns that are not inputs
     minimise: bool = False  # whether to minimise the target instead
+    steps: dict[str, float] = dataclasses.field(default_factory=dict)
+    """step sizes of numeric columns, as COLUMN STEP pairs: proposals are multiples of the step"""
+    logs: tuple[str, ...] = ()  # columns of positive numbers that are modelled on a logarithmic scale
+    fix: tuple[str, ...] = ()  # values that all proposals have, as COLUMN=VALUE
+    constraints: tuple[str, ...] = ()  # linear constraints, each in quotes, such as "a + 2 b <= 0.8"
+    mixtures: tuple[str, ...] = ()  # groups of columns that sum to one, each as A,B,C
+    forbid: tuple[str, ...] = ()  # combinations that are not proposed, each in quotes, such as "solvent = water & temp > 80"
+    std_error: str | None = None  # column with the standard error of the target
+    weights: dict[str, float] = dataclasses.field(default_factory=dict)
+    """further columns in the score, such as costs, as COLUMN WEIGHT pairs: the score is target + sum of weight x column"""
+    max_distance: float | None = None
+    """largest distance of proposals to the nearest scored design, in usual distances between neighbours; None: no limit"""
+    repeat: bool = False  # whether designs that are in the data may be proposed
     problem: str | None = None  # problem with an oracle, instead of --data (see `design problems`)
     budget: Literal["full", "cpu"] | None = None  # sizes of fitted models; None: full for a problem, cpu (minutes) for --data
     path: str | None = None  # file with the data of the problem, if it needs one
@@ -64,20 +78,25 @@ def design(args: Sequence[str]) -> None:
     """Proposes, writes and prints."""
     if args and args[0] in _MORE:
         return _MORE[args[0]](args[1:])
-    from deadreckon.mbo.registry import DESIGNERS, sized
+    if args and not args[0].startswith("-"):
+        args = ["--data", *args]
+    from deadreckon.mbo.registry import DESIGNERS, sized, usual_designer
 
     name, rest = chosen("method", args)
+    usual = usual_designer(0)
     asked, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
-    method = sized(name or USUAL, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
+    method = sized(name or usual, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
     own = "method", type(method), dataclasses.field(default_factory=lambda: method)
     fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")]), own]
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
-    return _propose(name or USUAL, parsed.method, parsed.design)
+    _propose(name, parsed.method, parsed.design)
 
 
-def _propose(name: str, method: Any, options: Design) -> None:
+def _propose(name: str | None, method: Any, options: Design) -> None:
+    from deadreckon.mbo.registry import sized, usual_designer
+
     if (options.data is None) == (options.problem is None):
         raise UserError("design needs --data FILE --target COLUMN, or --problem NAME")
     problem = None
@@ -86,9 +105,15 @@ def _propose(name: str, method: Any, options: Design) -> None:
         data = problem.visible
     else:
         data = _designs(options)
+    if name is None:
+        name = usual_designer(len(data))
+        if name != usual_designer(0):
+            print(f"! {len(data):,} rows are too many for a Gaussian process; the method is {name} (--method)", file=sys.stderr)
+            method = sized(name, options.problem, options.budget or ("full" if problem else "cpu"))
     out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
     with Watch() as watch:
-        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch)
+        asked: dict[str, Any] = {"repeat": options.repeat, "validate": problem is None}
+        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **asked)
     scores = None if problem is None else problem.score(made)
     from deadreckon.mbo.nn_distance import nn_distance
     from deadreckon.report.design import write_design
@@ -100,6 +125,8 @@ def _propose(name: str, method: Any, options: Design) -> None:
     written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
     for line in _told(data, made):
         print(line)
+    if made.quality is not None and made.quality.warning:
+        print(f"! {made.quality.warning}", file=sys.stderr)
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)
@@ -108,9 +135,12 @@ def _propose(name: str, method: Any, options: Design) -> None:
 
 def _told(data: Any, made: Any) -> list[str]:
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
-    lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}"]
+    tied = int((data.y == data.y.max()).sum())
+    ties = f" (shared by {tied:,} designs)" if tied > 1 else ""
+    lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
-    return [*lines, f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)"]
+    lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
+    return lines if made.quality is None else [*lines, str(made.quality)]
 
 
 def _free(name: str, data: Any) -> str:
@@ -122,17 +152,27 @@ def _free(name: str, data: Any) -> str:
 
 
 def _designs(options: Design) -> Any:
+    from deadreckon.mbo.design_schema import DesignSchema
     from deadreckon.mbo.designs import Designs
 
-    if options.target is None:
+    if options.target is None and options.schema is None:
         raise UserError("missing --target, the column of the scores")
     if options.path is not None:
         raise UserError("--path is the file of a --problem; the file of your own designs is --data")
-    return Designs.from_csv(
-        options.data or "", options.target, kinds=options.kinds, bounds=options.bounds, ignore=options.ignore,
-        levels={column: [level.strip() for level in text.split(",")] for column, text in options.levels.items()},
-        minimise=options.minimise,
-    )  # fmt: skip
+    more = {
+        "kinds": options.kinds, "bounds": options.bounds, "ignore": options.ignore, "minimise": options.minimise,
+        "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
+        "logs": options.logs, "std_error": options.std_error, "weights": options.weights, "fixed": options.fix,
+        "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
+        "max_distance": options.max_distance,
+    }  # fmt: skip
+    if options.schema is not None:
+        return DesignSchema.load(options.schema).read(options.data or "", target=options.target, **more)
+    return Designs.from_csv(options.data or "", options.target or "", **more)
+
+
+def _listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",")]
 
 
 def _problem(name: str, path: str | None) -> Any:
@@ -221,4 +261,30 @@ def bench(args: Sequence[str]) -> None:
     print(f"\n{tables(results)}")
 
 
-_MORE = {"problems": problems, "get": get, "methods": methods, "bench": bench}
+@dataclass
+class Describe:
+    """Draft the schema of a table of experiments: role, kind, range and levels of every column."""
+
+    data: Annotated[str, tyro.conf.Positional]  # table of scored designs
+    target: str | None = None  # column of the scores; None: the last column of numbers
+    save: str | None = None  # path of the TOML file to write; None: print the schema
+
+
+def describe(args: Sequence[str]) -> None:
+    """Drafts a schema."""
+    from deadreckon.mbo.design_schema import describe as drafted
+
+    options = parse(Describe, args, "design describe")
+    schema, told = drafted(options.data, options.target)
+    for line in told:
+        print(f"! {line}", file=sys.stderr)
+    if options.save is None:
+        print(schema.to_toml(Path(options.data).name))
+        return
+    if Path(options.save).exists():
+        raise UserError(f"{options.save} is there already; give another --save, or remove it")
+    schema.save(options.save, Path(options.data).name)
+    print(options.save)
+
+
+_MORE = {"describe": describe, "problems": problems, "get": get, "methods": methods, "bench": bench}

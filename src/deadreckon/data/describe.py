@@ -46,7 +46,7 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
 
         ways = {key: asked.pop(key) for key in READING if key in asked}
         table, dialect, lines = read_table(file, **ways)
-        ways = _pinned(dialect) | ways
+        ways = pinned(dialect) | ways
     name = name or (str(file) if file else "frame")
     schema, told = draft(table, Asked(**asked), name, needed=False)
     for role in ("action", "reward"):
@@ -67,7 +67,7 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
     return Drafted(Schema(tuple(found), where), [*lines, *told])
 
 
-def _pinned(dialect: Dialect | None) -> dict[str, str]:
+def pinned(dialect: Dialect | None) -> dict[str, str]:
     """How the file was read, as options, so that the schema reads the next such file alike whatever its cells suggest."""
     if dialect is None:
         return {}

@@ -215,13 +215,13 @@ class Schema:
             lines.append("# Lines that begin with `# ?` are doubts: check them against what you know of the table.")
         lines.append("")
         if self.table:
-            lines += ["[table]", *(f"{key} = {_value(value)}" for key, value in self.table.items()), ""]
+            lines += ["[table]", *(f"{key} = {toml_value(value)}" for key, value in self.table.items()), ""]
         for column in self.columns:
-            lines.append(f"[columns.{_value(column.name)}]")
+            lines.append(f"[columns.{toml_value(column.name)}]")
             # On one line whatever they quote, since what follows a line break would be no comment.
             lines += [f"# ? {' '.join(column.doubt.split())}"] if column.doubt else []
             lines += [f"# {' '.join(column.reason.split())}"] if column.reason else []
-            lines += [*(f"{key} = {_value(value)}" for key, value in column.told().items()), ""]
+            lines += [*(f"{key} = {toml_value(value)}" for key, value in column.told().items()), ""]
         return "\n".join(lines)
 
     def save(self, path: Path | str, about: str = "") -> None:
@@ -248,9 +248,9 @@ def as_schema(schema: "Schema | Mapping[str, Any] | Path | str") -> Schema:
     return Schema.from_json(schema) if isinstance(schema, Mapping) else Schema.load(schema)
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
     """A value as TOML writes it; JSON's texts, numbers and lists are TOML's too."""
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(toml_value, value))}]"
     # TOML has no escape \/ and takes all other characters but control ones, which JSON escapes alike; DEL it wants escaped.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -6,6 +6,7 @@ from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
 from deadreckon.mbo.designer import Designer, Proposals
 from deadreckon.mbo.forward import Forward
+from deadreckon.mbo.gp import GP
 from deadreckon.mbo.gp_bo import GPBO
 from deadreckon.mbo.mins import MINs
 from deadreckon.mbo.nemo import NEMO
@@ -14,6 +15,6 @@ from deadreckon.mbo.ram import RaM
 from deadreckon.mbo.registry import DESIGNERS, designer
 
 __all__ = [
-    "DDOM", "DESIGNERS", "GPBO", "NEMO", "PROBLEMS", "BestOfData", "COMs", "CbAS", "Designer", "Forward", "MINs",
+    "DDOM", "DESIGNERS", "GP", "GPBO", "NEMO", "PROBLEMS", "BestOfData", "COMs", "CbAS", "Designer", "Forward", "MINs",
     "Problem", "Proposals", "RaM", "Random", "designer", "problem",
 ]  # fmt: skip

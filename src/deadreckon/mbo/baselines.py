@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.mbo.batch import batch
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 
 
@@ -12,6 +13,7 @@ class BestOfData(Designer):
     """The designs of the data with the highest scores, as they are."""
 
     revision: ClassVar[int] = 1
+    from_data: ClassVar[bool] = True
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """The same for every seed.
@@ -43,7 +45,9 @@ class Random(Designer):
                 if v.kind == "continuous":
                     columns.append(rng.uniform(low, high, setting.n))
                 else:
-                    first, last = (0, len(v.levels) - 1) if v.kind == "categorical" else (int(low), int(high))
+                    first, last = (0, len(v.levels) - 1) if v.leveled else (int(low), int(high))
                     columns.append(rng.integers(first, last + 1, setting.n))
-            found.append(Proposals(self.label, np.stack(columns, 1).astype(np.float32), nan, nan, seed))
+            x = np.stack(columns, 1).astype(np.float32)
+            x = batch(data, x, setting.n, repeat=setting.repeat, seed=seed) if setting.distinct else x
+            found.append(Proposals(self.label, x, nan, nan, seed))
         return found

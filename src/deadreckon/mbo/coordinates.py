@@ -18,6 +18,7 @@ class Coordinates:
 
     Attributes:
         numeric: (n,) columns of the designs that are numbers.
+        logs: (n,) which of these are seen as their logarithms.
         mean, std: (n,) of these.
         groups: columns with equally many levels, and how many.
         low, high: (size,) bounds of the coordinates; infinite where there are none.
@@ -26,6 +27,7 @@ class Coordinates:
 
     designs: "Designs"
     numeric: np.ndarray
+    logs: np.ndarray
     mean: np.ndarray
     std: np.ndarray
     groups: tuple[tuple[np.ndarray, int], ...]
@@ -44,19 +46,39 @@ class Coordinates:
             (np.array([i for i, v in enumerate(designs.variables) if v.kind == "categorical" and len(v.levels) == n]), n)
             for n in counts
         )
-        part = designs.x[:, numeric].astype(np.float64)
+        logs = np.array([designs.variables[i].log for i in numeric], bool)
+        part = _logged(designs.x[:, numeric].astype(np.float64), logs)
         mean, std = part.mean(0), part.std(0)
         std = np.where(std > 0, std, 1.0)
         bounds = np.array([(designs.variables[i].low, designs.variables[i].high) for i in numeric]).reshape(-1, 2)
+        bounds = _logged(bounds.T, logs).T
         free = np.full(sum(len(columns) * (n - 1) for columns, n in groups), np.inf)
         low, high = (np.concatenate([(b - mean) / std, s * free]) for b, s in ((bounds[:, 0], -1), (bounds[:, 1], 1)))
         worth = float(designs.y.mean()), float(designs.y.std())
-        return cls(designs, numeric, mean, std, groups, low.astype(np.float32), high.astype(np.float32), *worth)
+        return cls(designs, numeric, logs, mean, std, groups, low.astype(np.float32), high.astype(np.float32), *worth)
 
     @property
     def size(self) -> int:
         """Coordinates a design."""
         return len(self.low)
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(size,) least and greatest coordinates of what is proposed; those of fixed variables are the same."""
+        low, high = self.low.copy(), self.high.copy()
+        if self.designs.rules.fixed:
+            x = self.designs.x[:1].copy()
+            for column, value in self.designs.rules.fixed:
+                x[:, column] = value
+            of, pinned = self.owners, self.encode(x)[0]
+            held = np.isin(of, [column for column, _ in self.designs.rules.fixed])
+            low[held] = high[held] = pinned[held]
+        return low, high
+
+    @property
+    def owners(self) -> np.ndarray:
+        """(size,) the column of the designs that each coordinate belongs to."""
+        return np.concatenate([self.numeric, *(np.repeat(columns, n - 1) for columns, n in self.groups)]).astype(int)
 
     @property
     def discrete(self) -> bool:
@@ -66,7 +88,7 @@ class Coordinates:
     def encode(self, x: np.ndarray) -> np.ndarray:
         """(rows, variables) designs as (rows, size) float32 coordinates."""
         x = np.asarray(x)
-        parts = [(x[:, self.numeric] - self.mean) / self.std]
+        parts = [(_logged(x[:, self.numeric], self.logs) - self.mean) / self.std]
         for columns, n in self.groups:
             index = x[:, columns].astype(int)
             logits = (index[..., None] == np.arange(n)).astype(np.float64)
@@ -80,7 +102,8 @@ class Coordinates:
         count = len(self.numeric)
         variables = [self.designs.variables[i] for i in self.numeric]
         value = z[:, :count] * self.std + self.mean
-        whole = np.array([v.kind == "integer" for v in variables], bool)
+        value[:, self.logs] = np.exp(value[:, self.logs])
+        whole = np.array([v.kind != "continuous" for v in variables], bool)
         value = np.where(whole, np.round(value), value)
         out[:, self.numeric] = value.clip([v.low for v in variables], [v.high for v in variables]) if count else value
         for columns, n in self.groups:
@@ -92,3 +115,12 @@ class Coordinates:
     def score(self, y: np.ndarray) -> np.ndarray:
         """Standardised scores as scores."""
         return self.y_mean + self.y_std * np.asarray(y, np.float64)
+
+
+def _logged(x: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    """(rows, n) numbers, those of some columns as their logarithms."""
+    if not logs.any():
+        return x
+    x = np.array(x, np.float64)
+    x[:, logs] = np.log(x[:, logs])
+    return x

@@ -16,8 +16,10 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.errors import UserError
+from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.validation import Quality
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
@@ -42,6 +44,7 @@ class Proposals(Shown):
         predicted_std: (n,) standard deviation of that belief; NaN likewise.
         seed: random seed.
         seconds: it took, of all seeds of a program together.
+        quality: how well the method predicts out of fold; None where that was not looked at.
     """
 
     method: str
@@ -50,6 +53,7 @@ class Proposals(Shown):
     predicted_std: np.ndarray
     seed: int
     seconds: float = 0.0
+    quality: Quality | None = None
 
     def __len__(self) -> int:
         return len(self.x)
@@ -68,11 +72,15 @@ class DesignInput(NamedTuple):
     seeds: list[int]
     out: Path | None
     watch: Watcher
+    distinct: bool = False
+    repeat: bool = False
+    validate: bool = False
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """(size,) least and greatest coordinates."""
-        return jnp.asarray(self.data.coordinates.low), jnp.asarray(self.data.coordinates.high)
+        """(size,) least and greatest coordinates; those of fixed variables are the same."""
+        low, high = self.data.coordinates.bounds
+        return jnp.asarray(low), jnp.asarray(high)
 
     def train(self, learner: Any, steps: int, what: str, more: dict[str, np.ndarray] | None = None) -> list[Any]:
         """States of a learner on the designs after `steps` updates, one per seed, gone on with from checkpoints.
@@ -109,6 +117,7 @@ class Designer(eqx.Module):
     """
 
     revision: ClassVar[int] = 1
+    from_data: ClassVar[bool] = False  # whether what it proposes are designs of the data, whatever is asked
 
     def settings_text(self, data: Designs) -> str:
         """All settings that proposals for some data depend on, as text."""
@@ -122,6 +131,9 @@ class Designer(eqx.Module):
         seed: int = 0,
         out: Path | str | None = None,
         watch: Watcher = unwatched,
+        distinct: bool = True,
+        repeat: bool = False,
+        validate: bool = False,
     ) -> Proposals:
         """Designs that should score high.
 
@@ -131,11 +143,17 @@ class Designer(eqx.Module):
             seed: random seed.
             out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
             watch: called with what is fitted, the updates done and those in all.
+            distinct: whether proposals are made different and satisfy the rules of the data (`mbo.batch`); False: they are the
+                method's own, as in published comparisons.
+            repeat: whether designs of the data may be proposed.
+            validate: whether a method that can (`forward` and ensembles; `gp` always does) also fits a part of the data and
+                predicts the rest, which gives `Proposals.quality` and calibrated deviations.
 
         Raises:
-            UserError: settings that no designer can work with, or a fit that diverged.
+            UserError: settings that no designer can work with, a fit that diverged, or fewer designs than are asked for.
         """
-        return self.propose_many(data, n, seeds=[seed], out=out, watch=watch)[0]
+        asked = {"distinct": distinct, "repeat": repeat, "validate": validate}
+        return self.propose_many(data, n, seeds=[seed], out=out, watch=watch, **asked)[0]
 
     def propose_many(
         self,
@@ -145,6 +163,9 @@ class Designer(eqx.Module):
         seeds: Sequence[int],
         out: Path | str | None = None,
         watch: Watcher = unwatched,
+        distinct: bool = True,
+        repeat: bool = False,
+        validate: bool = False,
     ) -> list[Proposals]:
         """The same for several seeds, as one program where the method is a compiled one."""
         if n < 1:
@@ -153,10 +174,13 @@ class Designer(eqx.Module):
             raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
         check_fields(self)
         begun = time.perf_counter()
-        found = self.solve(DesignInput(data, n, list(seeds), None if out is None else Path(out), watch))
+        folder = None if out is None else Path(out)
+        found = self.solve(DesignInput(data, n, list(seeds), folder, watch, distinct, repeat, validate))
         seconds = time.perf_counter() - begun
         for each in found:
             data.check(each.x)
+            if distinct and not self.from_data:
+                check_batch(data, each.x, repeat)
         return [dataclasses.replace(each, seconds=seconds) for each in found]
 
     @property
@@ -184,6 +208,9 @@ class Designer(eqx.Module):
         """
         view = setting.data.coordinates
         x = view.decode(np.asarray(z))
+        if setting.distinct:
+            value = None if believed is None else lambda x: np.asarray(believed(jnp.asarray(view.encode(x)))[0])
+            x = batch(setting.data, x, setting.n, value, repeat=setting.repeat, seed=seed)
         mean = predicted_std = None
         if believed is not None:
             mean, predicted_std = believed(jnp.asarray(view.encode(x)))
@@ -206,6 +233,8 @@ class Search(NamedTuple):
         x = view.encode(data.x[np.resize(rows, n)])
         away = np.random.default_rng(0).standard_normal(x[len(rows) :].shape)
         x[len(rows) :] = np.clip(x[len(rows) :] + AROUND * away, view.low, view.high)
+        if data.rules.fixed:
+            x = np.clip(x, *view.bounds)
         x = jnp.asarray(x)
         return cls(x, init_opt(x))
 

@@ -13,11 +13,16 @@ from pyarrow import csv
 
 from deadreckon.data.arrow import to_arrow
 from deadreckon.data.encode import numbers
+from deadreckon.data.formats.any_table import read_table
+from deadreckon.data.formats.kind import READING
 from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
-from deadreckon.errors import UserError, reading
+from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.mbo.coordinates import Coordinates
+from deadreckon.mbo.repair import Repair
+from deadreckon.mbo.replicates import pooled
+from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, variable_of
 from deadreckon.provided import Shown
 
@@ -33,6 +38,9 @@ class Designs(Shown):
         name: of the data, used in errors and tables.
         target: name of the score.
         minimise: whether the score was turned around: `y` is then minus what the table held.
+        rules: that proposals must satisfy; the data need not.
+        replicates: (rows,) how many measurements a row is the mean of; None: one each.
+        std_error: (rows,) standard error of `y`; None: not known.
     """
 
     x: np.ndarray
@@ -41,10 +49,17 @@ class Designs(Shown):
     name: str = "designs"
     target: str = "y"
     minimise: bool = False
+    rules: Rules = NO_RULES
+    replicates: np.ndarray | None = None
+    std_error: np.ndarray | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
         object.__setattr__(self, "y", np.asarray(self.y, np.float64))
+        for key in ("replicates", "std_error"):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, np.asarray(getattr(self, key), np.float64))
+                getattr(self, key).flags.writeable = False
         if self.x.ndim != 2 or self.x.shape != (len(self.y), len(self.variables)):
             asked = f"({len(self.y)}, {len(self.variables)}), a row a score and a column per variable"
             raise UserError(f"{self.name}: x must have shape {asked}, got {self.x.shape}")
@@ -79,13 +94,18 @@ class Designs(Shown):
 
     @classmethod
     def from_csv(cls, path: Path | str, target: str, **options: Any) -> "Designs":
-        """Designs of a CSV file with a line of names, separated by commas, semicolons or tabs; options as for `from_frame`."""
-        with reading(path, "CSV", pa.ArrowException):
-            separator, point = _dialect(Path(path))
-            # An empty cell is none, also of texts; what else cannot be read as a number is told with its row.
-            convert = csv.ConvertOptions(strings_can_be_null=True, null_values=[""], decimal_point=point)
-            table = csv.read_csv(path, parse_options=csv.ParseOptions(delimiter=separator), convert_options=convert)
-        options.setdefault("name", Path(path).stem)
+        """Designs of a file of a table: CSV in any dialect, Parquet, a spreadsheet, SQLite or DuckDB.
+
+        Args:
+            path: of the file.
+            target: the column to make large.
+            options: as for `from_frame`, and those of the reader (`data.formats.any_table.read_table`).
+        """
+        ways = {key: options.pop(key) for key in READING if key in options}
+        table, _, told = read_table(path, **ways)
+        for line in told:
+            warnings.warn(f"{path}: {line}", stacklevel=2)
+        options.setdefault("name", name_of(path))
         return cls.from_frame(table, target, **options)
 
     @classmethod
@@ -100,6 +120,12 @@ class Designs(Shown):
         ignore: Sequence[str] = (),
         minimise: bool = False,
         name: str = "frame",
+        steps: Mapping[str, float] | None = None,
+        logs: Sequence[str] = (),
+        std_error: str | None = None,
+        weights: Mapping[str, float] | None = None,
+        pool: bool = True,
+        **rules: Any,
     ) -> "Designs":
         """Designs of a table, a row each.
 
@@ -114,36 +140,62 @@ class Designs(Shown):
             ignore: columns that are no inputs.
             minimise: make the target small instead.
             name: of the data, used in errors.
+            steps: of columns of numbers: proposals are multiples of these.
+            logs: columns of positive numbers that methods see on a logarithmic scale.
+            std_error: column with the standard error of the target.
+            weights: further columns that count, such as a cost: the score is the target plus the sum of weight times column.
+            pool: whether rows of the same design become one, with the mean score (`mbo.replicates.pooled`).
+            rules: that proposals must satisfy; see `mbo.rules.Rules.of`.
 
         Raises:
-            UserError: one line with column and row.
+            UserError: one line with column and row, or rules that no design satisfies.
         """
         table = to_arrow(frame, name)
-        for column in (target, *(kinds or {}), *(bounds or {}), *(levels or {}), *ignore):
+        given = {"kinds": kinds, "bounds": bounds, "levels": levels, "ignore": ignore, "steps": steps, "logs": logs}
+        outputs = [target, *(weights or {}), *([std_error] if std_error else [])]
+        for column in (*outputs, *(each for columns in given.values() for each in columns or ())):
             check_column(table, column, name)
-        for what, given in (("kinds", kinds), ("bounds", bounds), ("levels", levels), ("ignore", ignore)):
-            if target in (given or ()):
-                raise UserError(f"{name}: {what} is of inputs, and {target} is the target")
+        for what, columns in given.items():
+            if both := [column for column in outputs if column in (columns or ())]:
+                part = "" if both[0] == target else " or part of it"
+                raise UserError(f"{name}: {what} is of inputs, and {both[0]} is the target{part}")
         if table.num_rows == 0:
             raise UserError(f"{name}: the table has no rows")
-        inputs = [column for column in table.column_names if column != target and column not in ignore]
+        inputs = [column for column in table.column_names if column not in outputs and column not in ignore]
         if index := row_numbers(inputs):
             warnings.warn(f"{name}: column {index[0]!r} looks like a row number and is left out", stacklevel=2)
             inputs = [column for column in inputs if column not in index]
         if not inputs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
         y, columns, variables = numbers(name, table, target), [], []
+        for column, weight in (weights or {}).items():
+            y = y + weight * numbers(name, table, column)
         for column in inputs:
             values, variable = variable_of(
                 name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column)
             )
             columns.append(values)
-            variables.append(variable)
-        return cls(np.stack(columns, 1).astype(np.float32), -y if minimise else y, tuple(variables), name, target, minimise)
+            variables.append(replace(variable, step=(steps or {}).get(column), log=column in logs))
+        error = None if std_error is None else numbers(name, table, std_error)
+        if error is not None and (error < 0).any():
+            row = int(error.argmin())
+            raise UserError(f"{name}: column {std_error} is {error[row]:g} in row {row}, standard errors are 0 or more")
+        x, scores = np.stack(columns, 1).astype(np.float32), -y if minimise else y
+        made = cls(
+            x, scores, tuple(variables), name, score_name(target, weights), minimise,
+            Rules.of(variables, name=name, **rules), std_error=error,
+        )  # fmt: skip
+        made.repair.check_possible()
+        return pooled(made) if pool else made
 
     def shown(self, scores: Any) -> Any:
         """Scores as the table has them: turned around again where its target was to be made small."""
         return -scores if self.minimise else scores
+
+    @cached_property
+    def repair(self) -> Repair:
+        """What moves designs to where all rules hold."""
+        return Repair(self)
 
     @cached_property
     def coordinates(self) -> "Coordinates":
@@ -158,8 +210,8 @@ class Designs(Shown):
         """
         if x.ndim != 2 or x.shape[1] != len(self.variables):
             raise UserError(f"{self.name}: designs must have shape (rows, {len(self.variables)}), got {x.shape}")
-        low = np.array([0.0 if v.kind == "categorical" else v.low for v in self.variables])
-        high = np.array([len(v.levels) - 1.0 if v.kind == "categorical" else v.high for v in self.variables])
+        low = np.array([0.0 if v.leveled else v.low for v in self.variables])
+        high = np.array([len(v.levels) - 1.0 if v.leveled else v.high for v in self.variables])
         whole = np.array([v.kind != "continuous" for v in self.variables])
         slack = 1e-6 * np.maximum(1.0, np.abs(x))  # float32 does not hold every bound exactly
         with np.errstate(invalid="ignore"):
@@ -168,12 +220,13 @@ class Designs(Shown):
             row, column = map(int, np.argwhere(~good)[0])
             v, value = self.variables[column], x[row, column]
             number = "a whole number" if v.kind == "integer" else "a number"
-            asked = f"one of {len(v.levels)} levels" if v.kind == "categorical" else f"{number} in [{v.low:g}, {v.high:g}]"
+            asked = f"one of {len(v.levels)} levels" if v.leveled else f"{number} in [{v.low:g}, {v.high:g}]"
             raise UserError(f"{self.name}: {v.name} is {value:g} in row {row}, {asked} is needed")
 
     def part(self, rows: np.ndarray, name: str | None = None) -> "Designs":
         """Some of the designs, under another name if one is given."""
-        return replace(self, x=self.x[rows], y=self.y[rows], name=name or self.name)
+        some = {key: None if (of := getattr(self, key)) is None else of[rows] for key in ("replicates", "std_error")}
+        return replace(self, x=self.x[rows], y=self.y[rows], name=name or self.name, **some)
 
     def best(self, count: int, worst: bool = False) -> np.ndarray:
         """(count,) rows with the highest scores, or the lowest; over again from the first where there are fewer."""
@@ -190,7 +243,7 @@ class Designs(Shown):
         columns = []
         for v in self.variables:
             check_column(table, v.name, self.name)
-            if v.kind == "categorical":
+            if v.leveled:
                 columns.append(codes(self.name, v.name, filled(self.name, table, v.name), v.levels))
             else:
                 columns.append(numbers(self.name, table, v.name))
@@ -202,7 +255,7 @@ class Designs(Shown):
         """A table of designs (rows, variables): names to values, whole numbers as such, levels by name."""
         out: dict[str, list[Any]] = {}
         for v, column in zip(self.variables, np.asarray(x).T):
-            if v.kind == "categorical":
+            if v.leveled:
                 out[v.name] = [v.levels[int(i)] for i in column]
             else:
                 # The shortest number that float32 cannot tell from it: 2.7 rather than 2.700000047683716.
@@ -217,19 +270,12 @@ class Designs(Shown):
         return Path(path)
 
 
-def _dialect(path: Path) -> tuple[str, str]:
-    """What separates a file's columns, by its first line, and the point of its numbers.
+def score_name(target: str, weights: Mapping[str, float] | None) -> str:
+    """What a score is called: the target, with the columns that count beside it."""
+    return target + "".join(f" {'-' if weight < 0 else '+'} {abs(weight):g} {key}" for key, weight in (weights or {}).items())
 
-    Raises:
-        UserError: its text is not UTF-8.
-    """
-    with pa.input_stream(path) as file:  # which unpacks what is compressed, as the reader does
-        head = file.read(65_536)
-    if len(head) == 65_536:
-        head = head[: head.rfind(b"\n") + 1] or head  # a letter may have been cut in two
-    try:
-        first, _, rest = head.decode().partition("\n")
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: its text is not UTF-8 ({error.reason} at byte {error.start}); save it as such") from error
-    separator = max(",;\t", key=first.count)  # of none, the comma
-    return separator, "," if separator != "," and "," in rest and "." not in rest else "."
+
+def name_of(path: Path | str) -> str:
+    """What data is called: its file without endings."""
+    name = Path(path).name.removesuffix(".gz")
+    return name.rpartition(".")[0] or name

@@ -1,7 +1,8 @@
 """NEMO: normalised maximum likelihood for offline model-based optimisation (thesis chapter 6, Algorithms 4 and 6).
 
-K models, one for each bin of the score. Model k is fitted to the data and, with weight w, to the claim that a design now under
-search falls into bin k; so where the data says little, every claim is believed, and
+K models, one for each bin of the score. Model k is fitted to the data and to the claims that the designs now under search fall
+into bin k, each of which counts as one row of N: one of M is drawn an update, with weight w = M / N beside the mean over the
+data. (w = 1 is far heavier: an adversarial regulariser, not NML.) So where the data says little, every claim is believed, and
 
     p_NML(k | x) = p(k | x, theta_k) / sum_j p(j | x, theta_j)                                              (6.2)
 
@@ -27,12 +28,23 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec
+from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nml import Net, cross_entropy, middles, nll, p_nml, quantise, reached
 from deadreckon.nets.mlp import ensemble, joined, split
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
-from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Range, Sizes, UnitInterval, host, static
+from deadreckon.training.hyperparameters import (
+    Count,
+    CountOrZero,
+    NonNegative,
+    Positive,
+    Range,
+    Sizes,
+    UnitInterval,
+    host,
+    static,
+)
 
 STACKS = 4  # of models, see `split`
 SAMPLE = 1000  # rows of the data on which it is checked that the models predict different scores for different designs
@@ -45,6 +57,7 @@ class State(NamedTuple):
     targets: tuple[Net, ...]
     opt: optax.OptState
     search: Search
+    origin: Float[Array, "m z"]  # where the designs began
 
 
 class Fixed:
@@ -71,6 +84,7 @@ class Training(eqx.Module):
     scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
     low: Fixed = eqx.field(static=True)  # bounds of the coordinates
     high: Fixed = eqx.field(static=True)
+    reach: Fixed = eqx.field(static=True)  # (size,) how far each coordinate may travel
     worths: Fixed | None = eqx.field(static=True)  # g of each bin's middle
 
     def needs(self, spec):
@@ -83,7 +97,7 @@ class Training(eqx.Module):
         make = lambda k: Net.create(spec.size, settings.hidden, settings.bins, logistic, k)  # noqa: E731
         nets = split(ensemble(make, settings.bins, key), STACKS)
         search = Search.start(spec.designs, self.designs, settings.start == "worst")
-        return State(nets, copy(nets), init_opt(nets), search)
+        return State(nets, copy(nets), init_opt(nets), search, jnp.array(search.x))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One step of all models; after pretraining, and every `model_updates` of them, one of all designs."""
@@ -103,9 +117,16 @@ class Training(eqx.Module):
         rate = jnp.where(step < settings.pretrain, 1.0, settings.tau)
         targets = polyak_update(state.targets, nets, rate)
         turn = (step >= settings.pretrain) & ((step - settings.pretrain) % settings.model_updates == settings.model_updates - 1)
-        rise = lambda search: search.ascend(lambda z: self.worth(targets, z), settings.design_lr, *self.bounds)  # noqa: E731
+        within = self.within(state.origin)
+        rise = lambda search: search.ascend(lambda z: self.worth(targets, z), settings.design_lr, *within)  # noqa: E731
         search = jax.lax.cond(turn, rise, lambda search: search, state.search)
-        return State(nets, targets, opt, search), metrics
+        return State(nets, targets, opt, search, state.origin), metrics
+
+    def within(self, origin: Float[Array, "m z"]) -> tuple[Array, Array]:
+        """(m, size) least and greatest coordinates of designs that began at `origin`: the bounds, and as far as they travel."""
+        low, high = self.bounds
+        reach = self.reach.value
+        return jnp.maximum(low, origin - reach), jnp.minimum(high, origin + reach)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -138,7 +159,7 @@ class Training(eqx.Module):
 class NEMO(Designer):
     """Normalised maximum likelihood for offline model-based optimisation."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"weight": "label_weight", "ratio": "model_updates"}
 
     bins: Annotated[int, Range(ge=2)] = static(40)  # bins of the score, and models (K)
@@ -161,8 +182,10 @@ class NEMO(Designer):
     design_lr: NonNegative | None = None
     """step size of the standardised designs (alpha_x); None: 0.01, or 0.1 for discrete designs"""
     tau: UnitInterval = 0.05  # Polyak rate of the target models, per update
-    label_weight: NonNegative | None = 1.0
-    """weight of the hypothetical label relative to the mean over the data; None: 1 / rows, as printed"""
+    label_weight: NonNegative | None = None
+    """weight of a drawn claim relative to the mean over the data; None: proposals / rows, the weight of a row for each (NML)"""
+    max_travel: Positive | None = host(1.0)
+    """largest distance of a numeric variable from where its design began, in standard deviations of the data; None: no limit"""
     start: Literal["best", "worst"] = static("best")  # designs of the data to start from
 
     @property
@@ -178,11 +201,20 @@ class NEMO(Designer):
         resolved = self.replace(
             search_lr=self.lr if self.search_lr is None else self.search_lr,
             design_lr=self.design_lr if self.design_lr is not None else 0.1 if view.discrete else 0.01,
-            label_weight=1.0 / len(data) if self.label_weight is None else self.label_weight,
+            # One of the claims about n designs is drawn an update, each of which should count as one row of the data.
+            label_weight=setting.n / len(data) if self.label_weight is None else self.label_weight,
             g=None,  # a function has no name that lasts; `worths` are what it makes of the bins
         )
         scale = float(y.min()), float(y.max())
-        return Training(resolved, setting.n, scale, Fixed(view.low), Fixed(view.high), worths)
+        low, high = view.bounds
+        return Training(resolved, setting.n, scale, Fixed(low), Fixed(high), Fixed(self._reach(view)), worths)
+
+    def _reach(self, view: Coordinates) -> np.ndarray:
+        """(size,) how far coordinates may travel; those of categories, which have no deviations, as far as they like."""
+        reach = np.full(view.size, np.inf)
+        if self.max_travel is not None:
+            reach[: len(view.numeric)] = self.max_travel
+        return reach
 
     def _worths(self, data: Designs) -> np.ndarray:
         """(bins,) what g makes of the middle of each bin."""

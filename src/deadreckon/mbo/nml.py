@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from deadreckon.nets.mlp import MLP
+from deadreckon.nets.mlp import LECUN, MLP
 
 
 class Net(eqx.Module):
@@ -25,8 +25,8 @@ class Net(eqx.Module):
 
     @classmethod
     def create(cls, size: int, hidden: tuple[int, ...], bins: int, logistic: bool, key: Any) -> "Net":
-        """A fresh network; a logistic's scale begins at a tenth of the data's range."""
-        mlp = MLP.create(size, hidden, 1 if logistic else bins, key, activation="softplus")
+        """A fresh network, LeCun's with zero biases; a logistic's scale begins at a tenth of the data's range."""
+        mlp = MLP.create(size, hidden, 1 if logistic else bins, key, activation="softplus", init=LECUN)
         return cls(mlp, jnp.log(jnp.float32(0.1)), bins)
 
     @property

@@ -18,21 +18,32 @@ def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
         (n,) distances over the median distance of a scored design to the nearest other one: 1 is as near as the data's own
         neighbours are, 10 is far out.
     """
+    return nearest_scored(data, x)[0] / usual_distance(data)
+
+
+def usual_distance(data: Designs) -> float:
+    """Median distance of a scored design to the nearest other one, in standardised coordinates; 1 where all are repeated."""
     z = data.coordinates.encode(data.x).astype(np.float64)
     rows = np.random.default_rng(0).permutation(len(z))[:SAMPLE]
-    usual = _nearest(z, z[rows], rows)
-    unit = float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
-    return _nearest(z, data.coordinates.encode(x).astype(np.float64)) / unit
+    usual = _nearest(z, z[rows], rows)[0]
+    return float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
 
 
-def _nearest(z: np.ndarray, points: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-    """(n,) distances of points to the nearest row of `z` but their own."""
-    squares, out = np.square(z).sum(1), np.empty(len(points))
+def nearest_scored(data: Designs, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) distances of designs to the nearest scored one, in standardised coordinates, and (n,) the rows of these."""
+    encode = data.coordinates.encode
+    return _nearest(encode(data.x).astype(np.float64), encode(x).astype(np.float64))
+
+
+def _nearest(z: np.ndarray, points: np.ndarray, own: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) distances of points to the nearest row of `z` but their own, and (n,) these rows."""
+    squares, out, rows = np.square(z).sum(1), np.empty(len(points)), np.empty(len(points), int)
     for i in range(0, len(points), 64):
         block = points[i : i + 64]
         distance = np.square(block).sum(1)[:, None] + squares - 2 * block @ z.T
         if own is not None:
             distance[np.arange(len(block)), own[i : i + 64]] = np.inf
         # The difference of large numbers is not exact: the nearest one's distance is taken anew.
-        out[i : i + 64] = np.linalg.norm(block - z[distance.argmin(1)], axis=1)
-    return out
+        rows[i : i + 64] = nearest = distance.argmin(1)
+        out[i : i + 64] = np.linalg.norm(block - z[nearest], axis=1)
+    return out, rows

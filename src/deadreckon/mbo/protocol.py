@@ -127,7 +127,7 @@ def evaluate_designers(
             for at in range(0, len(seeds), together or len(seeds)):
                 some = list(seeds[at : at + (together or len(seeds))])
                 fits = None if folder is None else folder / "fits"
-                found.append(designer.propose_many(visible, n, seeds=some, out=fits, watch=watch))
+                found.append(designer.propose_many(visible, n, seeds=some, out=fits, watch=watch, distinct=False))
             made = [each for part in found for each in part]
             scores = [problem.score(each) for each in made]
             result = Result(

@@ -10,6 +10,7 @@ from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
 from deadreckon.mbo.designer import Designer
 from deadreckon.mbo.forward import Forward
+from deadreckon.mbo.gp import GP
 from deadreckon.mbo.gp_bo import GPBO
 from deadreckon.mbo.mins import MINs
 from deadreckon.mbo.nemo import NEMO
@@ -17,7 +18,11 @@ from deadreckon.mbo.ram import RaM
 from deadreckon.training.field_names import with_field_names
 
 DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
+    "gp": (GP, "greatest prediction of a Gaussian process with a length for each variable (Rasmussen and Williams 2006)"),
     "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
+    "nemo-adversarial": (
+        lambda: NEMO(label_weight=1.0), "the same with claims as heavy as the data: an adversarial regulariser and no NML"
+    ),
     "forward": (Forward, "a model of the score and gradient ascent on it (thesis 6.5)"),
     "ensemble": (lambda: Forward(members=5), "the mean of five models on redrawn designs (thesis 6.5)"),
     "ensemble-min": (lambda: Forward(members=5, objective="min"), "the least of five models (public code's ensemble)"),
@@ -53,6 +58,14 @@ CPU_BUDGET: dict[str, dict[str, Any]] = {
     "ddom": {"hidden": (256, 256), "steps": 3000},
     "nemo": {"pretrain": 1000},
 }
+
+
+MOST = 3000  # rows up to which a Gaussian process is the usual method
+
+
+def usual_designer(rows: int) -> str:
+    """The method where none is named: a Gaussian process, or, where the rows are too many for one, an ensemble of networks."""
+    return "gp" if rows <= MOST else "ensemble"
 
 
 def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ import pyarrow as pa
 from deadreckon.data.arrow import category_codes, is_category, is_number, numbers
 from deadreckon.errors import UserError, unknown
 
-KINDS = ("continuous", "integer", "categorical")
+KINDS = ("continuous", "integer", "categorical", "ordinal")
 FEWEST = 10  # rows below which no model is worth fitting
 FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
 
@@ -23,23 +23,53 @@ class Variable:
     Attributes:
         name: column's.
         kind: among `KINDS`.
-        low, high: bounds, included; of a categorical variable they say nothing.
-        levels: of a categorical variable; a design holds their indices.
+        low, high: bounds, included; of a categorical variable they say nothing, of an ordinal one they are of the indices.
+        levels: of a categorical or an ordinal variable; a design holds their indices. Those of an ordinal one are in order.
+        step: what is proposed is a multiple of it; None: any number. For numbers only.
+        log: whether methods see the logarithm; for positive numbers only.
     """
 
     name: str
-    kind: Literal["continuous", "integer", "categorical"] = "continuous"
+    kind: Literal["continuous", "integer", "categorical", "ordinal"] = "continuous"
     low: float = -math.inf
     high: float = math.inf
     levels: tuple[Any, ...] = ()
+    step: float | None = None
+    log: bool = False
 
     def __post_init__(self):
         if self.kind not in KINDS:
             raise UserError(f"{self.name}: {unknown('kind', self.kind, KINDS)}")
-        if self.kind == "categorical" and not self.levels:
-            raise UserError(f"{self.name}: a categorical variable needs its levels")
+        if self.leveled and not self.levels:
+            raise UserError(f"{self.name}: a{'n' * (self.kind == 'ordinal')} {self.kind} variable needs its levels")
+        if self.kind == "ordinal":
+            object.__setattr__(self, "low", 0.0)
+            object.__setattr__(self, "high", len(self.levels) - 1.0)
         if not self.low <= self.high:
             raise UserError(f"{self.name}: bounds must satisfy low <= high, got {self.low:g} and {self.high:g}")
+        if self.leveled and (self.step is not None or self.log):
+            raise UserError(f"{self.name}: a step and a log scale are for numbers, and it is {self.kind}")
+        if self.step is not None and not 0 < self.step < math.inf:
+            raise UserError(f"{self.name}: a step must be a positive number, got {self.step:g}")
+        if self.kind == "integer" and self.step is not None and self.step != round(self.step):
+            raise UserError(f"{self.name}: holds whole numbers, its step must be whole too, got {self.step:g}")
+        if self.log and self.low <= 0:
+            raise UserError(f"{self.name}: a log scale needs a lower bound above 0, got {self.low:g}")
+
+    def __repr__(self) -> str:  # names files of results: what is not set leaves it as it was
+        more = "".join(f", {key}={getattr(self, key)!r}" for key in ("step", "log") if getattr(self, key))
+        named = f"name={self.name!r}, kind={self.kind!r}, low={self.low!r}, high={self.high!r}, levels={self.levels!r}"
+        return f"Variable({named}{more})"
+
+    @property
+    def leveled(self) -> bool:
+        """Whether a design holds indices of levels."""
+        return self.kind in ("categorical", "ordinal")
+
+    @property
+    def numeric_levels(self) -> bool:
+        """Whether it is ordinal with levels that are numbers."""
+        return self.kind == "ordinal" and all(isinstance(each, int | float) for each in self.levels)
 
 
 def variable_of(
@@ -53,11 +83,14 @@ def variable_of(
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
         raise UserError(f"{name}: column {column}: {unknown('kind', kind, KINDS)}")
-    if kind != "categorical":
+    if kind not in ("categorical", "ordinal"):
         return _number(name, table, column, kind, bounds)
     if bounds is not None:
-        raise UserError(f"{name}: column {column} is categorical and has levels, not bounds")
-    return _category(name, table, column, levels, told=given is not None or bool(levels))
+        raise UserError(f"{name}: column {column} is {kind} and has levels, not bounds")
+    if kind == "ordinal" and not levels and is_category(stored):
+        raise UserError(f"{name}: column {column} is ordinal: give its levels in their order, such as low,medium,high")
+    values, variable = _category(name, table, column, levels, told=given is not None or bool(levels))
+    return values, replace(variable, kind=kind)  # type: ignore[arg-type]
 
 
 def _category(

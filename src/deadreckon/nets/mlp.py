@@ -38,12 +38,13 @@ class Init(NamedTuple):
     """How a network begins.
 
     Attributes:
-        weights: "uniform" in +-1/sqrt(inputs), PyTorch's; "orthogonal" with gain sqrt(2); or "glorot", uniform.
+        weights: "uniform" in +-1/sqrt(inputs), PyTorch's; "orthogonal" with gain sqrt(2); "glorot", uniform; or "lecun", normal
+            with variance 1/inputs, cut at two deviations.
         bias: of all layers but the last one of uniform networks; None: uniform in +-1/sqrt(inputs) as the weights.
         last: bound of the last layer's weights and biases, uniform; None: as the others.
     """
 
-    weights: Literal["uniform", "orthogonal", "glorot"] = "uniform"
+    weights: Literal["uniform", "orthogonal", "glorot", "lecun"] = "uniform"
     bias: float | None = None
     last: float | None = None
 
@@ -51,6 +52,7 @@ class Init(NamedTuple):
 # The value or logit of an illegal action: no maximum, softmax or draw takes it, and times a probability of zero it is zero.
 ILLEGAL = -1e9
 UNIFORM, ORTHOGONAL, GLOROT = Init(), Init("orthogonal", 0.0), Init("glorot", 0.0)
+LECUN = Init("lecun", 0.0)
 
 
 class MLP(eqx.Module):
@@ -122,6 +124,8 @@ def _weights(kind: str, key: PRNGKeyArray, inputs: int, outputs: int, last: floa
         return jax.nn.initializers.orthogonal(math.sqrt(2.0))(key, (inputs, outputs))
     if kind == "glorot":
         return jax.nn.initializers.glorot_uniform()(key, (inputs, outputs))
+    if kind == "lecun":
+        return jax.nn.initializers.lecun_normal()(key, (inputs, outputs))
     bound = 1.0 / jnp.sqrt(inputs) if last is None else last
     return jax.random.uniform(key, (inputs, outputs), minval=-bound, maxval=bound)
 

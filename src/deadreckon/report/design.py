@@ -17,6 +17,7 @@ from deadreckon.stats.interval import NORMAL, PERCENT
 
 SHOWN = 25  # proposals in the table
 COLUMNS = 10  # variables in the table
+POINTS = 300  # designs in the chart of quality
 FAR = 3.0  # beyond so many usual distances a design is called far
 
 
@@ -34,6 +35,7 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
     sections: list[tuple[str, str, Markup | None]] = [
         ("predicted", title, _chart(data, made, far, scores)),
         ("designs", "Designs", _table(data, made, far, scores)),
+        ("quality", "Predicted and observed scores, out of fold", _quality(data, made)),
     ]
     counts = f"{len(data):,} designs, {len(data.variables):,} variables"
     facts = [("method", made.method), ("data", data.name), ("learned from", counts), ("seed", str(made.seed))]
@@ -52,6 +54,8 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
         parts.append(f"By the oracle, the best of them has {best_true} and the median {middle}.")
+    if made.quality is not None and made.quality.warning:
+        parts.append(f"{made.quality.warning.capitalize()}.")
     share = float((far > FAR).mean())
     if share > 0:
         parts.append(f"{share:.0%} lie more than {FAR:g} usual distances from any scored design, where no data supports them.")
@@ -76,6 +80,28 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     if scores is not None:
         text += " Above the dashed line the score is overestimated."
     drawn = charts.scatter(points, unit, f"{data.target}, predicted", diagonal=scores is not None)
+    return join(figure(drawn), note(text))
+
+
+def _quality(data: Designs, made: Proposals) -> Markup | None:
+    """How well the method predicts designs of the data that it did not see."""
+    quality = made.quality
+    if quality is None:
+        return None
+    half = NORMAL * quality.factor * quality.std
+    observed, predicted = data.shown(quality.observed), data.shown(quality.predicted)
+    rows = np.linspace(0, len(observed) - 1, min(len(observed), POINTS)).astype(int)
+    low, high = predicted - half, predicted + half
+    value = lambda of, i: float(of[i])  # noqa: E731
+    points = [
+        (f"row {i}", 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows
+    ]
+    drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
+    text = (
+        f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
+        f"are shown). Standard deviations, of proposals too, are multiplied by {number(quality.factor)}, so that the {PERCENT} "
+        "interval holds its share of these. Proposals lie at the edge of the data or beyond, where errors may be larger."
+    )
     return join(figure(drawn), note(text))
 
 

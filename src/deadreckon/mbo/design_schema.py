@@ -1,0 +1,273 @@
+"""What each column of a table of experiments is, and what proposals must satisfy, as a TOML file that people check and change.
+
+    target = "yield"
+    constraints = ["a + b <= 0.8"]
+
+    [columns.temp]
+    role = "input"
+    kind = "continuous"
+    low = 20.0
+    high = 90.0
+    step = 5.0
+"""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data.formats.any_table import read_table
+from deadreckon.data.formats.kind import READING
+from deadreckon.data.schema import toml_value
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import read_toml, replacing
+from deadreckon.mbo.designs import Designs, name_of
+from deadreckon.mbo.variables import KINDS
+
+ROLES = ("input", "target", "std_error", "weighted", "ignore")
+_LISTS = ("constraints", "mixtures", "forbidden")
+
+
+@dataclass(frozen=True)
+class DesignColumn:
+    """What one column of a table of experiments is.
+
+    Attributes:
+        role: `input` (a variable), `target` (the score), `std_error` (of the target), `weighted` (counts in the score beside
+            the target, such as a cost) or `ignore`.
+        kind: of an input, among `mbo.variables.KINDS`.
+        low, high: its bounds; None: the range of the data.
+        levels: of a categorical or ordinal input; of an ordinal one in order.
+        step: proposals are multiples of it.
+        log: whether methods see its logarithm.
+        fix: the value that proposals have; None: it is searched.
+        weight: of a weighted column.
+        unit: of its numbers; shown alone.
+        about: what the table holds there, a comment.
+    """
+
+    role: str
+    kind: str | None = None
+    low: float | None = None
+    high: float | None = None
+    levels: tuple[Any, ...] | None = None
+    step: float | None = None
+    log: bool = False
+    fix: Any = None
+    weight: float | None = None
+    unit: str = ""
+    about: str = field(default="", compare=False)
+
+
+@dataclass(frozen=True)
+class DesignSchema:
+    """Columns, rules and the way a file is read.
+
+    Attributes:
+        columns: by name.
+        minimise: whether the target is to be made small.
+        constraints, mixtures, forbidden: see `mbo.rules.Rules.of`.
+        max_distance: see `mbo.rules.Rules`.
+        table: options of the reader of tables, such as `separator` and `decimal`.
+    """
+
+    columns: Mapping[str, DesignColumn]
+    minimise: bool = False
+    constraints: tuple[str, ...] = ()
+    mixtures: tuple[tuple[str, ...], ...] = ()
+    forbidden: tuple[str, ...] = ()
+    max_distance: float | None = None
+    table: Mapping[str, Any] = field(default_factory=dict)
+
+    def named(self, role: str) -> list[str]:
+        """The columns in a role."""
+        return [name for name, column in self.columns.items() if column.role == role]
+
+    def options(self) -> dict[str, Any]:
+        """As keywords of `Designs.from_frame`, with `target` among them."""
+        inputs = {name: column for name, column in self.columns.items() if column.role == "input"}
+        targets, errors = self.named("target"), self.named("std_error")
+        return {
+            "target": targets[0] if targets else None,
+            "minimise": self.minimise,
+            "ignore": tuple(self.named("ignore")),
+            "std_error": errors[0] if errors else None,
+            "weights": {name: self.columns[name].weight for name in self.named("weighted")},
+            "kinds": {name: column.kind for name, column in inputs.items() if column.kind},
+            "bounds": {name: (c.low, c.high) for name, c in inputs.items() if c.low is not None and c.high is not None},
+            "levels": {name: column.levels for name, column in inputs.items() if column.levels},
+            "steps": {name: column.step for name, column in inputs.items() if column.step is not None},
+            "logs": tuple(name for name, column in inputs.items() if column.log),
+            "fixed": tuple(f"`{name}` = {column.fix}" for name, column in inputs.items() if column.fix is not None),
+            "constraints": self.constraints, "mixtures": self.mixtures, "forbidden": self.forbidden,
+            "max_distance": self.max_distance,
+        }  # fmt: skip
+
+    def read(self, path: Path | str, **more: Any) -> Designs:
+        """The designs of a file by this schema.
+
+        Args:
+            path: of the file.
+            more: keywords of `Designs.from_frame` that add to the schema's: entries of mappings and lists; others replace.
+
+        Raises:
+            UserError: there is no target, a column is not in the file, or what `Designs.from_frame` refuses.
+        """
+        table, _, told = read_table(path, **self.table)
+        for line in told:
+            warnings.warn(f"{path}: {line}", stacklevel=2)
+        asked = together(self.options(), more)
+        target = asked.pop("target")
+        if target is None:
+            raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
+        known = {*self.columns, target, *asked["weights"]}
+        strangers = [name for name in table.column_names if name not in known and name.strip()]
+        if strangers:
+            warnings.warn(f"{path}: not in the schema and left out: {', '.join(strangers)}", stacklevel=2)
+        asked["ignore"] = [*asked["ignore"], *strangers]
+        return Designs.from_frame(table, target, name=name_of(path), **asked)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "DesignSchema":
+        """Reads what `save` or somebody else wrote.
+
+        Raises:
+            UserError: one line with the file, the column and what is wrong.
+        """
+        if not Path(path).exists():
+            raise UserError(f"no file {path}; `deadreckon design describe TABLE --save {path}` drafts a schema")
+        given = read_toml(path)
+        known = [f.name for f in fields(cls)]
+        for key in given:
+            if key not in known:
+                raise UserError(f"{path}: {unknown('entry', key, known)}")
+        if not isinstance(given.get("columns"), Mapping):
+            raise UserError(f"{path}: a schema needs a table [columns.NAME] for each column")
+        columns = {name: _column(f"{path}, column {name}", told) for name, told in given["columns"].items()}
+        for role in ("target", "std_error"):
+            if len(both := [name for name, column in columns.items() if column.role == role]) > 1:
+                raise UserError(f"{path}: columns {both[0]} and {both[1]} both have the role {role}; only one column can")
+        for key in _LISTS:
+            if not isinstance(given.get(key, []), list):
+                raise UserError(f"{path}: {key} must be a list, got {given[key]!r}")
+        for key in given.get("table", {}):
+            if key not in READING:
+                raise UserError(f"{path}, [table]: {unknown('entry', key, READING)}")
+        rest = {key: value for key, value in given.items() if key != "columns"}
+        rest |= {key: tuple(map(tuple if key == "mixtures" else str, rest[key])) for key in _LISTS if key in rest}
+        return cls(columns, **rest)
+
+    def to_toml(self, about: str = "") -> str:
+        """As TOML, with what each column holds as comments."""
+        lines = [f"# {about}", ""] if about else []
+        lines += [
+            "# What proposals must satisfy. Examples:",
+            '#   constraints = ["a + 2 b <= 0.8"]  mixtures = [["a", "b", "c"]]  forbidden = ["solvent = water & temp > 80"]',
+            "# Columns of numbers may have low, high, step, log = true and fix; ordinal ones need their levels in order.",
+            f"minimise = {toml_value(self.minimise)}",
+            *(f"{key} = {toml_value(getattr(self, key))}" for key in _LISTS),
+            *([] if self.max_distance is None else [f"max_distance = {toml_value(self.max_distance)}"]), "",
+        ]  # fmt: skip
+        if self.table:
+            lines += ["[table]", *(f"{key} = {toml_value(value)}" for key, value in self.table.items()), ""]
+        for name, column in self.columns.items():
+            lines += [f"[columns.{toml_value(name)}]", *([f"# {' '.join(column.about.split())}"] if column.about else [])]
+            given = {f.name: getattr(column, f.name) for f in fields(column) if f.name != "about"}
+            said = {key: value for key, value in given.items() if value not in (None, "") and value is not False}
+            lines += [f"{key} = {toml_value(value)}" for key, value in said.items()]
+            lines.append("")
+        return "\n".join(lines)
+
+    def save(self, path: Path | str, about: str = "") -> None:
+        """Writes the schema as TOML; see `to_toml`. Atomic."""
+        with replacing(path) as temporary:
+            temporary.write_text(self.to_toml(about), encoding="utf-8")
+
+
+def _column(where: str, told: Any) -> DesignColumn:
+    known = [f.name for f in fields(DesignColumn) if f.name != "about"]
+    if not isinstance(told, Mapping) or told.get("role") not in ROLES:
+        got = told.get("role") if isinstance(told, Mapping) else told
+        raise UserError(f"{where} needs a role ({', '.join(ROLES)}), got {got!r}")
+    for key, value in told.items():
+        if key not in known:
+            raise UserError(f"{where}: {unknown('entry', key, known)}")
+        if key in ("low", "high", "step", "weight") and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise UserError(f"{where}: {key} must be a number, got {value!r}")
+    if told.get("kind", KINDS[0]) not in KINDS:
+        raise UserError(f"{where}: {unknown('kind', str(told['kind']), KINDS)}")
+    if ("low" in told) != ("high" in told):
+        raise UserError(f"{where}: low and high go together; one of them is missing")
+    if told["role"] == "weighted" and "weight" not in told:
+        raise UserError(f"{where}: a weighted column needs weight, a number")
+    if "levels" in told and not (isinstance(told["levels"], list) and told["levels"]):
+        raise UserError(f"{where}: levels must be a list of values, got {told['levels']!r}")
+    given: dict[str, Any] = {key: tuple(value) if key == "levels" else value for key, value in told.items()}
+    return DesignColumn(**given)
+
+
+def together(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with others added: entries of mappings and lists, while other values replace where they are given."""
+    out = dict(first)
+    for key, value in second.items():
+        before = out.get(key)
+        if isinstance(before, Mapping):
+            out[key] = {**before, **(value or {})}
+        elif isinstance(before, tuple):
+            out[key] = (*before, *(value or ()))
+        elif value is not None and value is not False:
+            out[key] = value
+    return out
+
+
+def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
+    """Drafts a schema for a table: the target, and for all other columns the kind, the range or the levels.
+
+    Args:
+        path: of the file.
+        target: its column of scores; None: the last column of numbers.
+        ways: options of the reader of tables.
+
+    Returns:
+        The schema, and one line for each choice that should be checked.
+    """
+    from deadreckon.data.arrow import is_number
+    from deadreckon.data.describe import pinned
+    from deadreckon.data.kinds import check_column
+    from deadreckon.data.roles import row_numbers
+    from deadreckon.mbo.variables import variable_of
+
+    table, dialect, told = read_table(path, **ways)
+    name = name_of(path)
+    names = table.column_names
+    if target is not None:
+        check_column(table, target, name)
+    columns: dict[str, DesignColumn] = {}
+    left = row_numbers(names)
+    for column in names:
+        if column in left:
+            columns[column] = DesignColumn("ignore", about="looks like a row number")
+            continue
+        try:
+            _, v = variable_of(name, table, column, None, None, None)
+        except UserError as error:  # what must be mended in the table, or said in the schema
+            columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
+            told.append(f"{columns[column].about}: ignored so far")
+            continue
+        if v.leveled:
+            numbers = all(isinstance(level, int | float) or is_number(str(level)) for level in v.levels)
+            more = "" if numbers else "; if they are in order, make it ordinal"
+            columns[column] = DesignColumn("input", v.kind, levels=v.levels, about=f"{len(v.levels)} levels{more}")
+        else:
+            values = table.column(column).to_numpy()
+            about = f"{len(set(values.tolist())):,} different values"
+            columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=about)
+    if target is None:
+        found = [each for each, column in columns.items() if column.role == "input" and column.low is not None]
+        if not found:
+            raise UserError(f"{name}: no column holds numbers that could be the target")
+        target = found[-1]
+        told.append(f"the last column of numbers, {target}, is taken as the target (--target)")
+    columns[target] = DesignColumn("target", about=columns[target].about)
+    return DesignSchema(columns, table=pinned(dialect) | ways), told

@@ -1,0 +1,161 @@
+"""A Gaussian process for tables of experiments, and a batch of designs that it predicts high scores for.
+
+The process is that of `mbo.process`. Its prediction m + kappa s is climbed from designs of the data and from random ones, by
+random changes and gradient steps that are kept within all rules; the batch is chosen greedily, each design given those
+before it (their fantasised scores are the means, which changes s alone; Ginsbourger et al. 2010), at a least distance from
+them.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from deadreckon.mbo.batch import APART, batch, moved, pulled
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.nn_distance import usual_distance
+from deadreckon.mbo.process import Process, fit
+from deadreckon.mbo.validation import ENOUGH, Predict, cross_validated
+from deadreckon.randomness import generator
+from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
+
+KEPT = 128  # designs that a search keeps at least
+DRAWN = 512  # random designs that it begins with
+REACH = 0.5, 0.003  # of random changes in the first and the last round, in ranges of the data
+
+
+class GP(Designer):
+    """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
+
+    revision: ClassVar[int] = 1
+
+    kappa: Number = host(0.0)
+    """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""
+    max_rows: Count = host(3000)  # largest number of designs in the fit: half the best ones, half drawn from the rest
+    fit_rows: Count = host(400)  # largest number of designs on which the hyperparameters are fitted
+    rounds: Count = host(40)  # rounds of the search
+    folds: CountOrZero = host(5)  # folds of the cross-validation that calibrates the intervals; 0: none
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return "GP"
+
+    def solve(self, setting: DesignInput) -> list[Proposals]:
+        """One process for all seeds, which differ in their searches."""
+        data = self.used(setting.data)
+        process, quality = fit(data, rows=self.fit_rows), None
+        if self.folds > 1 and len(data) >= ENOUGH:
+            setting.watch("cross-validation", 0, self.folds)
+            quality = cross_validated(data, self.predictor, self.label, self.folds)
+        found = []
+        for seed in setting.seeds:
+            pool = search(setting.data, process, self.kappa, self.rounds, max(KEPT, 4 * setting.n), seed)
+            order = greedy(process, pool, self.kappa, 2 * setting.n)
+            if setting.distinct:
+                score = lambda x: sum_of(process, x, self.kappa)  # noqa: E731
+                x = batch(setting.data, pool[order], setting.n, score, repeat=setting.repeat, seed=seed)
+            else:
+                x = np.resize(pool[order], (setting.n, pool.shape[1])).astype(np.float32)
+            mean, std = process.posterior(x)
+            std = std * (quality.factor if quality else 1.0)
+            found.append(Proposals(self.label, x, mean, std, seed, quality=quality))
+        return found
+
+    def used(self, data: Designs) -> Designs:
+        """The designs that are fitted."""
+        order = data.best(len(data))
+        if len(order) <= self.max_rows:
+            return data
+        best, rest = order[: self.max_rows // 2], order[self.max_rows // 2 :]
+        drawn = generator(0, "rows of the process").choice(rest, self.max_rows - len(best), replace=False)
+        return data.part(np.concatenate([best, drawn]))
+
+    def predictor(self, data: Designs) -> Predict:
+        """What a process of some designs says of new measurements of others: mean, and deviation with noise."""
+        process = fit(data, rows=self.fit_rows)
+
+        def predict(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            mean, std = process.posterior(x)
+            return mean, np.hypot(std, process.noise)
+
+        return predict
+
+
+def sum_of(process: Process, x: np.ndarray, kappa: float) -> np.ndarray:
+    """(m,) mean + kappa x standard deviation of designs."""
+    if not kappa:
+        return process.mean(x)
+    mean, std = process.posterior(x)
+    return mean + kappa * std
+
+
+def search(data: Designs, process: Process, kappa: float, rounds: int, kept: int, seed: int) -> np.ndarray:
+    """(kept, variables) or fewer different designs of great m + kappa s, the greatest first, within bounds and constraints."""
+    rng = generator(seed, "search of designs")
+    start = data.x[rng.integers(len(data), size=DRAWN)]
+    x = _allowed(data, np.concatenate([data.x[data.best(min(len(data), 64))], moved(data, start, 1.0, rng), start[:64]]))
+    value, apart = sum_of(process, x, kappa), APART * usual_distance(data)
+    for i in range(rounds):
+        # Designs that are kept lie apart, so that they do not all become the same one.
+        order = spaced(data, x, value, apart, kept)
+        x, value = x[order], value[order]
+        reach = REACH[0] * (REACH[1] / REACH[0]) ** (i / max(rounds - 1, 1))
+        new = _allowed(data, np.concatenate([moved(data, x, reach, rng), _uphill(data, process, x, kappa, rng)]))
+        new = np.unique(new.astype(np.float32), axis=0)
+        x, value = np.concatenate([x, new]), np.concatenate([value, sum_of(process, new, kappa)])
+        _, first = np.unique(x.astype(np.float32), axis=0, return_index=True)
+        x, value = x[first], value[first]
+    return x[spaced(data, x, value, apart, kept)].astype(np.float32)
+
+
+def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: int) -> np.ndarray:
+    """(kept,) or fewer rows, the greatest values first, of which none lies nearer than `apart` to one before it."""
+    z = data.coordinates.encode(x).astype(np.float64)
+    free, order = np.ones(len(z), bool), []
+    for i in np.argsort(-value, kind="stable"):
+        if free[i]:
+            order.append(i)
+            if len(order) == kept:
+                break
+            free &= np.square(z - z[i]).sum(1) >= apart**2
+    return np.array(order)
+
+
+def _allowed(data: Designs, x: np.ndarray) -> np.ndarray:
+    """Designs within bounds and linear constraints, without those that are forbidden; all that satisfy the rules nearly."""
+    x = data.repair.relaxed(x)
+    if data.rules.max_distance is not None:
+        x = pulled(data, x.astype(np.float32), data.rules.max_distance).astype(np.float64)
+    good = data.repair.allowed(x)
+    # Where all are forbidden, the nearest ones that are not are looked for one by one.
+    return x[good] if good.any() else data.repair.exact(x[:8])[0].astype(np.float64)
+
+
+def _uphill(data: Designs, process: Process, x: np.ndarray, kappa: float, rng: np.random.Generator) -> np.ndarray:
+    """A step of each design up the gradient in its numbers, of a random length."""
+    view = data.coordinates
+    count = len(view.numeric)
+    if not count:
+        return x[:0]
+    slope = process.slope(x, kappa)[:, :count]
+    length = 10.0 ** rng.uniform(-3.0, 0.3, len(x))[:, None]
+    z = view.encode(x).astype(np.float64)
+    z[:, :count] += length * slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
+    return view.decode(z).astype(np.float64)
+
+
+def greedy(process: Process, x: np.ndarray, kappa: float, n: int) -> np.ndarray:
+    """(n,) or fewer rows in the order in which they are chosen: each has the greatest m + kappa s given those before it."""
+    mean = process.mean(x) / process.y_std
+    if not kappa:
+        return np.argsort(-mean, kind="stable")[:n]
+    covariance, order = process.covariance(x), []
+    noise = float(np.exp(process.hyper.noise))
+    for _ in range(min(n, len(x))):
+        value = mean + kappa * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        value[order] = -np.inf
+        i = int(value.argmax())
+        order.append(i)
+        covariance = covariance - np.outer(covariance[i], covariance[i]) / (covariance[i, i] + noise + 1e-9)
+    return np.array(order)

@@ -1,0 +1,160 @@
+"""The nearest design that satisfies all rules, as a mixed-integer linear program."""
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.mbo.rules import Clause, Rules
+from deadreckon.mbo.variables import Variable
+
+SECONDS = 5.0  # that one program may take
+FURTHEST = 1e6  # scales that a condition on a variable without bounds may reach
+
+
+def ends(low: float, high: float, step: Fraction) -> tuple[float, float]:
+    """The first and the last multiple of a step within bounds, in steps."""
+    first = math.ceil(Fraction(str(float(low))) / step) if math.isfinite(low) else -math.inf
+    last = math.floor(Fraction(str(float(high))) / step) if math.isfinite(high) else math.inf
+    return first, last
+
+
+class Program:
+    """Rows and columns of the program; what differs between designs is the objective, the sum of scaled distances.
+
+    Its variables: of each number its value in units of its grid (or of itself, where it has none) and its distance to the
+    design; of each level, and of each condition of a forbidden combination, a number that is 0 or 1.
+
+    Args:
+        variables: of the designs.
+        rules: that they must satisfy.
+        steps: of the grids of the variables; None: there is none.
+        scale: (variables,) in which distances are measured.
+        name: of the data, for errors.
+    """
+
+    def __init__(
+        self, variables: Sequence[Variable], rules: Rules, steps: Sequence[Fraction | None], scale: np.ndarray, name: str
+    ):
+        self.variables, self.steps, self.scale, self.name = variables, steps, scale, name
+        self.fixed = fixed = dict(rules.fixed)
+        self.at: list[int] = []  # first column of each variable
+        self.lows: list[float] = []
+        self.highs: list[float] = []
+        self.whole: list[int] = []
+        self.rows: list[tuple[dict[int, float], float, float]] = []
+        self.apart: dict[int, int] = {}  # variable -> column of its distance
+        for i, v in enumerate(variables):
+            self.at.append(len(self.lows))
+            if v.leveled:
+                for level in range(len(v.levels)):
+                    self._column(*((float(fixed[i] == level),) * 2 if i in fixed else (0.0, 1.0)), whole=True)
+                self.rows.append(({self.at[i] + level: 1.0 for level in range(len(v.levels))}, 1.0, 1.0))
+                continue
+            unit = self.unit(i)
+            low, high = (fixed[i],) * 2 if i in fixed else (v.low, v.high)
+            step = None if i in fixed else steps[i]
+            low, high = (low / unit, high / unit) if step is None else ends(v.low, v.high, step)
+            self._column(low, high, whole=step is not None)
+        for i, v in enumerate(variables):
+            if not v.leveled:
+                self.apart[i] = self._column(0.0, math.inf, whole=False)
+        for each in rules.linear:
+            row: dict[int, float] = {}
+            for i, weight in each.weights:
+                v = variables[i]
+                if v.leveled:
+                    row |= {self.at[i] + level: float(weight) * float(value) for level, value in enumerate(v.levels)}
+                else:
+                    row[self.at[i]] = float(weight * self._unit(i))
+            self.rows.append((row, float(each.bound) if each.equal else -math.inf, float(each.bound)))
+        for each in rules.forbidden:
+            self.rows.append(({self._fails(clause): 1.0 for clause in each.clauses}, 1.0, math.inf))
+
+    def _column(self, low: float, high: float, *, whole: bool) -> int:
+        self.lows.append(low)
+        self.highs.append(high)
+        if whole:
+            self.whole.append(len(self.lows) - 1)
+        return len(self.lows) - 1
+
+    def _unit(self, i: int) -> Fraction:
+        return self.steps[i] or Fraction(1)
+
+    def unit(self, i: int) -> float:
+        """What one unit of a number's column is."""
+        return float(self._unit(i))
+
+    def _fails(self, clause: Clause) -> int:
+        """A column that is 1 only where a condition does not hold."""
+        i, v, out = clause.column, self.variables[clause.column], self._column(0.0, 1.0, whole=True)
+        if v.leveled:
+            met = {self.at[i] + level: 1.0 for level in range(len(v.levels)) if clause.holds(Fraction(level))}
+            self.rows.append(({out: 1.0} | met, -math.inf, 1.0))
+            return out
+        unit = self.unit(i)
+        if clause.relation in ("=", "!="):
+            raise UserError(f"{self.name}: {v.name} is a number; compare it with <, <=, > or >= in forbidden combinations")
+        low, high = (b if math.isfinite(b) else s * FURTHEST * self.scale[i] for b, s in ((v.low, -1), (v.high, 1)))
+        at = clause.value / self._unit(i)
+        # The nearest values on the grid for which the condition does not hold.
+        if clause.relation in (">", ">="):
+            limit = math.floor(at) if clause.relation == ">" else math.ceil(at) - 1
+            reach = max(high / unit - limit, 0.0)
+            self.rows.append(({self.at[i]: 1.0, out: reach}, -math.inf, limit + reach))
+        else:
+            limit = math.ceil(at) if clause.relation == "<" else math.floor(at) + 1
+            reach = max(limit - low / unit, 0.0)
+            self.rows.append(({self.at[i]: 1.0, out: -reach}, limit - reach, math.inf))
+        return out
+
+    def nearest(self, x: np.ndarray) -> np.ndarray | None:
+        """(variables,) the nearest design to this one; None: there is none, or it was not found in time."""
+        cost = np.zeros(len(self.lows))
+        rows = list(self.rows)
+        for i, v in enumerate(self.variables):
+            if not v.leveled:
+                here, unit, apart = float(x[i]) / self.unit(i), self.unit(i) / self.scale[i], self.apart[i]
+                cost[apart] = unit
+                rows.append(({self.at[i]: 1.0, apart: -1.0}, -math.inf, here))
+                rows.append(({self.at[i]: 1.0, apart: 1.0}, here, math.inf))
+                continue
+            for level in range(len(v.levels)):
+                away = abs(level - x[i]) / self.scale[i] if v.kind == "ordinal" else 2.0 * (level != int(x[i]))
+                cost[self.at[i] + level] = away
+        found = self._solved(cost, rows)
+        if found is None:
+            return None
+        out = np.empty(len(self.variables))
+        for i, v in enumerate(self.variables):
+            if v.leveled:
+                out[i] = found[self.at[i] : self.at[i] + len(v.levels)].argmax()
+                continue
+            value, step = found[self.at[i]], self.steps[i]
+            out[i] = value if step is None else round(value) * step.numerator / step.denominator
+        out[list(self.fixed)] = list(self.fixed.values())
+        return out
+
+    def possible(self) -> bool:
+        """Whether any design satisfies all rules."""
+        return self._solved(np.zeros(len(self.lows)), self.rows) is not None
+
+    def _solved(self, cost: np.ndarray, rows: list[tuple[dict[int, float], float, float]]) -> np.ndarray | None:
+        from scipy.optimize import Bounds, LinearConstraint, milp
+        from scipy.sparse import csr_array
+
+        where = [(k, column, value) for k, (row, _, _) in enumerate(rows) for column, value in row.items()]
+        k, columns, values = zip(*where)
+        matrix = csr_array((values, (k, columns)), shape=(len(rows), len(cost)))
+        whole = np.zeros(len(cost))
+        whole[self.whole] = 1
+        lows, highs = (np.array([row[end] for row in rows]) for end in (1, 2))
+        bounds = Bounds(np.array(self.lows), np.array(self.highs))  # type: ignore  # stubs take one number alone
+        limits = LinearConstraint(matrix, lows, highs)  # type: ignore
+        found = milp(
+            cost, integrality=whole, bounds=bounds, constraints=limits,
+            options={"time_limit": SECONDS, "mip_rel_gap": 1e-3},
+        )  # fmt: skip
+        return found.x

@@ -1,0 +1,47 @@
+"""Rows of the same design as one row, with the mean score and its standard error."""
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deadreckon.mbo.variables import FEWEST
+
+if TYPE_CHECKING:
+    from deadreckon.mbo.designs import Designs
+
+
+def pooled(data: "Designs") -> "Designs":
+    """The same data with one row a design; how many were pooled, and how far they scatter, is told in a warning.
+
+    A pooled score is the mean of its rows; where these have standard errors above 0, the mean weighed by their inverse squares.
+    Its standard error follows from those of the rows where they are given, else from the scatter within designs, pooled over
+    all designs (the pooled variance of one-way analysis of variance): s / sqrt(measurements), for unreplicated designs too.
+    Data without replicates is given back as it is, and so is data of fewer than `FEWEST` different designs.
+    """
+    _, first, which = np.unique(data.x, axis=0, return_index=True, return_inverse=True)
+    which = which.reshape(-1)
+    if len(first) == len(data) or len(first) < FEWEST:
+        return data
+    order = np.argsort(first)  # designs in the order of the table
+    rank = np.empty(len(order), int)
+    rank[order] = np.arange(len(order))
+    which, first = rank[which], first[order]
+    count = np.bincount(which).astype(np.float64)
+    given = data.std_error
+    weight = np.ones(len(data)) if given is None or not (given > 0).all() else 1.0 / np.square(given)
+    y = np.bincount(which, weight * data.y) / np.bincount(which, weight)
+    freedom = len(data) - len(first)
+    plain = np.bincount(which, data.y) / count
+    scatter = float(np.sqrt(np.square(data.y - plain[which]).sum() / freedom))
+    if given is None:
+        error = scatter / np.sqrt(count)
+    else:
+        error = np.sqrt(np.bincount(which, np.square(weight * given))) / np.bincount(which, weight)
+    warnings.warn(
+        f"{data.name}: {int(count[count > 1].sum())} rows are replicates of {int((count > 1).sum())} designs and are pooled; "
+        f"the standard deviation of {data.target} between replicates is {scatter:.3g}",
+        stacklevel=3,
+    )
+    return replace(data, x=data.x[first], y=y, replicates=count, std_error=error)

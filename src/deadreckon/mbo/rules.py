@@ -1,0 +1,279 @@
+"""What proposed designs must satisfy beyond their bounds: linear constraints, forbidden combinations and fixed values.
+
+All are checked exactly, as fractions of the decimal numbers that are written, so a mixture that must sum to 1 does.
+"""
+
+import operator
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from deadreckon.errors import UserError, unknown
+from deadreckon.mbo.variables import Variable
+
+_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+COMPARED = {
+    "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+_RELATION = re.compile(r"<=|>=|==|!=|=|<|>")
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A weighted sum of numbers that is at most, or exactly, a bound.
+
+    Attributes:
+        weights: (column of the designs, weight) of each variable in it.
+        equal: whether the sum must equal the bound.
+        bound: of the sum.
+        text: as it was given.
+    """
+
+    weights: tuple[tuple[int, Fraction], ...]
+    equal: bool
+    bound: Fraction
+    text: str
+
+    def holds(self, values: Sequence[Any]) -> bool:
+        """Whether a design, with its values as they are written, satisfies it."""
+        total = sum(weight * values[column] for column, weight in self.weights)
+        return total == self.bound if self.equal else total <= self.bound
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A condition on one variable: `relation` is one of =, !=, <, <=, >, >=; of levels one of the first two.
+
+    Attributes:
+        column: of the designs.
+        relation: between its value and the given one.
+        value: a fraction, or the index of a level.
+    """
+
+    column: int
+    relation: str
+    value: Fraction
+
+    def holds(self, value: Fraction) -> bool:
+        """Whether a value satisfies it."""
+        return COMPARED[self.relation](value, self.value)
+
+    def met(self, values: np.ndarray) -> np.ndarray:
+        """(rows,) which values satisfy it, in floating point."""
+        return COMPARED[self.relation](values, float(self.value))
+
+
+@dataclass(frozen=True)
+class Forbidden:
+    """A combination of conditions that no proposal may satisfy all at once; `text` is as it was given."""
+
+    clauses: tuple[Clause, ...]
+    text: str
+
+
+@dataclass(frozen=True)
+class Rules:
+    """All that proposals must satisfy.
+
+    Attributes:
+        linear: constraints.
+        forbidden: combinations.
+        fixed: (column, value as a design holds it) of variables that are not searched.
+        max_distance: largest distance to the nearest scored design, in usual distances (`mbo.nn_distance`); None: no limit.
+    """
+
+    linear: tuple[Linear, ...] = ()
+    forbidden: tuple[Forbidden, ...] = ()
+    fixed: tuple[tuple[int, float], ...] = ()
+    max_distance: float | None = None
+
+    @property
+    def touched(self) -> set[int]:
+        """Columns that linear constraints and forbidden combinations are about."""
+        linear = {column for each in self.linear for column, _ in each.weights}
+        return linear | {clause.column for each in self.forbidden for clause in each.clauses}
+
+    @classmethod
+    def of(
+        cls,
+        variables: Sequence[Variable],
+        *,
+        constraints: Iterable[str] = (),
+        mixtures: Iterable[Sequence[str]] = (),
+        forbidden: Iterable[str] = (),
+        fixed: Iterable[str] = (),
+        max_distance: float | None = None,
+        name: str = "designs",
+    ) -> "Rules":
+        """Rules as people write them.
+
+        Args:
+            variables: of the designs.
+            constraints: such as `a + 2 b <= 0.8`, with <=, >= or =; names that hold other signs than letters, digits and _
+                stand in backticks.
+            mixtures: groups of variables that sum to one.
+            forbidden: combinations such as `solvent = water & temp > 80`.
+            fixed: such as `temp = 60`.
+            max_distance: see `Rules`.
+            name: of the data, for errors.
+
+        Raises:
+            UserError: one line that says what cannot be read.
+        """
+        parts = [f"{' + '.join(f'`{each}`' for each in group)} = 1" for group in mixtures]
+        linear = tuple(_linear(text, variables, name) for text in [*constraints, *parts])
+        combinations = tuple(
+            Forbidden(tuple(_clause(part, variables, name, text) for part in text.split("&")), text) for text in forbidden
+        )
+        pinned = [_fixed(text, variables, name) for text in fixed]
+        if twice := {column for column, _ in pinned if [c for c, _ in pinned].count(column) > 1}:
+            raise UserError(f"{name}: {variables[min(twice)].name} is fixed twice")
+        if max_distance is not None and not max_distance > 0:
+            raise UserError(f"{name}: the largest distance to the data must be above 0, got {max_distance:g}")
+        return cls(linear, combinations, tuple(pinned), max_distance)
+
+    def broken(self, variables: Sequence[Variable], values: Sequence[Any]) -> str | None:
+        """The first rule, or limit of a variable, that a design breaks.
+
+        Args:
+            variables: of the designs.
+            values: one a variable, as `Designs.decode` gives them; of levels the index.
+        """
+        exact = [Fraction(str(each)) for each in values]
+        for column, value in self.fixed:
+            if abs(float(exact[column]) - value) > 1e-6 * max(1.0, abs(value)):
+                return f"{variables[column].name} = {value:g}"
+        for v, value in zip(variables, exact):
+            if v.step is not None and value % Fraction(str(v.step)):
+                return f"{v.name} in steps of {v.step:g}"
+        measured = [
+            Fraction(str(v.levels[int(value)])) if v.numeric_levels else value for v, value in zip(variables, exact)
+        ]
+        for each in self.linear:
+            if not each.holds(measured):
+                return each.text
+        for each in self.forbidden:
+            if all(clause.holds(exact[clause.column]) for clause in each.clauses):
+                return f"not {each.text}"
+        return None
+
+
+NO_RULES = Rules()
+
+
+def written(variables: Sequence[Variable], x: np.ndarray) -> list[list[Any]]:
+    """(rows, variables) designs as they are written (the shortest number that float32 tells apart); of levels the index."""
+    whole = [v.kind != "continuous" for v in variables]
+    return [[int(i) if w else str(np.float32(i)) for w, i in zip(whole, row)] for row in np.asarray(x, np.float32)]
+
+
+def _column(given: str, variables: Sequence[Variable], name: str) -> int:
+    names = [v.name for v in variables]
+    given = given.strip().strip("`")
+    if given not in names:
+        raise UserError(f"{name}: {unknown('variable', given, names)}")
+    return names.index(given)
+
+
+def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
+    """What stands before a relation, the relation, and what stands behind it."""
+    bare = re.sub(r"`[^`]*`", lambda match: "_" * len(match[0]), text)  # relations within names are none
+    found = list(_RELATION.finditer(bare))
+    if len(found) != 1:
+        raise UserError(f"{name}: {what} needs one relation, got {text!r}")
+    at = found[0]
+    return text[: at.start()], {"==": "="}.get(at[0], at[0]), text[at.end() :]
+
+
+def _linear(text: str, variables: Sequence[Variable], name: str) -> Linear:
+    """`a + 2 b <= 0.8` as a constraint."""
+    left, relation, right = _sides(text, name, 'a constraint such as "a + b <= 0.8"')
+    if relation not in ("<=", ">=", "="):
+        raise UserError(f"{name}: constraint {text!r} takes <=, >= or =, not {relation}")
+    weights: dict[int, Fraction] = {}
+    constant = Fraction(0)
+    for side, sign in ((left, 1), (right, -1)):
+        for factor, column in _terms(side, text, variables, name):
+            if column is None:
+                constant += sign * factor
+            else:
+                weights[column] = weights.get(column, Fraction(0)) + sign * factor
+    weights = {column: weight for column, weight in weights.items() if weight}
+    if not weights:
+        raise UserError(f"{name}: constraint {text!r} names no variable")
+    for column in weights:
+        v = variables[column]
+        if v.leveled and not v.numeric_levels:
+            raise UserError(f"{name}: constraint {text!r} is of numbers, and {v.name} has levels; use a forbidden combination")
+    turn = -1 if relation == ">=" else 1
+    turned = tuple((column, turn * weight) for column, weight in weights.items())
+    return Linear(turned, relation == "=", -turn * constant, text.replace("`", ""))
+
+
+def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> list[tuple[Fraction, int | None]]:
+    """(factor, column) of each term of a sum; column None of numbers alone."""
+    term = re.compile(rf"\s*([+-])?\s*({_NUMBER})?\s*\*?\s*(`[^`]+`|[^\W\d]\w*)?\s*")
+    at, out = 0, []
+    while at < len(side.rstrip()):
+        found = term.match(side, at)
+        if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
+            where = side[at:].strip()
+            raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
+        factor = Fraction(found[2] or 1) * (-1 if found[1] == "-" else 1)
+        out.append((factor, None if found[3] is None else _column(found[3], variables, name)))
+        at = found.end()
+    if not out:
+        raise UserError(f"{name}: constraint {text!r} has an empty side")
+    return out
+
+
+def _clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:
+    """`temp > 80` as a condition."""
+    left, relation, right = _sides(part, name, f"each condition of the forbidden combination {text!r}")
+    column = _column(left, variables, name)
+    v = variables[column]
+    if v.leveled and relation not in ("=", "!=") and not v.numeric_levels:
+        raise UserError(f"{name}: forbidden combination {text!r}: {v.name} has levels, which are compared by = and != alone")
+    if v.leveled and v.numeric_levels and relation not in ("=", "!="):
+        # As a condition on the index: that of the first level beyond the number.
+        bound = _fraction(right, v, name)
+        count = sum(Fraction(str(each)) < bound for each in v.levels)
+        equal = sum(Fraction(str(each)) == bound for each in v.levels)
+        index = count + equal if relation in (">", "<=") else count
+        return Clause(column, {">": ">=", ">=": ">=", "<": "<", "<=": "<"}[relation], Fraction(index))
+    return Clause(column, relation, Fraction(_level(right, v, name)) if v.leveled else _fraction(right, v, name))
+
+
+def _fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int, float]:
+    """`temp=60` as a column and what a design holds there."""
+    left, relation, right = _sides(text, name, 'a fixed value such as "temp=60"')
+    if relation != "=":
+        raise UserError(f"{name}: a fixed value is NAME=VALUE, got {text!r}")
+    column = _column(left, variables, name)
+    v = variables[column]
+    value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name))
+    if not v.leveled and not v.low <= value <= v.high:
+        raise UserError(f"{name}: {v.name} is fixed at {value:g}, outside its bounds [{v.low:g}, {v.high:g}]")
+    if v.kind == "integer" and value != round(value):
+        raise UserError(f"{name}: {v.name} holds whole numbers and is fixed at {value:g}")
+    return column, value
+
+
+def _level(text: str, v: Variable, name: str) -> int:
+    """The index of a level that was given as a text."""
+    given = text.strip().strip("`'\"")
+    for i, level in enumerate(v.levels):
+        if str(level).lower() == given.lower() if isinstance(level, bool) else str(level) == given:
+            return i
+    raise UserError(f"{name}: {unknown(f'level of {v.name}', given, list(map(str, v.levels)))}")
+
+
+def _fraction(text: str, v: Variable, name: str) -> Fraction:
+    try:
+        return Fraction(text.strip())
+    except (ValueError, ZeroDivisionError):
+        raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, a number is needed") from None

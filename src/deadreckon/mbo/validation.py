@@ -1,0 +1,105 @@
+"""How well a model of the score predicts designs that it has not seen, and intervals made to hold their share of these.
+
+Folds are of whole designs. From the scaled errors |y - m| / s out of fold follows a factor on standard deviations (split
+conformal prediction with normalised scores; Lei et al. 2018): the smallest with which the interval of 95 % holds that share.
+Coverage is reported crosswise: for each fold with the factor that the others give, so that no design judges itself.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.variables import FEWEST
+from deadreckon.randomness import generator
+from deadreckon.stats.interval import NORMAL
+
+SHARE = 0.95  # of truths that an interval should hold
+FOLDS = 5
+ENOUGH = 2 * FEWEST  # rows from which on models are cross-validated
+
+Predict = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # designs -> mean and deviation of a new measurement
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Of predictions out of fold.
+
+    Attributes:
+        method: the model.
+        observed, predicted, std: (rows,) scores, and what was said of them out of fold, before calibration.
+        r2: share of the scores' variance that is predicted; below 0 where the mean would be better.
+        rank_correlation: Spearman's.
+        coverage: share of scores within the calibrated interval of 95 %, crosswise.
+        factor: on standard deviations, so that the interval holds its share.
+    """
+
+    method: str
+    observed: np.ndarray
+    predicted: np.ndarray
+    std: np.ndarray
+    r2: float
+    rank_correlation: float
+    coverage: float
+    factor: float
+
+    @property
+    def skilled(self) -> bool:
+        """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957)."""
+        chance = float(np.tanh(NORMAL * (1.06 / max(len(self.observed) - 3, 1)) ** 0.5))
+        return self.rank_correlation > chance
+
+    @property
+    def warning(self) -> str | None:
+        """What should be known before anybody tries the proposals; None where nothing."""
+        if self.skilled:
+            return None
+        return "the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.method} out of fold: R2 {self.r2:.2f}, rank correlation {self.rank_correlation:.2f}, "
+            f"{self.coverage:.0%} of scores in the {SHARE:.0%} interval"
+        )
+
+
+def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:
+    """Fits a model on all folds but one, predicts that one, and so on.
+
+    Args:
+        data: scored designs, each of which is in one fold; `ENOUGH` or more.
+        model: fits designs.
+        method: its name.
+        folds: how many.
+    """
+    fold = generator(0, "folds of designs").permutation(len(data)) % folds
+    mean, std = np.empty(len(data)), np.empty(len(data))
+    for k in range(folds):
+        rest = np.flatnonzero(fold != k)
+        # A part in which all scores or designs are the same teaches nothing.
+        if np.ptp(data.y[rest]) == 0 or not np.ptp(data.x[rest], axis=0).any():
+            mean[fold == k], std[fold == k] = data.y[rest].mean(), data.y.std()
+            continue
+        mean[fold == k], std[fold == k] = model(data.part(rest))(data.x[fold == k])
+    return judged(data.y, mean, std, fold, method)
+
+
+def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str) -> Quality:
+    """What predictions out of fold are worth: (rows,) scores, means, deviations and folds."""
+    from scipy.stats import rankdata
+
+    error = np.abs(y - mean) / np.maximum(std, 1e-12)
+    inside = [error[fold == k] <= NORMAL * conformal_factor(error[fold != k]) for k in np.unique(fold)]
+    flat = np.ptp(mean) == 0 or np.ptp(y) == 0
+    return Quality(
+        method, y, mean, std, float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
+        0.0 if flat else float(np.corrcoef(rankdata(y), rankdata(mean))[0, 1]), float(np.concatenate(inside).mean()),
+        conformal_factor(error),
+    )  # fmt: skip
+
+
+def conformal_factor(error: np.ndarray, share: float = SHARE) -> float:
+    """The factor on deviations with which intervals hold a share of the scaled errors, with the finite-sample correction."""
+    rank = min(int(np.ceil((len(error) + 1) * share)), len(error))
+    return float(np.sort(error)[rank - 1] / NORMAL)

@@ -1,0 +1,180 @@
+"""Batches: rules hold exactly in what is written, nothing is proposed twice, and what cannot be is refused in one line."""
+
+from decimal import Decimal
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.mbo import designer
+from deadreckon.mbo.batch import batch, check_batch, key
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.nn_distance import nn_distance
+from tests.mbo.practice import SIZES, TABLES
+
+
+def rows_of(data, x, tmp_path):
+    """Proposals as dictionaries of the texts that the CSV holds."""
+    import csv
+
+    with open(data.write(tmp_path / "p.csv", x), newline="") as file:
+        return list(csv.DictReader(file))
+
+
+# What the rules of each table say, in words of their own: none of the package's checks is asked.
+HELD = {
+    "mixed": lambda row: Decimal(row["heat"]) % 5 == 0 and row["layers"] in "12345678",
+    "mixture": lambda row: sum(Decimal(row[part]) for part in "ABCD") == 1 and all(Decimal(row[part]) >= 0 for part in "ABCD"),
+    "replicated": lambda row: all(0 <= Decimal(row[name]) <= 10 for name in "abc"),
+    "constrained": lambda row: (
+        Decimal(row["a"]) + Decimal(row["b"]) <= Decimal("0.8")
+        and 2 * Decimal(row["c"]) - Decimal(row["a"]) >= Decimal("0.3")
+        and not (row["solvent"] == "water" and Decimal(row["a"]) > Decimal("0.4"))
+    ),
+    "wide": lambda row: all(-1 <= Decimal(value) <= 1 for value in row.values()),
+    "ordinal": lambda row: (
+        row["size"] in SIZES and row["dose"] in ("10", "20", "50", "100") and Decimal(row["temp"]) == 60
+        and Decimal(row["dose"]) + 20 * Decimal(row["time"]) <= 130
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:.*are pooled")
+@pytest.mark.parametrize("name", TABLES)
+def test_rules_hold_exactly_and_no_proposal_is_there_twice(name, tmp_path):
+    for seed in range(3):
+        data = TABLES[name](seed=seed).designs()
+        made = designer("random").propose(data, 24, seed=seed)
+        rows = rows_of(data, made.x, tmp_path)
+        assert len(rows) == 24
+        assert all(HELD[name](row) for row in rows)
+        assert len({tuple(row.values()) for row in rows}) == 24
+        assert not {key(row) for row in made.x} & {key(row) for row in data.x}
+
+
+@pytest.mark.parametrize("name", ["mixture", "constrained", "ordinal"])
+def test_methods_that_know_no_rules_keep_them_too(name, tmp_path):
+    """A network is climbed without them; what it proposes is moved to where they hold."""
+    data = TABLES[name]().designs()
+    made = designer("forward", hidden=(8,), steps=50, ascent_steps=20, design_lr=0.2).propose(data, 16)
+    rows = rows_of(data, made.x, tmp_path)
+    assert all(HELD[name](row) for row in rows)
+    assert len({tuple(row.values()) for row in rows}) == 16
+    assert np.isfinite(made.predicted).all()
+
+
+def test_duplicates_are_replaced_and_the_first_stays():
+    data = TABLES["wide"]().designs()
+    twice = np.repeat(data.x[:2] * 0.9, 4, axis=0)
+    found = batch(data, twice, 6, lambda x: x[:, 0])
+    np.testing.assert_allclose(found[:2], data.x[:2] * 0.9)
+    assert len({key(row) for row in found}) == 6
+    # Those that fill it were made around these, by their value.
+    assert (found[2:, 0] > np.median(data.x[:, 0])).all()
+
+
+def test_designs_of_the_data_are_proposed_only_where_asked():
+    data = TABLES["wide"]().designs()
+    found = batch(data, data.x[:5], 5)
+    assert not {key(row) for row in found} & {key(row) for row in data.x}
+    np.testing.assert_array_equal(batch(data, data.x[:5], 5, repeat=True), data.x[:5])
+    with pytest.raises(UserError, match="a proposal is there twice, or is in the data"):
+        check_batch(data, data.x[:5], repeat=False)
+
+
+def test_proposals_lie_apart():
+    data = TABLES["wide"]().designs()
+    close = data.x[:1] * 0.9 + 1e-3 * np.arange(8)[:, None]
+    found = data.coordinates.encode(batch(data, close, 8)).astype(float)
+    least = min(np.linalg.norm(a - b) for i, a in enumerate(found) for b in found[:i])
+    before = data.coordinates.encode(close)
+    assert least > 5 * max(np.linalg.norm(a - b) for a, b in pairwise(before))
+
+
+def test_more_than_there_are_is_refused():
+    grid = [(a, b) for a in (1, 2, 3) for b in (1, 2, 3, 4)]
+    frame = {"a": [a for a, _ in grid[:10]], "b": [b for _, b in grid[:10]], "y": list(range(10))}
+    data = Designs.from_frame(frame, "y", bounds={"b": (1, 4), "a": (1, 3)})
+    assert sorted(map(tuple, batch(data, data.x, 2).tolist())) == [(3.0, 3.0), (3.0, 4.0)]
+    with pytest.raises(UserError, match="3 proposals that differ and not in the data .* only 2 were found") as told:
+        batch(data, data.x, 3)
+    assert "\n" not in str(told.value)
+
+
+def test_a_largest_distance_to_the_data_is_kept():
+    data = TABLES["wide"]().designs()
+    bold = designer("random").propose(data, 16).x
+    near = Designs.from_frame(TABLES["wide"]().columns, "y", max_distance=0.5)
+    safe = designer("random").propose(near, 16).x
+    assert nn_distance(data, bold).min() > 0.5
+    assert nn_distance(data, safe).max() <= 0.5
+
+
+@pytest.mark.filterwarnings("ignore:.*are pooled")
+def test_replicates_are_pooled_with_their_noise():
+    frame = {"a": [0, 0, 0, 1, 1, *range(2, 12)], "y": [1.0, 2.0, 3.0, 5.0, 7.0, *[0.5] * 10]}
+    with pytest.warns(UserWarning, match="5 rows are replicates of 2 designs and are pooled; .* between replicates is 1.15"):
+        data = Designs.from_frame(frame, "y")
+    assert len(data) == 12
+    assert data.y[:2].tolist() == [2.0, 6.0]
+    assert data.replicates[:3].tolist() == [3, 2, 1]
+    scatter = ((1 + 0 + 1 + 1 + 1) / 3) ** 0.5  # three degrees of freedom
+    np.testing.assert_allclose(data.std_error[:3], scatter / np.sqrt([3, 2, 1]))
+    given = Designs.from_frame(frame | {"se": [1.0, 1.0, 0.5, *[2.0] * 12]}, "y", std_error="se")
+    np.testing.assert_allclose(given.y[0], (1 + 2 + 4 * 3) / 6)  # weighed by 1, 1 and 4
+    np.testing.assert_allclose(given.std_error[0], 6**-0.5)
+    assert len(Designs.from_frame(frame, "y", pool=False)) == 15
+
+
+def test_several_targets_are_one_weighted_score():
+    frame = {"a": list(range(12)), "good": [float(i) for i in range(12)], "cost": [2.0] * 6 + [4.0] * 6}
+    data = Designs.from_frame(frame, "good", weights={"cost": -0.5})
+    np.testing.assert_allclose(data.y, np.arange(12) - 0.5 * np.array(frame["cost"]))
+    assert [v.name for v in data.variables] == ["a"]
+    assert data.target == "good - 0.5 cost"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"constraints": ["a + b >= 3"]}, "no design within the bounds satisfies all constraints; without 'a \\+ b >= 3'"),
+        ({"constraints": ["a + b"]}, "needs one relation"),
+        ({"constraints": ["a + z <= 1"]}, "unknown variable 'z'"),
+        ({"constraints": ["a + solvent <= 1"]}, "is of numbers, and solvent has levels"),
+        ({"constraints": ["a < 1"]}, "takes <=, >= or =, not <"),
+        ({"constraints": ["a ^ 2 <= 1"]}, "cannot be read at '\\^ 2'"),
+        ({"constraints": ["1 <= 2"]}, "names no variable"),
+        ({"fixed": ["a = 7"]}, "a is fixed at 7, outside its bounds"),
+        ({"fixed": ["solvent = gin"]}, "unknown level of solvent 'gin'"),
+        ({"fixed": ["a = 0.5", "a = 0.6"]}, "a is fixed twice"),
+        ({"forbidden": ["solvent > water"]}, "solvent has levels, which are compared by = and != alone"),
+        ({"forbidden": ["a = 0.5"]}, "a is a number; compare it with <"),
+        ({"steps": {"a": 5}}, "a has no multiple of 5 in"),
+        ({"steps": {"solvent": 5}}, "a step and a log scale are for numbers, and it is categorical"),
+        ({"logs": ["a"], "bounds": {"a": (0, 1)}}, "a log scale needs a lower bound above 0, got 0"),
+        ({"kinds": {"solvent": "ordinal"}}, "column solvent is ordinal: give its levels in their order"),
+        ({"max_distance": 0.0}, "the largest distance to the data must be above 0"),
+    ],
+)
+def test_rules_that_cannot_be_are_refused_in_one_line(options, words):
+    columns = TABLES["constrained"]().columns
+    columns = columns | {"a": [0.001 + value * 0.99 for value in columns["a"]]}
+    with pytest.raises(UserError, match=words) as told:
+        Designs.from_frame(columns, "y", **options)
+    assert "\n" not in str(told.value)
+
+
+def test_the_nearest_design_that_satisfies_all_is_found():
+    data = Designs.from_frame(TABLES["constrained"]().columns, "y", constraints=["a + b <= 0.8"], fixed=["solvent = oil"])
+    oil = data.variables[3].levels.index("oil")
+    x = np.array([[0.3, 0.3, 0.5, 1 - oil], [0.7, 0.5, 0.5, oil]])
+    found, good = data.repair.exact(x)
+    assert good.all()
+    np.testing.assert_allclose(found[0], [0.3, 0.3, 0.5, oil], atol=1e-6)
+    np.testing.assert_allclose(found[1].astype(float) @ [1, 1, 0, 0], 0.8, atol=1e-4)
+    mixture = TABLES["mixture"]().designs()
+    away = mixture.x + np.random.default_rng(0).normal(0, 0.2, mixture.x.shape)
+    assert mixture.repair.exact(away)[1].all()  # the grid has a point for each, however it was rounded
+    # Projection in units of the data's deviations: both move alike, as these are nearly the same.
+    np.testing.assert_allclose(found[1][:2], [0.5, 0.3], atol=0.02)

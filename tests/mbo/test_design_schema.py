@@ -1,0 +1,86 @@
+"""Schemas of tables of experiments: drafted, saved, read back, and refused in one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import csv
+
+from deadreckon.cli.main import main
+from deadreckon.errors import UserError
+from deadreckon.mbo.design_schema import DesignSchema, describe
+from tests.mbo.practice import TABLES
+
+
+@pytest.fixture
+def table(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    csv.write_csv(pa.table(TABLES["mixed"]().columns), "mine.csv")
+    return tmp_path / "mine.csv"
+
+
+def test_what_is_drafted_reads_the_same_designs(table):
+    schema, told = describe(table)
+    assert told == ["the last column of numbers, y, is taken as the target (--target)"]
+    assert {name: column.kind for name, column in schema.columns.items()} == {
+        "heat": "integer", "rate": "continuous", "layers": "integer", "colour": "categorical", "y": None,
+    }  # fmt: skip
+    schema.save("mine.toml")
+    again = DesignSchema.load("mine.toml")
+    assert again == schema
+    data = again.read(table)
+    np.testing.assert_array_equal(data.x, TABLES["mixed"]().designs().x)
+    assert data.variables[3].levels == ("blue", "green", "red")
+
+
+def test_roles_and_rules_that_are_added_are_obeyed(table, capsys):
+    schema, _ = describe(table)
+    schema.save("mine.toml")
+    path = Path("mine.toml")
+    text = path.read_text()
+    text = text.replace("constraints = []", 'constraints = ["heat + 2 layers <= 80"]')
+    text = text.replace('[columns."heat"]', '[columns."heat"]\nstep = 5')
+    path.write_text(text.replace('[columns."rate"]', '[columns."rate"]\nlog = true'))
+    asked = ["design", "mine.csv", "--schema", "mine.toml", "--method", "random", "-n", "12", "--fix", "colour=red"]
+    assert main(asked) == 0
+    rows = csv.read_csv("runs/design/random-mine/proposals.csv").to_pydict()
+    assert len(rows["heat"]) == 12
+    assert all(heat % 5 == 0 and heat + 2 * layers <= 80 for heat, layers in zip(rows["heat"], rows["layers"]))
+    assert set(rows["colour"]) == {"red"}
+    capsys.readouterr()
+    assert main([*asked[:-2], "--constraints", "heat >= 200", "--out", "x"]) == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert told.startswith("deadreckon: mine: no design within the bounds satisfies all constraints; without 'heat >= 200'")
+    assert not (table.parent / "x").exists()
+
+
+def test_describe_prints_and_does_not_overwrite(table, capsys):
+    assert main(["design", "describe", "mine.csv", "--target", "y"]) == 0
+    assert '[columns."colour"]' in capsys.readouterr().out
+    assert main(["design", "describe", "mine.csv", "--save", "s.toml"]) == 0
+    assert main(["design", "describe", "mine.csv", "--save", "s.toml"]) == 2
+    assert "s.toml is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("minimise = true", "needs a table \\[columns.NAME\\]"),
+        ("maximise = true\n[columns.a]\nrole = 'input'", "unknown entry 'maximise'"),
+        ("[columns.a]\nrole = 'inputs'", "column a needs a role"),
+        ("[columns.a]\nrole = 'input'\nlow = 1", "low and high go together"),
+        ("[columns.a]\nrole = 'input'\nstep = 'x'", "step must be a number, got 'x'"),
+        ("[columns.a]\nrole = 'input'\nkind = 'number'", "unknown kind 'number'"),
+        ("[columns.a]\nrole = 'input'\nsteps = 1", "unknown entry 'steps'"),
+        ("[columns.a]\nrole = 'weighted'", "a weighted column needs weight"),
+        ("[columns.a]\nrole = 'target'\n[columns.b]\nrole = 'target'", "columns a and b both have the role target"),
+        ("constraints = 'a'\n[columns.a]\nrole = 'input'", "constraints must be a list"),
+        ("[table]\nsep = ';'\n[columns.a]\nrole = 'input'", "unknown entry 'sep'"),
+    ],
+)
+def test_schemas_that_are_refused(tmp_path, text, words):
+    (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(UserError, match=words) as told:
+        DesignSchema.load(tmp_path / "s.toml")
+    assert "\n" not in str(told.value)

@@ -1,0 +1,159 @@
+"""The Gaussian process for tables, its batch, and what is said of it out of fold."""
+
+import numpy as np
+import pytest
+from scipy.optimize import check_grad
+
+from deadreckon.errors import UserError
+from deadreckon.mbo import designer, process
+from deadreckon.mbo.batch import check_batch, key
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.gp import greedy, spaced
+from deadreckon.mbo.registry import usual_designer
+from deadreckon.mbo.validation import conformal_factor, cross_validated, judged
+from deadreckon.mbo.variables import Variable
+from tests.mbo.practice import TABLES
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*are pooled")
+
+
+def test_the_gradient_of_the_likelihood_is_that_of_its_value():
+    data = TABLES["mixed"](40).designs()
+    features = process.Features.of(data)
+    y = (data.y - data.y.mean()) / data.y.std()
+    ratio = np.linspace(0.5, 1.5, len(y))
+    of = (features(data.x), y, ratio, features.owner, np.zeros(6), np.full(6, 2.0))
+    at = np.array([1.0, 0.5, 0.8, 1.2, 0.1, -2.0])
+    error = check_grad(lambda v: process._loss(v, *of)[0], lambda v: process._loss(v, *of)[1], at)
+    assert error < 1e-4
+
+
+def test_the_posterior_is_the_textbook_s():
+    """Against the formulas written out, with noise that differs between rows and a category."""
+    rng = np.random.default_rng(0)
+    x = np.stack([rng.uniform(-1, 1, 12), rng.integers(0, 3, 12)], 1)
+    variables = (Variable("a", low=-1, high=1), Variable("c", "categorical", levels=tuple("xyz")))
+    error = rng.uniform(0.1, 0.3, 12)
+    data = Designs(x, rng.normal(size=12), variables, std_error=error)
+    found = process.fit(data)
+    length, new = np.exp(found.hyper.lengths), np.array([[0.3, 1.0], [2.0, 2.0]])
+
+    def kernel(a, b):
+        number = (a[:, None, 0] - b[None, :, 0]) / data.x[:, 0].std() / length[0]
+        r = np.sqrt(5 * (number**2 + (a[:, None, 1] != b[None, :, 1]) / length[1] ** 2))
+        return np.exp(found.hyper.signal) * (1 + r + r**2 / 3) * np.exp(-r)
+
+    noise = np.exp(found.hyper.noise) * error**2 / np.mean(error**2)
+    inverse = np.linalg.inv(kernel(data.x, data.x) + np.diag(noise))
+    k = kernel(new, data.x)
+    mean = data.y.mean() + k @ inverse @ (data.y - data.y.mean())
+    std = data.y.std() * np.sqrt(np.exp(found.hyper.signal) - np.einsum("ij,jk,ik->i", k, inverse, k))
+    np.testing.assert_allclose(found.posterior(new)[0], mean, rtol=1e-4)
+    np.testing.assert_allclose(found.posterior(new)[1], std, rtol=1e-4)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance(new))) * data.y.std(), std, rtol=1e-4)
+
+
+def test_the_slope_is_that_of_the_prediction():
+    data = TABLES["wide"](40, variables=3 + 1).designs()
+    found = process.fit(data)
+    x, away = data.x[:3].astype(np.float64) * 0.9, np.array([0.0, 0.0, 1e-2, 0.0])
+    value = lambda x: (found.posterior(x)[0] + 0.7 * found.posterior(x)[1]) / found.y_std  # noqa: E731
+    change = (value(x + away) - value(x - away)) / 2e-2 * data.coordinates.std[2]
+    np.testing.assert_allclose(found.slope(x, 0.7)[:, 2], change, rtol=2e-3, atol=1e-4)
+
+
+def test_measurements_that_are_repeated_count_more():
+    frame = {"a": [0.0, 1.0, *np.linspace(2, 9, 10)], "y": [3.0, -3.0, *[0.0, 1.0] * 5], "se": [0.01, 3.0, *[1.0] * 10]}
+    data = Designs.from_frame(frame, "y", std_error="se")
+    mean = process.fit(data).mean(data.x[:2])
+    assert abs(mean[0] - 3.0) < 0.01
+    assert abs(mean[1] + 3.0) > 0.1
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_proposals_of_the_default_are_within_the_rules_and_better_than_the_data(name):
+    table = TABLES[name]()
+    data = table.designs()
+    made = designer("gp", rounds=15).propose(data, 12)
+    check_batch(data, made.x, repeat=False)
+    assert len({key(row) for row in made.x}) == 12
+    allowed = data.x[data.repair.good(data.x)]  # mixtures and constraints leave out some of the data, or all of it
+    best = table.true(data, allowed).max() if len(allowed) else -np.inf
+    true = table.true(data, made.x)
+    assert true.max() >= best
+    assert np.median(true) >= np.median(table.true(data, designer("random").propose(data, 12).x))
+    assert made.quality.rank_correlation > 0.8
+    assert 0.9 <= made.quality.coverage <= 0.99
+    assert (np.abs(true - made.predicted) <= 1.96 * made.predicted_std).mean() >= 0.8
+
+
+def test_of_noise_no_skill_is_claimed():
+    """At most one table in forty is taken for more than noise on average; of twelve, none or one are here."""
+    praised = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        data = Designs.from_arrays(rng.normal(size=(60, 3)), rng.normal(size=60))
+        quality = cross_validated(data, designer("gp").predictor, "GP")
+        assert quality.r2 < 0.1
+        assert 0.85 <= quality.coverage <= 1.0
+        praised += quality.skilled
+        assert (quality.warning is None) == quality.skilled
+    assert praised <= 1
+    data = TABLES["wide"](60, variables=6).designs()
+    assert cross_validated(data, designer("gp").predictor, "GP").skilled
+
+
+def test_the_factor_is_the_quantile_with_its_correction():
+    error = np.arange(1.0, 41.0)
+    assert conformal_factor(error) == pytest.approx(39 / 1.959964)  # ceil(41 x 0.95) = 39
+    assert conformal_factor(error[:10]) == pytest.approx(10 / 1.959964)  # too few: the greatest
+    # Crosswise: a fold whose errors are all larger is outside the interval that the others give.
+    fold = np.repeat([0, 1], 20)
+    y = np.concatenate([np.linspace(0.1, 1, 20), np.linspace(3, 4, 20)])
+    found = judged(y, np.zeros(40), np.ones(40), fold, "m")
+    assert found.coverage == 0.5
+
+
+def test_caution_and_boldness():
+    data = TABLES["replicated"]().designs()
+    safe, bold = (designer("gp", kappa=kappa, folds=0).propose(data, 8) for kappa in (-2.0, 2.0))
+    assert np.median(safe.predicted_std) < np.median(bold.predicted_std)
+    assert safe.quality is None
+
+
+def test_a_bold_batch_is_chosen_given_those_before():
+    data = TABLES["wide"](30, variables=4).designs()
+    found = process.fit(data)
+    x = np.stack([data.x[0] * 3, data.x[0] * 3 + 1e-4, data.x[1] * -2.9])
+    found_order = greedy(found, x, 50.0, 3)
+    assert set(found_order[:2].tolist()) != {0, 1}  # the twin of the first knows no more
+
+
+def test_designs_that_are_kept_lie_apart():
+    data = TABLES["wide"](30, variables=4).designs()
+    x = np.concatenate([data.x[:5], data.x[:5] + 1e-4])
+    order = spaced(data, x, np.arange(10.0), 0.1, 10)
+    assert sorted(order.tolist()) == [5, 6, 7, 8, 9]
+
+
+def test_networks_are_judged_on_designs_that_they_have_not_seen():
+    data = TABLES["wide"](100, variables=4).designs()
+    small = designer("forward", hidden=(16,), steps=300, lr=0.01, ascent_steps=5)
+    made, plain = small.propose(data, 4, validate=True), small.propose(data, 4)
+    assert len(made.quality.observed) == 20
+    assert made.quality.rank_correlation > 0.5
+    np.testing.assert_allclose(made.predicted_std, made.quality.factor * plain.predicted_std, rtol=1e-5)
+    assert plain.quality is None
+
+
+def test_the_rule_of_the_default():
+    assert [usual_designer(rows) for rows in (10, 3000, 3001)] == ["gp", "gp", "ensemble"]
+
+
+def test_few_rows_are_not_cross_validated():
+    rng = np.random.default_rng(0)
+    variables = [Variable(name, low=-3, high=3) for name in "ab"]
+    data = Designs.from_arrays(rng.normal(size=(12, 2)), rng.normal(size=12), variables)
+    assert designer("gp", rounds=5).propose(data, 3).quality is None
+    with pytest.raises(UserError, match="kappa"):
+        designer("gp", kappa=float("nan")).propose(data, 3)
