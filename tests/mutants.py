@@ -1317,7 +1317,7 @@ MUTANTS = (
     ),
     Mutant(
         "copies-of-people", "data/copies.py",
-        "if len(kinds) >= _OWN * (rows - found.count) and (kinds != np.floor(kinds)).any():",
+        "if len(kinds) >= _OWN * (rows - found.many) and (kinds != np.floor(kinds)).any():",
         "if (kinds != np.floor(kinds)).any():",
         "equal people are taken for a table that was stored twice", ("data/test_info.py",),
     ),

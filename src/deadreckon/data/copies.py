@@ -17,11 +17,11 @@ class Copies(NamedTuple):
     """Rows that repeat an earlier one.
 
     Attributes:
-        count: of them.
+        many: how many.
         together: share of them that follow another one as the rows that they repeat follow each other.
     """
 
-    count: int
+    many: int
     together: float
 
 
@@ -51,17 +51,17 @@ def about_copies(log: Dataset, found: Copies, rows: int) -> list[str]:
         found: copies among the rows.
         rows: that were looked at.
     """
-    if found.count <= _SHARE * rows:
+    if found.many <= _SHARE * rows:
         return []
-    text = f"{found.count:,} of {rows:,} rows repeat an earlier one"
-    if found.count >= _STRETCH and found.together >= _TOGETHER:
+    text = f"{found.many:,} of {rows:,} rows repeat an earlier one"
+    if found.many >= _STRETCH and found.together >= _TOGETHER:
         return [f"{text}, in the same order: if a part of the table was stored twice, {_ADVICE}"]
     if log.lengths.max() > 1:
         return [f"{text}: a split by rows would leak; split by episodes"]
     flat = np.asarray(log.observations[:rows]).reshape(rows, -1)
     for name, values in zip(observation_names(log), flat.T):
         kinds = np.unique(values)
-        if len(kinds) >= _OWN * (rows - found.count) and (kinds != np.floor(kinds)).any():
+        if len(kinds) >= _OWN * (rows - found.many) and (kinds != np.floor(kinds)).any():
             text = f"{text} completely, although nearly all others differ in {name}"
             return [f"{text}: if the table was stored twice, {_ADVICE}"]
     return []

@@ -119,7 +119,7 @@ def describe(log: Dataset) -> Info:
         # What is legal everywhere carries nothing either, and cannot be left out.
         constant_observations=tuple(np.flatnonzero(constant[: len(constant) - spec.mask_size]).tolist()),
         observation_scales=(float(moving.min()), float(moving.max())),
-        duplicate_rows=repeated.count,
+        duplicate_rows=repeated.many,
         duplicates_together=repeated.together,
         sampled=sample.stop,
         own_successors=_own_successors(log),
