@@ -4,10 +4,6 @@ Millions of floating-point operations, as XLA counts them in the program before 
 observations of 17 and actions of 6 numbers. What an agent fits before its first update is not in them.
 """
 
-import dataclasses
-import sys
-import tomllib
-from importlib.resources import files
 
 import jax
 import jax.numpy as jnp

@@ -237,8 +237,9 @@ def test_data_is_an_argument_of_the_program_not_a_constant():
     assert program.advance._cached._cache_size() == before
 
 
-@pytest.mark.parametrize("asks", [BatchSpec(batch_size=5), BatchSpec(batch_size=5, window=4), BatchSpec(batch_size=5, standardise=True)])
-def test_lanes_of_several_logs_see_the_rows_of_their_own(asks):
+@pytest.mark.parametrize("more", [{}, {"window": 4}, {"standardise": True}])
+def test_lanes_of_several_logs_see_the_rows_of_their_own(more):
+    asks = BatchSpec(batch_size=5, **more)
     logs = [LOG, corridor(90, seed=1), LOG]
     sources = {id(log): TransitionSource(log, asks) for log in logs}
     learner, seeds = Collector(asks=asks), [3, 4, 5]
@@ -263,7 +264,8 @@ def test_lanes_of_several_logs_are_prepared_on_their_own():
 
 def test_several_logs_that_cannot_share_a_program_are_refused():
     asks = BatchSpec(batch_size=5)
-    wide = Dataset.from_arrays(observations=np.zeros((20, 7)), actions=np.zeros((20, 1)), rewards=np.zeros(20), terminals=np.zeros(20))
+    columns = {name: np.zeros(20) for name in ("rewards", "terminals")}
+    wide = Dataset.from_arrays(observations=np.zeros((20, 7)), actions=np.zeros((20, 1)), **columns)
     sources = [TransitionSource(log, asks) for log in (LOG, wide)]
     learner = Collector(asks=asks)
     with pytest.raises(UserError, match="must have observations and actions of the same shape"):
