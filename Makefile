@@ -20,10 +20,10 @@ define uv_sync
 endef
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fast test-slow lint docs bench evidence lock clean
+.PHONY: help setup demo test fast test-slow lint docs bench evidence evidence-gpu lock clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(STAMP) ## the environment in .venv, with the tools for tests
 
@@ -53,6 +53,9 @@ bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, int
 
 evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
 	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle $(if $(FOR),--for $(FOR))
+
+evidence-gpu: $(STAMP) ## fills a GPU with it; FOR=40m says how long, PLAN=1 prints the plan alone (needs the extra of JAX for CUDA)
+	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --gpu --for $(or $(FOR),40m) $(if $(PLAN),--dry-run)
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
 	uv lock

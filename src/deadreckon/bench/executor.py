@@ -75,7 +75,12 @@ def _next(waiting: Sequence[Program], left: float | None) -> Program | None:
 
 
 def run(
-    jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor, seconds: float | None = None, choice: Choice = _next
+    jobs: Sequence[Job],
+    store: Store,
+    on_event: OnEvent,
+    executor: Executor,
+    seconds: float | None = None,
+    choice: Choice = _next,
 ) -> None:
     """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
 

@@ -1,8 +1,8 @@
 """What of several suites an accelerator does in a limited time: a plan from rates, made anew whenever a process is free.
 
-The device is one thing that programs use in turn, as far as the plan goes: programs that train side by side share its time, and
-nothing is gained by that. What else a program takes goes on beside others: its start and compilation, and its evaluations, which
-keep one core. So with several processes the next program is compiled, and the last one judged, while another one trains.
+The device is one thing that programs use in turn, as far as the plan goes: programs that train side by side share its time,
+and nothing is gained by that. What else a program takes goes on beside others: its start and compilation, and its evaluations,
+which keep one core. So with several processes the next program is compiled, and the last one judged, while another one trains.
 """
 
 import dataclasses

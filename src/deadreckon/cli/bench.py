@@ -27,8 +27,9 @@ class Bench:
     time: Annotated[str | None, tyro.conf.arg(name="for")] = None
     """time after which to stop, such as 90s, 30m, 8h; the same command continues later; None: until all is done"""
     idle: bool = False  # use only idle processor time, and pause while a benchmark takes measurements
+    gpu: bool = False  # fill one GPU for the time of --for with cells that learn from logs, at full size where that fits
     executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine (local), or a Ray cluster
-    workers: int | None = None  # number of processes (local); None: one per core, or one for a GPU
+    workers: int | None = None  # number of processes (local); None: one per core, or one for a GPU (with --gpu, up to 8)
     address: str | None = None  # address of the Ray cluster; None: RAY_ADDRESS, one on this machine, or a new one
     cpus: int = 1  # cores per job (ray)
     gpus: float = 0.0  # GPUs per job (ray); a fraction if several jobs share a GPU
@@ -58,7 +59,12 @@ def bench(args: Sequence[str]) -> None:
         return _list(args[1:])
     if args and args[0] == "show":
         return _show(args[1:])
-    return _run(parse(Bench, args, "bench"))
+    options = parse(Bench, args, "bench")
+    if options.gpu:
+        from deadreckon.cli.gpu import fill
+
+        return fill(options)
+    return _run(options)
 
 
 def _list(args: Sequence[str]) -> None:
