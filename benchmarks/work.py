@@ -14,6 +14,7 @@ import numpy as np
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
 from deadreckon.training.learner import lift
 from deadreckon.training.program import advance, begin
 from deadreckon.training.sources import source_of
@@ -40,8 +41,11 @@ def main() -> None:
         terminals=np.zeros(2000), timeouts=np.arange(2000) % 500 == 499,
     )  # fmt: skip
     for name in sys.argv[1:] or sorted(AGENTS):
-        if agent_class(name).offline and not agent_class(name).supports_discrete:
-            print(f"{name} = {work(name, log):,.0f}".replace(",", "_"), flush=True)
+        if agent_class(name).offline:
+            try:
+                print(f"{name} = {work(name, log):,.0f}".replace(",", "_"), flush=True)
+            except UserError as error:  # of agents of discrete actions alone
+                print(f"# {name}: {error}", flush=True)
 
 
 if __name__ == "__main__":
