@@ -227,7 +227,7 @@ def test_what_is_begun_next_fits_into_what_is_left_by_rates_measured_so_far(tmp_
     filling.hear(Event("done", first, []))
     assert filling(waiting, 345.0) is short
     assert filling([second], 345.0) is second  # begun, and gone on with another time
-    assert filling([second], 20.0) is None  # it would not be compiled before the end
+    assert filling([second], 80.0) is None  # it would train for less time than it is compiled, 45 s
     assert filling.training == 5.0
     assert filling.updates == 1500
 
