@@ -20,8 +20,8 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
 from deadreckon.training.fit import checkpoints
 
-# Of a program: of more the device would make a few more updates a second, but one core evaluates all of their policies, which for
-# 64 lanes at full size (ten evaluations of 100 episodes) takes 40 minutes.
+# Of a program: with more the device would make some more updates a second, but one core evaluates all of their policies, which
+# takes 40 minutes for 64 lanes at full size (ten evaluations of 100 episodes).
 LANES = 40
 WARM_UP = 3.0  # seconds of the device after which a program's rate counts as measured
 

@@ -1,5 +1,6 @@
 """`deadreckon bench --gpu`: fills an accelerator for a limited time with what several suites lack."""
 
+import time
 from pathlib import Path
 
 from deadreckon.bench.device import device_kind, shared
@@ -10,50 +11,55 @@ from deadreckon.bench.local import Local, cores
 from deadreckon.bench.rates import Rates, assumed_device
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import queue
-from deadreckon.cli.bench import Bench, Lines
+from deadreckon.cli.lines import Lines
 from deadreckon.errors import UserError
-from deadreckon.runs.durations import in_words, seconds_of
+from deadreckon.runs.durations import in_words
 
 MOST = 8  # processes where nobody says how many: no more were measured side by side
 
 
-def fill(options: Bench) -> None:
+def fill(suite: str, path: Path, seconds: float, workers: int | None, dry_run: bool) -> None:
     """Plans, and does it unless a dry run is asked for.
 
+    Args:
+        suite: name of a suite, or a file of a suite or a queue.
+        path: folder of results.
+        seconds: that are filled.
+        workers: processes; None: half as many as cores, up to `MOST`.
+        dry_run: print the plan alone.
+
     Raises:
-        UserError: options that do not go together; JAX sees no accelerator.
+        UserError: JAX sees no accelerator, or fewer than one worker.
     """
-    for name, default in (("full", False), ("idle", False), ("executor", "local"), ("address", None)):
-        if getattr(options, name) != default:
-            raise UserError(f"--{name} does not go with --gpu, which runs local processes and chooses each cell's size itself")
-    if options.time is None:
-        raise UserError("--gpu fills a limited time; say how long by --for, such as --for 40m")
-    seconds, path = seconds_of(options.time), Path(options.out)
-    if options.dry_run:
-        return _plan(options, path, seconds, device_kind())
+    if workers is not None and workers < 1:
+        raise UserError(f"workers must be 1 or more, got {workers}")
+    if dry_run:
+        return _plan(suite, path, seconds, workers, device_kind())
     with shared() as how:
         kind = device_kind()
         if kind is None:
             raise UserError("--gpu needs an accelerator, and JAX sees none; --dry-run prints a plan all the same")
         print(how)
-        _run(options, path, seconds, kind)
+        _run(suite, path, seconds, workers, kind)
 
 
-def _prepared(options: Bench, path: Path, seconds: float, kind: str | None) -> tuple[Store, Rates, list[Load], int]:
-    small = queue(options.suite)
-    large = queue(options.suite, full=True) if any(suite.full for suite in small) else []
+def _prepared(
+    suite: str, path: Path, seconds: float, workers: int | None, kind: str | None
+) -> tuple[Store, Rates, list[Load], int]:
+    small = queue(suite)
+    large = queue(suite, full=True) if any(each.full for each in small) else []
     store = store_of(small, path)
     measured = path / "rates.json"
     rates = Rates(assumed_device(), measured) if kind is None else Rates(kind, measured, len(cores()))
-    workers = options.workers or max(2, min(MOST, rates.cores // 2))
+    workers = workers or max(2, min(MOST, rates.cores // 2))
     return store, rates, missing(small, large, store, rates, seconds), workers
 
 
-def _plan(options: Bench, path: Path, seconds: float, kind: str | None) -> None:
-    _, rates, loads, workers = _prepared(options, path, seconds, kind)
-    planned = schedule(loads, seconds, workers)
+def _plan(suite: str, path: Path, seconds: float, workers: int | None, kind: str | None) -> None:
+    _, rates, loads, processes = _prepared(suite, path, seconds, workers, kind)
+    planned = schedule(loads, seconds, processes)
     which = rates.device if kind else f"{rates.device}, which is not here,"
-    print(f"{Path(options.suite).stem}: {in_words(seconds)} of one {which} and {rates.cores} cores, {workers} processes")
+    print(f"{Path(suite).stem}: {in_words(seconds)} of one {which} and {rates.cores} cores, {processes} processes")
     for one in planned:
         print(f"  {_line(one)}")
     made = use(planned, seconds)
@@ -73,19 +79,21 @@ def _line(one: Planned) -> str:
     return f"{load.program}, {size} size, {load.program.lanes} lanes: trains {took} at {rate}, {ends}"
 
 
-def _run(options: Bench, path: Path, seconds: float, kind: str) -> None:
-    store, rates, loads, workers = _prepared(options, path, seconds, kind)
+def _run(suite: str, path: Path, seconds: float, workers: int | None, kind: str) -> None:
+    store, rates, loads, processes = _prepared(suite, path, seconds, workers, kind)
     jobs, filling, lines = jobs_of(loads), Filling(rates, store), Lines(len(loads))
 
     def told(event: Event) -> None:
         filling.hear(event)
         lines(event)
 
-    run(jobs, store, told, _executor(path, workers), seconds, filling)
+    began = time.monotonic()
+    run(jobs, store, told, _executor(path, processes), seconds, filling)
+    took = time.monotonic() - began
     left = sum(len(job.seeds) for job in store.undone(jobs))
     print(
-        f"{filling.updates / seconds:,.0f} updates of a seed per second in the mean over {in_words(seconds)}, "
-        f"{filling.training / seconds:.0%} of it in training; results in {store.place}"
+        f"{filling.updates / took:,.0f} updates of a seed per second in the mean over {in_words(took)}, "
+        f"{filling.training / took:.0%} of it in training; results in {store.place}"
     )
     if left:
         print(f"{left:,} cells that learn from logs are left; the same command goes on with them")
