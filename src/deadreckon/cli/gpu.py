@@ -80,6 +80,7 @@ def _line(one: Planned) -> str:
 
 
 def _run(suite: str, path: Path, seconds: float, workers: int | None, kind: str) -> None:
+    began = time.monotonic()
     store, rates, loads, processes = _prepared(suite, path, seconds, workers, kind)
     jobs, filling, lines = jobs_of(loads), Filling(rates, store), Lines(len(loads))
 
@@ -87,8 +88,7 @@ def _run(suite: str, path: Path, seconds: float, workers: int | None, kind: str)
         filling.hear(event)
         lines(event)
 
-    began = time.monotonic()
-    run(jobs, store, told, _executor(path, processes), seconds, filling)
+    run(jobs, store, told, _executor(path, processes), seconds - (time.monotonic() - began), filling)
     took = time.monotonic() - began
     left = sum(len(job.seeds) for job in store.undone(jobs))
     print(
