@@ -54,8 +54,9 @@ bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, int
 evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
 	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle $(if $(FOR),--for $(FOR))
 
-evidence-gpu: $(STAMP) ## fills a GPU with it; FOR=40m says how long, PLAN=1 prints the plan alone (needs the extra of JAX for CUDA)
-	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --gpu --for $(or $(FOR),40m) $(if $(PLAN),--dry-run)
+evidence-gpu: $(STAMP) ## fills a GPU with what they lack for FOR=40m; PLAN=1 prints the plan alone
+	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence \
+		--gpu --for $(or $(FOR),40m) $(if $(PLAN),--dry-run)
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
 	uv lock
