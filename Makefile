@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 DOCS_STAMP := $(VENV)/.stamp-docs
+SLOW_STAMP := $(VENV)/.stamp-slow
 WORKERS ?= 2
 
 UV := $(shell uv --version 2>/dev/null)
@@ -37,7 +38,7 @@ test: $(STAMP) ## lint and the fast tests
 fast: $(STAMP) ## the fast tests alone
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-test-slow: $(STAMP) ## the tests marked slow: learning, kills, the built wheel
+test-slow: $(SLOW_STAMP) ## the tests marked slow: learning, kills, the built wheel
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
 
 lint: $(STAMP) ## ruff, import-linter, pyright
@@ -84,5 +85,13 @@ ifneq ($(UV),)
 	$(call uv_sync,--inexact --group docs)
 else
 	$(PIP) install --quiet --constraint constraints.txt --group docs
+endif
+	@touch $@
+
+$(SLOW_STAMP): $(STAMP)
+ifneq ($(UV),)
+	$(call uv_sync,--inexact --group slow)
+else
+	$(PIP) install --quiet --constraint constraints.txt --group slow
 endif
 	@touch $@

@@ -276,7 +276,7 @@ for each in AGENTS:
         acting = identity.revisions(experience_of(kind()))
         RUNS[f"online/{each}"] = method(online, each, kind, acting=acting, task=identity.revisions(PENDULUM))
 INTERVALS = {"intervals": interval.REVISION}
-for each in ("cal_ql", "rlpd", "td3_bc", "iql"):
+for each in ("cal_ql", "td3_bc"):
     acting = identity.revisions(experience_of(agent_class(each)(), beside=True))
     task_of = identity.revisions(PENDULUM)
     RUNS[f"fine-tuning/{each}"] = method(partial(online, beside=True), each, agent_class(each), acting=acting, task=task_of)

@@ -82,7 +82,7 @@ MUTANTS = (
     ),
     Mutant(
         "greedy-candidates-drawn", "policies/candidates.py",
-        "pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, len(observation), size)))",
+        "pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, observation.shape[0], size)))",
         "pre = self.actor.drawn(observation, key, (samples, *count))", "greedy actions depend on the place in a batch",
         ("policies/test_policies.py::test_file_round_trip_and_numpy_player",),
     ),
@@ -277,6 +277,53 @@ MUTANTS = (
         "batch.next_observation, batch.reward", "models learn the next observation instead of its change",
         ("dynamics/test_ensemble.py::test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations",),
     ),
+    # ---- policies in use
+    Mutant(
+        "unknown-level-passes", "policies/table_columns.py", "elif flag:\n                outside[row] = True",
+        "elif True:\n                outside[row] = True", "an unknown level becomes no level without a word",
+        ("policies/test_table_encoder.py::test_rows_that_are_refused",),
+    ),
+    Mutant(
+        "fill-forgotten", "policies/table_columns.py", "np.where(absent, self.fill, values)", "np.where(absent, 0.0, values)",
+        "missing values are 0 at use and the mean in training", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "marks-forgotten", "policies/table_encoder.py", "out[:, place + 1] = absent[:, index]", "out[:, place + 1] = 0.0",
+        "nothing says at use where a value was missing", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "outside-at-the-end", "policies/table_columns.py", "(values > self.seen_high)", "(values >= self.seen_high)",
+        "the largest value of a log lies outside it", ("policies/test_table_encoder.py",),
+    ),
+    Mutant(
+        "past-not-taken", "policies/table_predict.py", "taken if episodes.logged is None else episodes.logged[rows]", "taken",
+        "a history has what the policy would have done in place of what was done",
+        ("runs/test_predict.py::test_policies_on_histories_take_the_logged_past",),
+    ),
+    Mutant(
+        "sampled-evenly", "policies/table_predict.py", "np.cumsum(probs.astype(np.float64), 1)",
+        "np.cumsum(np.ones(probs.shape), 1)", "sampled actions all have the same probability",
+        ("runs/test_predict.py::test_probabilities_by_name_and_what_is_sampled_from_them",),
+    ),
+    Mutant(
+        "member-of-each-row", "policies/table_predict.py", "size=len(found))[episodes.number]", "size=len(found))",
+        "a mixture changes its member within an episode",
+        ("policies/test_table_predict.py::test_a_mixture_keeps_its_member_for_an_episode",),
+    ),
+    Mutant(
+        "texts-guessed-anew", "data/formats/any_table.py", "read_delimited(path, asked, known=known)",
+        "read_delimited(path, asked)", "a column of texts is read as numbers or truth values in a table of few rows",
+        ("cli/test_predict.py::test_a_file_of_a_few_rows_is_read_as_the_log_was",),
+    ),
+    Mutant(
+        "columns-for-a-row", "runs/service.py", "given = [rows] if single else rows", "given = rows",
+        "a service takes a dictionary of columns, of as many rows as it has", ("runs/test_service.py",),
+    ),
+    Mutant(
+        "body-without-limit", "runs/service.py", "if size > most:", "if size > 1_000 * most:",
+        "a body whose length is not said has no limit",
+        ("runs/test_service.py::test_large_bodies_are_refused_before_they_are_whole",),
+    ),
     # ---- networks
     Mutant(
         "tanh-correction", "nets/distributions.py", "return (normal - squash).sum(-1)", "return (normal + squash).sum(-1)",
@@ -359,6 +406,36 @@ MUTANTS = (
         "timeout[:, None], terminal[:, None])",
         "terminals and timeouts change places in the replay file",
         ("online/test_exploration.py::test_rows_are_what_the_simulator_did",),
+    ),
+    # ---- Gymnasium environments as tasks
+    Mutant(
+        "gymnasium-fall-in-time", "tasks/gymnasium_copies.py", "timeouts = self._alive & ~terminals & (",
+        "timeouts = self._alive & (", "a fall in an environment's last step is a timeout too",
+        ("tasks/test_gymnasium.py::test_a_fall_in_the_last_step_is_a_terminal",),
+    ),
+    Mutant(
+        "gymnasium-replayed", "tasks/gymnasium_copies.py", "in self._taken[i, : self._age[i]]:",
+        "in self._taken[i, 1 : self._age[i]]:", "an environment that is taken up again misses the first action of its episode",
+        ("tasks/test_gymnasium.py::test_restored_copies_go_on_bit_for_bit",),
+    ),
+    Mutant(
+        "gymnasium-start", "tasks/gymnasium_spaces.py", "space.dtype.type(space.start + i)", "space.dtype.type(i)",
+        "an environment's discrete actions are counted from 0, wherever they start",
+        ("tasks/test_gymnasium.py::test_numbers_that_do_not_begin_at_zero",),
+    ),
+    Mutant(
+        "gymnasium-episode-seed", "tasks/gymnasium_copies.py", "SeedSequence([seed, number])", "SeedSequence([seed])",
+        "all later episodes of a copy of an environment are the same", ("tasks/test_gymnasium.py::test_seeds_of_episodes",),
+    ),
+    Mutant(
+        "chance-of-discrete", "collect/rollouts.py", "-jnp.log(high + 1.0)", "-jnp.log(high)",
+        "uniform discrete actions are logged with the probability of one action less",
+        ("runs/test_gymnasium_runs.py::test_a_log_by_chance",),
+    ),
+    Mutant(
+        "minari-bounds", "data/formats/minari_rows.py", "np.minimum(environment.low, seen.min)", "environment.low",
+        "bounds of observations in Minari's data sets leave rows outside",
+        ("runs/test_gymnasium_runs.py::test_bounds_hold_every_row",),
     ),
     # ---- from a log to a better policy online
     Mutant(
@@ -555,6 +632,42 @@ MUTANTS = (
         ("runs/test_offline.py::test_each_look_at_the_same_episodes_spends_half_of_what_is_left",),
     ),
     Mutant(
+        "tracked-before-checkpoint", "runs/trackers/feed.py", "self.waiting[0] < below", "self.waiting[0] <= below",
+        "trackers are told what no checkpoint holds yet", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-without-evaluation", "runs/trackers/feed.py",
+        "return not judged or self.folder.part(\"evaluations\", step).exists()", "return True",
+        "a point is told before its evaluation is done, which is then lost", ("runs/test_trackers.py",),
+    ),
+    Mutant(
+        "tracked-id-anew", "runs/trackers/feed.py", "if not path.exists():", "if True:",
+        "a resumed run is another tracked run",
+        ("runs/test_trackers.py::test_a_resumed_run_is_the_same_tracked_run_and_gives_all_points_again",),
+    ),
+    Mutant(
+        "wandb-doubles", "runs/trackers/wandb_runs.py", "if step >= run.starting_step:", "if step >= 0:",
+        "points are doubled in W&B when a run is resumed",
+        ("runs/test_trackers.py::test_wandb_takes_only_what_its_server_lacks",),
+    ),
+    Mutant(
+        "callback-too-early", "runs/recorder.py", "pc.field(\"step\") <= step", "pc.field(\"step\") < step",
+        "a callback does not see the evaluation that has just been done",
+        ("runs/test_trackers.py::test_a_callback_sees_the_run_and_ends_it",),
+    ),
+    Mutant(
+        "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',
+        'if (found := _sum(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "hub-any-file", "runs/hub.py", "if not allowed.fullmatch(name):", "if not name:",
+        "files of other kinds and in other folders are taken from the Hub", ("runs/test_hub.py",),
+    ),
+    Mutant(
+        "rounds-untold", "bench/sampler.py", "self.study.tell(trial, value)", "self.study.tell(trial, 0.0)",
+        "Optuna proposes without knowing what its proposals came to", ("bench/test_sampler.py",),
+    ),
+    Mutant(
         "holdout-of-resumed", "runs/holdout.py", "if given is None and before is not None:", "if before is not None:",
         "a run that is gone on with cannot be told to hold out otherwise",
         ("runs/test_holdout.py::test_a_run_that_is_gone_on_with_keeps_what_it_held_out",),
@@ -709,7 +822,7 @@ MUTANTS = (
         "rows that teach have the draws of judged ones", ("ope/test_asked.py",),
     ),
     Mutant(
-        "csv-empty-text", "data/formats/cells.py", 'values = keep(_without(values, ("",)))', "values = keep(values)",
+        "csv-empty-text", "data/formats/cells.py", 'values = keep(without(values, ("",)))', "values = keep(values)",
         "an empty cell of a text column is a level", ("data/formats/test_tables.py",),
     ),
     # ---- databases
@@ -824,7 +937,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-lone", "data/formats/cells.py",
-        "and words <= set(_LONE)", "",
+        "(known or words <= set(_LONE))", "True",
         "a column of one letter is a flag", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -844,7 +957,7 @@ MUTANTS = (
     ),
     Mutant(
         "cells-dashes", "data/formats/cells.py",
-        "_without(trimmed, (*MISSING, DASH)), dialect", "_without(trimmed, MISSING), dialect",
+        "without(trimmed, (*MISSING, DASH)), dialect", "without(trimmed, MISSING), dialect",
         "a dash makes numbers texts", ("data/formats/test_dialects.py",),
     ),
     Mutant(
@@ -881,6 +994,33 @@ MUTANTS = (
         "dates-half", "data/formats/dates.py",
         "_compute.if_else(_compute.equal(number, 12), 0, number)", "number",
         "half an hour past midnight is past noon", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
+        "dates-frames", "data/text_dates.py",
+        "if all_match(_texts(values[:SAMPLE]), _WRITTEN)", "if False",
+        "dates as texts in data frames order episodes alphabetically", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "placeholder-far", "data/placeholders.py",
+        "0 < high - low < max(low - end, end - high)", "True",
+        "values that end in -999 are taken for placeholders", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "actions-that-nobody-took", "data/encode.py",
+        "if found == list(range(len(found))):",
+        "if found[0] >= 0 and found[-1] < 2 * len(found):",
+        "numbers between the actions of a table become actions", ("data/test_frame.py",),
+    ),
+    Mutant(
+        "steps-out-of-order", "data/row_order.py",
+        "if (falls & inside).any() and",
+        "if not (falls & inside).any() and",
+        "shuffled steps are not told by the column that counts them", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "backwards-rises", "data/row_order.py",
+        " and not (steps > 0).any()", "",
+        "dates in any order are taken for reversed ones", ("data/test_misreadings.py",),
     ),
     Mutant(
         "dates-first-wrong", "data/formats/dates.py",
@@ -1137,9 +1277,43 @@ MUTANTS = (
         "late rewards are compared with their own row only", ("data/test_leaks.py",),
     ),
     Mutant(
+        "propensities-that-fit", "data/propensities.py", "own = np.where(actions == action, weights, 0.0)", "own = weights",
+        "right propensities are said to be too small", ("data/test_info.py",),
+    ),
+    Mutant(
+        "copies-in-any-order", "data/copies.py", "(before[1:] == before[:-1] + 1)", "(before[1:] >= 0)",
+        "equal people are taken for a part of a table that was stored twice", ("data/test_info.py",),
+    ),
+    Mutant(
+        "midnight", "data/row_order.py", "(own[1:] == own[:-1]) & (order[1:] < order[:-1])", "order[1:] < order[:-1] - 1e9",
+        "episodes that pass midnight are put in another order without a word", ("data/test_misreadings.py",),
+    ),
+    Mutant(
+        "leak-empty-at-ends", "data/leaks.py", "(sample.known[names[i]] == sample.followed).all() and not", "False and not",
+        "a next value that is empty in last rows passes for a column of earlier values", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "copies-of-people", "data/copies.py",
+        "if len(kinds) >= _OWN * (rows - found) and (kinds != np.floor(kinds)).any():",
+        "if (kinds != np.floor(kinds)).any():",
+        "equal people are taken for a table that was stored twice", ("data/test_info.py",),
+    ),
+    Mutant(
+        "leak-behind-empty-cells", "data/leaks.py",
+        "return flat[:, column.dimensions[-1]] == 0 if column.marked else np.ones(len(flat), bool)",
+        "return np.ones(len(flat), bool)",
+        "one empty cell hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
+        "leak-behind-rounding", "data/relations.py",
+        "if 0 < unit <= _ROUGH * y.std() and off <= unit + exact:",
+        "if 0 < unit <= _ROUGH * y.std() and off <= exact:",
+        "rounding hides a leak", ("data/test_leaks.py",),
+    ),
+    Mutant(
         "leak-lagged-column", "data/leaks.py",
-        "if len(np.unique(start)) < 2 or (start == ahead[first]).all():",
-        "if (start == ahead[first]).all():",
+        "if (filled and not ends_empty) or (behind[first] == ahead[first]).all():",
+        "if (behind[first] == ahead[first]).all():",
         "a column of earlier values is accused", ("data/test_leaks.py",),
     ),
     Mutant(
@@ -1246,6 +1420,63 @@ MUTANTS = (
     Mutant(
         "legal-by-name", "data/legal_columns.py", "if own and any(len(cell)", "if any(len(cell)",
         "a column is believed by its name alone", ("data/test_legal.py",),
+    ),
+    # ---- policies in use: exports, trees, monitoring
+    Mutant(
+        "sequence-clips-beyond", "stats/confidence_sequence.py", "known = x[: beyond[0]] if len(beyond) else x",
+        "known = np.minimum(x, high)", "returns beyond the range count as its end, and prove what they do not",
+        ("stats/test_confidence_sequence.py",),
+    ),
+    Mutant(
+        "drift-level-anew", "stats/drift.py", "share = alpha / (k * (k + 1))", "share = alpha",
+        "every look at a new log has the whole level", ("stats/test_drift.py",),
+    ),
+    Mutant(
+        "drift-one-column", "stats/drift.py", "largest = np.abs(chosen @ table).max(1)",
+        "largest = np.abs(chosen @ table).mean(1)", "many columns are not corrected for", ("stats/test_drift.py",),
+    ),
+    Mutant(
+        "realised-unfinished", "runs/realised.py",
+        "if log.terminals[-1] or log.lengths[-1] >= like.lengths.max():", "if len(log):",
+        "an episode that goes on counts with the return that it has so far", ("runs/test_monitor.py",),
+    ),
+    Mutant(
+        "export-check-loose", "runs/exported.py", "<= CLOSE * rows.room", "<= rows.room",
+        "an export that does something else is kept", ("runs/test_export.py",),
+    ),
+    Mutant(
+        "export-first-member", "policies/pure.py", "is_it = (member == i)", "is_it = (member > i)",
+        "another member of a mixture acts than is asked for", ("policies/test_pure.py",),
+    ),
+    Mutant(
+        "explain-never-exchanged", "runs/explain.py", "other[:, dimensions] = x[rng.permutation(len(x))][:, dimensions]",
+        "other[:, dimensions] = x[:, dimensions]", "no column seems to matter", ("runs/test_explain.py",),
+    ),
+    Mutant(
+        "explain-seen-rows", "runs/explain.py", "own, plain = loss(guess(trees[depth], fresh), fresh),",
+        "own, plain = 0.0 * loss(guess(trees[depth], fresh), fresh),",
+        "a tree is said to do all that the policy does", ("runs/test_explain.py",),
+    ),
+    Mutant(
+        "legal-empty", "data/legal_columns.py", "if isinstance(found, list) and None in found:", "if False:",
+        "an empty entry of a list of legal actions is an action called None",
+        ("data/test_legal.py::test_an_empty_entry_of_a_list_is_no_action",),
+    ),
+    # ---- what is told of tables
+    Mutant(
+        "zeros-rows", "data/formats/delimited.py", "        row += batch.num_rows\n", "        break\n",
+        "codes with zeros in front are looked for in the first rows alone",
+        ("data/formats/test_spool.py::test_zeros_in_front_are_told_wherever_they_are",),
+    ),
+    Mutant(
+        "stream-columns", "data/formats/stream.py", "found if schema is None else opened(schema=schema)", "found",
+        "a folder of files has the columns of the first file",
+        ("data/formats/test_stream.py::test_files_with_other_columns_and_types",),
+    ),
+    Mutant(
+        "recommend-leaks", "runs/recommend.py", 'told["choice"]["warnings"] += state.get("leaks", [])', "pass",
+        "suspected leaks are not on the card of a recommendation",
+        ("runs/test_recommend.py::test_suspected_leaks_are_on_the_card_once",),
     ),
     # ---- costs
     Mutant(

@@ -8,7 +8,7 @@ FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
 SLOW = pytest.mark.slow
-CASES = ["cql", "fqe-11", *(pytest.param(case, marks=SLOW) for case in ("iql", "awac", "rebrac", "bcq", "nemo-40"))]
+CASES = ["cql", *(pytest.param(case, marks=SLOW) for case in ("fqe-11", "iql", "awac", "rebrac", "bcq", "nemo-40"))]
 
 
 @pytest.mark.parametrize("case", CASES)

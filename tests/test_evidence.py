@@ -3,6 +3,8 @@
 from math import nan
 from pathlib import Path
 
+import pytest
+
 from deadreckon.bench import claims as declared
 from deadreckon.bench.claims import Claim, Comparison, Verdict
 from deadreckon.bench.claims_file import claims
@@ -41,6 +43,7 @@ def test_the_ledger_is_small():
     assert sum(path.stat().st_size for path in (ROOT / "ledger").rglob("*.json")) < MOST
 
 
+@pytest.mark.slow  # the pages themselves are compared above
 def test_a_changed_number_in_a_page_is_noticed(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(ROOT.parent)
     (tmp_path / "results").mkdir()

@@ -25,6 +25,42 @@ def test_examples_are_five_and_short():
         assert all(path.name in (ROOT / page).read_text() for path in files), page
 
 
+NOTEBOOKS = ("benchmark_agent", "design_experiment", "own_table")
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    """The tool that runs notebooks and makes pages of them."""
+    pytest.importorskip("nbclient")
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    return __import__("notebook_pages")
+
+
+def test_pages_show_the_code_of_the_notebooks(pages):
+    import nbformat
+
+    files = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+    assert [path.stem for path in files] == list(NOTEBOOKS)
+    for path in files:
+        book = nbformat.read(path, as_version=4)
+        cells = [cell for cell in book.cells if cell.cell_type == "code"]
+        assert not any(cell.outputs or cell.execution_count for cell in cells), "notebooks are kept without outputs"
+        text = (ROOT / "docs" / "use" / f"notebook-{path.stem.replace('_', '-')}.md").read_text()
+        assert pages.code(text) == [cell.source for cell in cells], "run tools/notebook_pages.py"
+        assert "<script" not in text
+        assert text.count("<style>") == 1  # once a page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebooks_run(name, pages, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
+    book = pages.executed(ROOT / "examples" / "notebooks" / f"{name}.ipynb", tmp_path)
+    shown = [output for cell in book.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert any("text/html" in output.get("data", {}) for output in shown)
+    assert pages.page(book, name).startswith("# ")
+
+
 @pytest.mark.slow
 def test_own_table(example, capsys):
     example("own_table").main(rows=4_000, steps=300)

@@ -173,6 +173,26 @@ def unpacked(file: BinaryIO) -> BinaryIO:
     return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
 
 
+def copy_folder(source: Path, target: Path | str) -> Path:
+    """Copies a folder to a new place, where it appears only when it is complete; temporary files and locks stay behind.
+
+    Raises:
+        UserError: there is something at `target`, or it cannot be written. Nothing is left behind.
+    """
+    target = Path(target)
+    if target.exists():
+        raise UserError(f"{target} exists already; choose another place")
+    aside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"))
+        aside.rename(target)
+    except OSError as error:  # copytree's is a list of those of all files
+        raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return target
+
+
 def digest(value: Any, size: int, *, sort_keys: bool = False) -> str:
     """`size` bytes in hexadecimal that tell JSON values apart, the same in every process: for names of files.
 

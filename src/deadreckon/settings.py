@@ -78,7 +78,7 @@ def _kind(value: Any, hint: Any) -> tuple[bool | None, str]:
         right = isinstance(value, tuple | list) and len(value) == len(kinds)
         right = right and all(_kind(each, kind)[0] is not False for each, kind in zip(value, kinds))
         return right, f"{len(kinds)} numbers" if set(kinds) <= set(NUMBERS) else f"a tuple of {len(kinds)}"
-    if isinstance(hint, type) and typing.get_origin(hint) is None:
+    if isinstance(hint, type) and typing.get_origin(hint) is None and hint is not Any:
         return isinstance(value, hint), "a text" if hint is str else hint.__name__
     if typing.get_origin(hint) is Callable:
         return callable(value), "a function"

@@ -219,6 +219,7 @@ def test_of_a_program_that_is_done_in_part_the_rest_is_run(planned, tmp_path):
     assert len({each.name for each in rest} | {each.name for each in programs(jobs)}) == 3
 
 
+@pytest.mark.slow
 def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
     text = """
     seeds = 1

@@ -211,6 +211,7 @@ def test_a_design_suite_runs_through(tmp_path):
     assert "branin" in rendered(tables(read(path), jobs, store))
 
 
+@pytest.mark.slow
 def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
     path = tmp_path / "o.toml"
     path.write_text('kind = "ope"\nseeds = 2\nlogs = ["hopper-random-v2"]\nrows = 400\n[methods]\nIS = { agent = "is" }\n'

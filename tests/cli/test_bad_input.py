@@ -163,7 +163,14 @@ CASES = {
     "online in an unknown task": (lambda f, g: [*ONLINE, "hoper"], ["did you mean hopper"]),
     "online with an agent that does not explore": (
         lambda f, g: [*ONLINE[:3], "bear", *ONLINE[4:], "hopper"], ["BEAR does not learn online"]),
-    "online with a log": (lambda f, g: [*ONLINE, "hopper", "--data", g], ["unknown option --data"]),
+    "online with a log of another task": (
+        lambda f, g: [*ONLINE, "hopper", "--data", g], ["observations (4,) and 2 actions", "hopper has (11,) and 3"]),
+    "online with a log, and an agent that does not go on": (
+        lambda f, g: [*ONLINE[:3], "bear", *ONLINE[4:], "maze2d-umaze", "--data", g], ["BEAR", "these agents do"]),
+    "online from what is no run": (
+        lambda f, g: ["train", "--from", f / "no", "--online", "--task", "hopper"], ["holds no run"]),
+    "online with a share of the whole": (
+        lambda f, g: [*ONLINE, "maze2d-umaze", "--data", g, "--log-share", "1"], ["log_share must be 0 or more and below 1"]),
     "offline with an option of online": (lambda f, g: [*BC, g, "--copies", "4"], ["unknown option --copies"]),
     "online with fewer steps than it explores": (
         lambda f, g: [*ONLINE, "hopper", "--steps", "10000"], ["explore + block = 10064", "10000"]),

@@ -72,6 +72,7 @@ def test_collect_info_convert_train_evaluate_report(tmp_path, monkeypatch, capsy
     assert (tmp_path / "page.html").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_cross_fits_and_files_of_dope_are_evaluated_too(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     log = generate("maze2d-umaze-v1", steps=1200, seed=0)  # four episodes: both folds learn in the same program
@@ -108,6 +109,7 @@ def test_a_table_of_ones_own_by_its_columns(tmp_path, monkeypatch, capsys):
     assert "MMD to the log" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_human_demonstrations_train_and_report_losses_and_mmd(real_data, tmp_path, monkeypatch, capsys):
     """Real input: 25 episodes with as many observations as rewards, most rows out of bounds."""
     monkeypatch.chdir(tmp_path)

@@ -77,6 +77,7 @@ def test_what_is_deployed_is_used_as_it_was_judged(made):
     assert use({"file": None, "run": "hopper snapshot-01", "seed": None}, ["hopper"], True) is None
 
 
+@pytest.mark.slow
 def test_episodes_are_counted_among_those_that_nobody_learned_from(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe", *SMALL]
     assert main([*common, "--episodes", "3"]) == 0
@@ -108,6 +109,7 @@ def test_bad_input_in_one_line(made, capsys):
         assert len([line for line in err.splitlines() if line.startswith("deadreckon: ")]) == 1
 
 
+@pytest.mark.slow
 def test_bench_on_a_short_log(tmp_path, capsys):
     options = ["--kinds", "random", "--log-steps", "600", "--out", str(tmp_path / "dope"), *SMALL]
     assert main(["ope", "bench", "--tasks", "hopper", "--estimators", "fqe,is", *options]) == 0

@@ -5,6 +5,7 @@ from small_logs import make_log
 
 from deadreckon.data.catalogue import ENTRIES, cached_path, entry, load
 from deadreckon.data.formats.hdf5 import write_hdf5
+from deadreckon.data.formats.io import read
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 
@@ -102,3 +103,37 @@ def test_strict_is_asked_of_what_is_loaded(tmp_path, home):
             load(name, strict=True)
     with pytest.raises(UserError, match="action names a column of a table"):
         load("maze2d-umaze-v1", action="a")
+
+
+def test_a_minari_id_is_the_twin_of_that_id(home, tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    known = "mujoco/hopper/medium-v0"
+    assert entry(known) == entry("hopper-medium-v2")
+    with pytest.raises(UserError, match="^hopper-medium-v2@minari is not here yet: `.* get hopper-medium-v2 --source minari`"):
+        load(known)
+    log = make_log(name="hopper-medium-v2@minari")
+    write_hdf5(log, cached_path("hopper-medium-v2@minari"))
+    write_hdf5(make_log(name="hopper-medium-v2@dr1", seed=1), cached_path("hopper-medium-v2"))
+    assert load(known).fingerprint == log.fingerprint != load("hopper-medium-v2").fingerprint
+    with pytest.raises(UserError, match="unknown Minari data set 'mujoco/hopper/mediun-v0': did you mean mujoco/hopper/medi"):
+        load("mujoco/hopper/mediun-v0")
+    for take in (load, read):
+        with pytest.raises(UserError, match="no Minari data set of this id in .*; `minari download mine/own/task-v3` fetches"):
+            take("mine/own/task-v3")
+
+
+def test_where_a_minari_id_is_downloaded_from(monkeypatch):
+    from deadreckon.data import download
+
+    asked = []
+
+    def known(name, source):
+        asked.append((name, source))
+        raise UserError("enough")
+
+    monkeypatch.setattr(download, "_known", known)
+    for name in ("mujoco/hopper/medium-v0", "hopper-medium-v2", "hopper-medium-v2@minari"):
+        with pytest.raises(UserError, match="enough"):
+            download.get(name)
+    assert [source for _, source in asked] == ["minari", "d4rl", "minari"]
+    assert asked[0][0] == "hopper-medium-v2@minari"

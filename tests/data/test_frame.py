@@ -11,6 +11,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import read
 from deadreckon.data.frame import ALONE
 from deadreckon.data.info import warnings_for
+from deadreckon.data.schema import Schema
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 
@@ -150,7 +151,8 @@ def test_missing_values_become_the_mean_and_are_marked_and_counted():
     ("values", "codes", "n", "levels"),
     [
         ([0, 2, 1, 2], [0, 2, 1, 2], 3, None),
-        ([0, 5, 1, 2], [0, 5, 1, 2], 6, None),
+        ([0, 5, 1, 2], [0, 3, 1, 2], 4, [0, 1, 2, 5]),
+        ([1, 3, 2, 1], [0, 2, 1, 0], 3, [1, 2, 3]),
         ([700, 5, 700, 90000], [1, 0, 1, 2], 3, [5, 700, 90000]),
         ([-1, 1, 1, -1], [0, 1, 1, 0], 2, [-1, 1]),
         (["stop", "go", "go", "stop"], [1, 0, 0, 1], 2, ["go", "stop"]),
@@ -197,7 +199,7 @@ def test_what_is_noticed():
         ({"done": [0, 1, 2, 0, 0]}, {}, "column done has 2 in row 2, 0 or 1 is needed"),
         ({"who": ["a", "b", None, "a", "a"]}, {}, "column who is empty in row 2"),
         ({"when": [1, 2, 3, None, 4]}, {}, "column when is empty in row 3"),
-        ({"when": list("abcde")}, {}, "column when holds string, numbers are needed"),
+        ({"when": list("abcde")}, {}, "column when orders rows, and holds neither numbers nor dates"),
         ({"action_1": [0, None, 0, 0, 0]}, {}, "column action_1 is empty in row 1"),
         ({"x": [1, 2, float("inf"), 4, 5]}, {}, "column x has inf in row 2"),
         ({"x": [None] * 5}, {"observations": "x"}, "column x is empty; leave it out"),
@@ -345,3 +347,30 @@ def test_dimensions_of_one_name_are_refused():
     table = pa.table({"x": [1.0, None, 3.0], "x_missing": [5.0, 6.0, 7.0], "a": [0.5, 0.6, 0.7], "r": [1.0, 2.0, 3.0]})
     with pytest.raises(UserError, match="two dimensions of the observation are called x_missing"):
         Dataset.from_frame(table, action="a", reward="r")
+
+
+def test_categories_as_polars_has_them():
+    """Dictionaries of a kind of text that pyarrow can hardly work with."""
+    modes = pa.DictionaryArray.from_arrays([0, 1, 0, None], pa.array(["x", "y"], pa.string_view()))
+    table = pa.table({"mode": modes, "action": [0, 1, 0, 1], "reward": [0.0] * 4})
+    log = Dataset.from_frame(table)
+    assert log.provenance.extra["observation_levels"] == {"mode": ["x", "y"]}
+    assert log.observations.tolist() == [[1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1]]
+
+
+def test_a_column_of_a_type_of_its_own_can_be_ignored():
+    table = pa.table({"x": [0.5, 1.5, 2.5], "act": [0, 1, 0], "reward": [1.0, 0.0, 1.0],
+                      "id": pa.array([bytes(16), None, bytes(16)], pa.uuid())})  # fmt: skip
+    with pytest.raises(UserError, match=r"column id holds arrow.uuid, .*; leave it out \(--ignore id\)"):
+        Dataset.from_frame(table, action="act", reward="reward")
+    log = Dataset.from_frame(table, action="act", reward="reward", ignore="id")
+    assert log.provenance.extra["observation_names"] == ["x"]
+    assert log.provenance.extra["held"]["id"]["missing"] == 1
+    drafted = Schema.from_json(log.provenance.extra["schema"], "log")
+    assert Dataset.from_frame(table, schema=drafted).fingerprint == log.fingerprint
+
+
+def test_columns_of_nan_alone_are_empty():
+    log = Dataset.from_frame({"x": [0.5, 1.5], "gone": [np.nan] * 2, "act": [0, 1], "reward": [1.0, 0.0]})
+    assert log.provenance.extra["observation_names"] == ["x"]
+    assert "column gone is empty and is left out of the observations" in log.warnings

@@ -77,3 +77,6 @@ def test_logs_without_histories_are_refused():
     images = two_episodes(observations=np.zeros((5, 4, 4), np.uint8), final_observations=np.zeros((2, 4, 4), np.uint8))
     with pytest.raises(UserError, match="history=2 needs flat observations"):
         stacked(images, 2)
+    for steps in (0, -2):
+        with pytest.raises(UserError, match=f"history must be >= 1, got {steps}"):
+            stacked(two_episodes(), steps)

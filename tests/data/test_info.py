@@ -19,7 +19,7 @@ def test_the_numbers(log):
     assert info.fingerprint == log.fingerprint
     text = render(info, warnings_for(log, info))
     assert "13 in 4 episodes" in text
-    assert "! 1 episodes have one step only" in text
+    assert "! 1 episode has one step only" in text
 
 
 def test_every_kind_of_log_can_be_described(variant):
@@ -56,7 +56,11 @@ def test_quantiles_of_a_column(rows):
         ({"terminals": np.arange(40) == 39}, "one single episode"),
         ({"terminals": np.arange(40) % 10 == 9}, "all 4 terminal episodes have 10 steps: if that is a time limit"),
         ({"terminals": np.isin(np.arange(40), (6, 17)), "timeouts": np.arange(40) % 4 == 0}, "no known successor"),
-        ({"rewards": np.full(40, 2.0)}, "all rewards are 2"),
+        (
+            {"rewards": np.full(40, 2.0), "terminals": np.zeros(40), "timeouts": np.isin(np.arange(40), (6, 17, 39))},
+            "all rewards are 2",
+        ),
+        ({"rewards": np.zeros(40)}, "all rewards are 0"),
         ({"rewards": np.arange(40) % 4 == 0}, r"mostly zero \(75%"),
         ({"rewards": np.arange(40.0) * 1000}, "rewards reach 3.9e"),
         ({"rewards": np.arange(40.0) * 1e-6}, "rewards are at most 3.9e-05"),
@@ -64,7 +68,7 @@ def test_quantiles_of_a_column(rows):
         ({"observations": _observations([1, 1e6, 1])}, "scales differ by a factor of"),
         ({"actions": np.sign(_observations(1)[:, :2])}, "100% of the action entries are at the bounds"),
         ({"actions": np.full((40, 2), 3.0)}, "actions out of bounds"),
-        ({"actions": np.arange(40) % 2, "action_space": Discrete(5)}, "3 of the actions never occur"),
+        ({"actions": np.arange(40) % 2, "action_space": Discrete(5)}, "3 of 5 actions never occur"),
         ({"observations": np.zeros((40, 3)), "actions": np.zeros((40, 2)), "rewards": np.arange(40) % 2}, "repeat an earlier"),
         ({"next_observations": _observations(2), "timeouts": np.zeros(40)}, "37 rows have a next observation that"),
     ],
@@ -76,9 +80,52 @@ def test_advice(changed, words):
     assert not any("\n" in line for line in lines)
 
 
+def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
+    rng = np.random.default_rng(0)
+    once = {"x": rng.normal(size=200), "act": rng.integers(0, 2, 200), "reward": rng.normal(size=200)}
+    twice = {name: np.tile(values, 2) for name, values in once.items()}
+    told = [line for line in warnings_for(Dataset.from_frame(twice, action="act", reward="reward")) if "repeat" in line]
+    words = "if a part of the table was stored twice, leave the copies out, or held-out rows are learned from"
+    assert told == [f"200 of 400 rows repeat an earlier one, in the same order: {words}"]
+    order = rng.permutation(400)
+    mixed = {name: values[order] for name, values in twice.items()}
+    told = [line for line in warnings_for(Dataset.from_frame(mixed, action="act", reward="reward")) if "repeat" in line]
+    assert "completely, although nearly all others differ in x: if the table was stored twice, leave the copies out" in told[0]
+    rounded = {"age": rng.integers(20, 60, 900), "gain": rng.integers(0, 40, 900) / 2}
+    rounded |= {"act": rng.integers(0, 2, 900), "reward": rng.integers(0, 9, 900)}
+    overlap = {name: np.append(values, values[-100:]) for name, values in rounded.items()}
+    assert "in the same order" in str(warnings_for(Dataset.from_frame(overlap, action="act", reward="reward")))
+    assert "repeat" not in str(warnings_for(Dataset.from_frame(rounded, action="act", reward="reward")))
+    people = {"age": rng.integers(20, 30, 400), "act": rng.integers(0, 2, 400), "reward": rng.integers(0, 2, 400)}
+    prices = {"price": rng.integers(1, 40, 400) / 4, "act": rng.integers(0, 2, 400), "reward": rng.integers(0, 2, 400)}
+    for honest in (once, people, prices):
+        assert "repeat" not in str(warnings_for(Dataset.from_frame(honest, action="act", reward="reward")))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_propensities_of_another_action_are_told(seed):
+    """Those of action 0 in all rows; right ones are not accused, also where they are small or some actions are impossible."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=2_000)
+    chances = np.exp(np.stack([2 * x, 0 * x, -2 * x, 0 * x - 9], 1))
+    chances[x > 1, 1] = 0
+    chances /= chances.sum(1, keepdims=True)
+    act = (chances.cumsum(1) > rng.random((2_000, 1))).argmax(1)
+    table = {"x": x, "act": act, "reward": rng.normal(size=2_000), "p": chances[np.arange(2_000), act]}
+    wrong = table | {"p": np.maximum(chances[:, 0], 1e-4)}
+    words = "propensities are too small"
+    right, other = (Dataset.from_frame(each, action="act", reward="reward", propensity="p") for each in (table, wrong))
+    assert words not in str(warnings_for(right))
+    assert words in str(warnings_for(other))
+
+
 def test_a_time_limit_among_other_ends():
     log = make_log((3, 5, 9, 9, 2, 9, 4, 9, 7, 9, 9, 1), terminal=(True,))
     assert any("50% of the terminal episodes have the longest length, 9" in line for line in warnings_for(log))
+
+
+def test_a_constant_reward_teaches_something_where_episodes_can_end_sooner_or_later():
+    assert warnings_for(_log(rewards=np.full(40, 2.0))) == ()
 
 
 def test_sparse_rewards():

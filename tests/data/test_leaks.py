@@ -1,5 +1,7 @@
 """Planted leaks are told by name, and tables without any are not accused."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,18 @@ def shifted(values, by):
     return out
 
 
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda reward: 3 * reward + 3e3, "0.3333 times it - 1000 in"), (lambda reward: -reward, "-1 times it in"),
+    (lambda reward: reward.copy(), "equal to it in"), (lambda reward: 1e-3 * reward - 5, "1000 times it + 5000 in"),
+])  # fmt: skip
+def test_offsets_of_float32_do_not_hide_a_reward(change, words):
+    frame = table(bill=lambda frame: change(frame["reward"]))
+    told = [line for line in leaks(read(frame)) if "by another name" in line]
+    assert [words in line for line in told] == [True], told
+    frame["bill"] = frame["bill"] + 0.01 * np.std(frame["bill"]) * np.random.default_rng(1).normal(size=len(frame["bill"]))
+    assert leaks(read(frame)) == ()  # what tells it nearly, as states do, is not accused
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_an_honest_table_is_not_accused(seed):
     assert leaks(read(table(seed))) == ()
@@ -55,6 +69,57 @@ def test_a_planted_column_is_told_by_name(name, make, words):
     found = leaks(read(table(**{name: make})))
     assert len(found) == 1, found
     assert words in found[0]
+
+
+def test_a_next_value_that_is_empty_in_last_rows_is_told_wherever_episodes_begin():
+    frame = table()
+    walk = np.random.default_rng(5).normal(size=(EPISODES, STEPS))
+    walk[:, 0] = 0.0
+    place = walk.cumsum(1)
+    ahead = np.concatenate([place[:, 1:], np.full((EPISODES, 1), np.nan)], 1)
+    assert (
+        "column next_info equals the next row's place"
+        in leaks(read(frame | {"place": place.ravel(), "next_info": ahead.ravel()}))[0]
+    )
+
+
+def emptied(values, share, seed=9):
+    """The values with some of them missing."""
+    gone = np.random.default_rng(seed).random(len(values)) < share
+    return np.where(gone, np.nan, values)
+
+
+@pytest.mark.parametrize("share", [0.005, 0.1])
+def test_empty_cells_hide_no_leak(share):
+    bill = {"bill": lambda f: emptied(1.19 * f["reward"], share)}
+    label = {"label": lambda f: [v if k else None for v, k in zip(f["act"].astype(str), emptied(f["act"], share) >= 0)]}
+    assert "bill may be the reward by another name: 0.8403 times it" in leaks(read(table(**bill)))[0]
+    assert "where it is known" in leaks(read(table(**bill)))[0]
+    assert "label may come after the action: it tells act" in leaks(read(table(**label), kinds={"label": "category"}))[0]
+
+
+@pytest.mark.parametrize("round_reward", [False, True])
+def test_rounding_hides_no_leak(round_reward):
+    frame = table()
+    if round_reward:
+        frame["reward"] = np.round(frame["reward"], 2)
+    frame["gross"] = np.round(1.1 * frame["reward"], 2)
+    (found,) = leaks(read(frame))
+    assert re.match(r"column gross may be the reward by another name: 0\.9\d+ times it . [\d.e-]+, rounded in all 1,200", found)
+    noisy = table(gross=lambda f: np.round(1.1 * f["reward"] + 0.05 * np.random.default_rng(3).normal(size=len(f["act"])), 2))
+    assert leaks(read(noisy)) == ()
+    coarse = table(points=lambda f: np.round(f["reward"]))  # so coarse that it may be told by chance
+    assert leaks(read(coarse)) == ()
+
+
+def test_a_next_value_is_told_where_all_episodes_begin_alike():
+    """A balance that begins at 100 everywhere; a column of earlier values that begins at 0 is not accused."""
+    frame = table()
+    walk = np.random.default_rng(5).normal(size=(EPISODES, STEPS))
+    walk[:, 0] = 100.0
+    account = walk.cumsum(1)
+    frame |= {"account": account.ravel(), "after": np.append(account.ravel()[1:], 0.0)}
+    assert "column after equals the next row's account" in leaks(read(frame))[0]
 
 
 def test_a_column_of_earlier_values_is_no_leak():

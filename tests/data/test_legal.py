@@ -94,6 +94,13 @@ def test_masks_survive_their_file(name, tmp_path):
         ({"next_legal": LEGAL}, "next_legal needs next_observations beside it"),
         ({"next_observations": AFTER[::-1]}, "next observation of row 0 is not the following row's.*give next_legal"),
         ({"observations": np.zeros((6, 4, 4, 3), np.uint8)}, "legal needs flat observations"),
+        ({"next_observations": AFTER[:4]}, r"next_observations have shape \(4, 1\), observations \(6, 1\)"),
+        ({"next_observations": AFTER, "timeouts": [1, 0]}, "column timeouts has 2 values, 6 are needed"),
+        ({"next_observations": AFTER, "terminals": [1, 0]}, "column terminals has 2 values, 6 are needed"),
+        ({"next_observations": AFTER, "final_known": [1]}, "column final_known has 1 values, 2 are needed"),
+        ({"final_observations": AFTER[[2, 5]], "final_known": [1]}, "column final_known has 1 values, 2 are needed"),
+        ({"legal": [[1, 0], [1]] * 3}, "legal must be truth values .* its rows differ in length"),
+        ({"observations": np.full((6, 1), "a")}, "column observations holds <U1, numbers are needed"),
         ({"legal": None, "action_space": Discrete(3, masked=True)}, r"shape \(6, 1\) cannot end in the mask of 3 actions"),
     ],
 )
@@ -133,6 +140,25 @@ def test_tables_say_it_in_many_ways(way):
     assert again.fingerprint == log.fingerprint
     told = any("which actions are legal (--legal)" in line for line in log.warnings)
     assert told == (way in ("a text with bars", "JSON", "lists", "flags"))
+
+
+@pytest.mark.parametrize(("names", "cell"), [
+    (["f(x)", "b"], "f(x)|b"), (["O'Neil", "b"], "O'Neil, b"), (["a, x", "b"], '["a, x", "b"]'),
+    (["New York", "b"], "(New York;b)"), (["a", "b"], "['a' 'b']"), (["New York", "b"], '{"New York",b}'),
+])  # fmt: skip
+def test_brackets_and_quotes_of_a_list_are_no_part_of_names_and_others_are(names, cell):
+    taken = names * 3
+    table = {"x": np.arange(6.0), "a": taken, "r": np.arange(6.0), "open": [cell] * 6}
+    log = Dataset.from_frame(table, action="a", reward="r", legal="open")
+    assert log.provenance.extra["action_levels"] == sorted(names)
+    np.testing.assert_array_equal(log.observations[:, 1:], np.ones((6, 2)))
+
+
+@pytest.mark.parametrize("cells", [[["a", "b"]] * 3 + [["b", None]], ['["a", "b"]'] * 3 + ['["b", null]']])
+def test_an_empty_entry_of_a_list_is_no_action(cells):
+    table = {"x": np.arange(4.0), "a": ["a", "b"] * 2, "r": np.arange(4.0), "legal": cells}
+    with pytest.raises(UserError, match="column legal lists an empty action in row 3"):
+        Dataset.from_frame(table, action="a", reward="r", legal="legal")
 
 
 def test_actions_that_are_only_legal_are_actions_too():

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet
 import pytest
 
 from deadreckon.data.dataset import Dataset
@@ -217,6 +218,34 @@ CASES = {
         {"terminated": [1, None] * 60}, {}, ["x"], None, "column terminated is named like a flag of true ends of epi",
     ),
     "rows that are episodes": ({}, {}, ["x"], None, "each row is read as an episode of one step"),
+    "starts of episodes": (
+        {"is_first": STEP == 0}, {}, ["x"], None, "column is_first marks starts of episodes and is left out: --episode",
+    ),
+    "numbers of customers": (
+        {"customer_no": EPISODE + 7}, {}, ["x", "customer_no"], None, "column customer_no looks like a name of someone",
+    ),
+    "an empty text as a level": (
+        {"zone": ["a", "", "b"] * (N // 3)}, {}, ["x", "zone=", "zone=a", "zone=b"], None,
+        "column zone has the empty text '' as a level",
+    ),
+    "an empty text as an action": (
+        {"action": ["go", " "] * (N // 2)}, {}, ["x"], Discrete(2), "column action has the empty text ' ' as a level",
+    ),
+    "a placeholder": (
+        {"y": np.where(STEP == 3, -999.0, X)}, {}, ["x", "y"], None, "column y has -999 in 10 rows, far from its other values",
+    ),
+    "a placeholder of counts": (
+        {"y": [9999, None, 9999, *range(N - 3)]}, {}, None, None, "column y has 9999 in 2 rows, far from .*, 0 .. 116",
+    ),
+    "dates as integers": (
+        {"date": 20_240_101 + STEP}, {}, ["x", "date"], None,
+        "column date holds whole numbers beyond 16,777,216, of which 5 become equal to others in float32",
+    ),
+    "large integers that float32 tells apart": ({"y": 2**25 + STEP * 1024}, {}, ["x", "y"], None, None),
+    "a placeholder that is a number": (
+        {"y": np.where(STEP == 3, -999.0, X)}, {"kinds": {"y": "number"}}, ["x", "y"], None, None,
+    ),
+    "values that are no placeholders": ({"y": np.arange(N) % 60 * 20 - 999}, {}, ["x", "y"], None, None),
     "missing cells": (
         {"y": [None, None, *range(N - 2)], "z": [None, *range(N - 1)]}, {}, ["x", "y", "y_missing", "z", "z_missing"], None,
         "3 missing values in 2 of 120 rows .* y 2, z 1",
@@ -265,6 +294,148 @@ def test_dates_as_texts_order_rows_from_pandas_too():
     assert log.observations[:, 0].tolist() == [1, 2, 3]
 
 
+DAYS = [dt.date(2024, 1, 28) + dt.timedelta(days=int(i)) for i in range(N)]
+ASK = {"%d.%m.%Y": "month-first", "%d/%m/%Y": "month-first", "%m/%d/%Y": "day-first", "%d.%m.%Y %H:%M": "month-first"}
+
+
+@pytest.mark.parametrize("made", [pd.DataFrame, pa.table, dict, lambda t: pd.DataFrame(t).astype({"day": "category"})])
+@pytest.mark.parametrize("form", ASK)
+def test_texts_of_dates_in_frames_are_read_as_in_text_files(form, made):
+    order = RNG.permutation(N)
+    texts = [DAYS[i].strftime(form) for i in order]
+    table = made({"day": texts, "x": np.arange(N)[order] * 1.0, "action": order % 3, "reward": R[order]})
+    log = Dataset.from_frame(table, time="day")
+    np.testing.assert_array_equal(log.observations[:, 0], np.arange(N))
+    assert told(log, rf"dates such as '{re.escape(texts[0])}' are read as .* \(--dates {ASK[form]}\): column day")
+    left = Dataset.from_frame(table)
+    assert named(left) == ["x"]
+    assert told(left, r"timestamps are left out of the observations: day \(--time day\)")
+    again = Dataset.from_frame(table, schema=log.provenance.extra["schema"])
+    assert again.fingerprint == log.fingerprint
+
+
+def test_episodes_of_dates_in_frames_are_in_the_order_of_their_dates():
+    days = [DAYS[i].strftime("%d.%m.%Y") for i in EPISODE]
+    table = pd.DataFrame({"day": days, "t": STEP, "x": np.arange(N), "action": np.arange(N) % 3, "reward": R})
+    log = Dataset.from_frame(table, episode="day", time="t")
+    np.testing.assert_array_equal(log.observations[:, 0], np.arange(N))
+    short = table.assign(day=[day[:6] + day[8:] for day in days])  # years of two digits
+    log = Dataset.from_frame(short, episode="day", time="t")
+    assert told(log, "column day holds texts that look like numbers or dates, such as '28.01.24': .* alphabetical order")
+    with pytest.raises(UserError, match="column day orders rows, and holds neither numbers nor dates .*; row 0 has '28.01.24'"):
+        Dataset.from_frame(short, time="day")
+
+
+def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(tmp_path):
+    days = [f"{1 + i % 12:02d}/{1 + i // 12:02d}/2024" for i in range(N)]
+    table = pa.table({"day": days, "x": np.arange(N) * 1.0, "action": np.arange(N) % 3, "reward": R})
+    path = tmp_path / "log.parquet"
+    pa.parquet.write_table(table, path)
+    by_month = np.lexsort((np.arange(N) // 12, np.arange(N) % 12))
+    for source in (lambda **more: Dataset.from_frame(table, **more), lambda **more: read(path, **more)):
+        open_one = source(time="day")
+        np.testing.assert_array_equal(open_one.observations[:, 0], by_month)
+        assert told(open_one, r"month/day/year, and no cell tells whether that is right \(--dates day-first\): column day")
+        np.testing.assert_array_equal(source(time="day", dates="day-first").observations[:, 0], np.arange(N))
+        with pytest.raises(UserError, match="column day orders rows, and holds neither numbers nor dates"):
+            source(time="day", dates="iso")
+
+
+@pytest.mark.parametrize("last", ["04998", " 04998", "4998"])
+def test_zeros_in_front_are_told_where_they_stand_behind_the_head(tmp_path, last):
+    rows = 3_000
+    cells = [f"{50_000 + i % 9},{i % 7},{i % 3},1" for i in range(rows)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["code,x,action,reward", *cells, f"{last},0,1,2"]))
+    assert told(read(path), "column code: '04998' is read as the number 4998 \\(row 3000\\)") == ("0" in last)
+    assert not told(read(path), "column x:")
+
+
+@pytest.mark.parametrize("last", [2**63 + 1, 2**63 - 1])
+def test_integers_beyond_all_integers_are_told_where_they_stand_behind_the_head(tmp_path, last):
+    cells = [f"{2**53 + 1 + i},{i % 7},{i % 3},1" for i in range(3_000)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["code,x,action,reward", *cells, f"{last},0,1,2"]))
+    log = read(path, episode="code")
+    assert told(log, f"column code: '{last}' is rounded, as no integer is so large; put a letter before") == (last >= 2**63)
+    assert (log.episodes == 3_001) == (last < 2**63)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[{"x": 1, "action": 0, "reward": 2}]', r"a list in JSON, which is not read; in Python, .*read_json\('rows'\)"),
+        ('{"x": 1, "action": 0, "reward": 2}\n', r"rows of a table; in Python, .*read_json\('rows', lines=True\)"),
+        ("x,action,reward\n12:30,0,2\n13:45,1,3\n", r"no column is left .* \(timestamps are left out .*: x \(--time x\)\)"),
+    ],
+)
+def test_files_that_hold_no_log_say_what_they_hold(tmp_path, text, words):
+    path = tmp_path / "rows"
+    path.write_text(text)
+    with pytest.raises(UserError, match=words):
+        read(path)
+
+
+def test_arrays_of_other_shapes_are_told_by_their_names():
+    end = STEP == 11
+    buffer = {"observations": WALK, "actions": WALK, "dones": end[:, None], "timeouts": end[:, None]}
+    with pytest.raises(UserError, match=r"column observations has shape \(120, 2\), rewards have \(120, 1\); both are"):
+        Dataset.from_dict({**buffer, "rewards": R[:, None]})
+    ragged = {"obs": [[1, 2], [3]], "act": [[1], [2]], "rew": [1.0, 2.0], "terminated": [0, 1], "truncated": [0, 0]}
+    with pytest.raises(UserError, match="column obs is no array of numbers in which every row has the same shape"):
+        Dataset.from_dict(ragged)
+    with pytest.raises(UserError, match=r"not a table of plain columns \(Could not convert 'a' .* column y with type object\)"):
+        Dataset.from_frame(pd.DataFrame(base(y=pd.Series([1, "a"] * (N // 2), dtype=object))))
+
+
+def test_dates_that_only_fall_within_episodes_are_told():
+    def of(days, **more):
+        return Dataset.from_frame(base(ep=EPISODE, day=pa.array(days, pa.date32())), **more)
+
+    falling = [dt.date(2024, 3, 1) + dt.timedelta(days=int(i)) for i in EPISODE * 30 - STEP]
+    assert told(of(falling), r"column day falls in 110 of 110 steps within episodes and never rises: .* \(--time day\)")
+    assert not told(of(falling, time="day"), "never rises")
+    assert not told(of(DAYS), "never rises")
+    for _ in range(50):
+        assert not told(of([DAYS[i] for i in RNG.permutation(N)]), "never rises")
+
+
+def by_schema(table, **columns):
+    given = {"x": {"role": "observation"}, "action": {"role": "action", "kind": "integer"}, "reward": {"role": "reward"}}
+    return Dataset.from_frame(table, schema={"columns": given | columns})
+
+
+@pytest.mark.parametrize(
+    ("column", "words"),
+    [
+        ({"action": {"role": "action", "kind": "integer", "levels": [0, 1, 1.0, 2]}}, "a level is listed twice: 0, 1, 1.0, 2"),
+        ({"action": {"role": "action", "kind": "flag", "levels": [True, "true"]}}, "a level is listed twice"),
+        ({"action": {"role": "action", "kind": "number", "levels": [2, 1, 0]}}, r"levels go with a discrete action \(kind int"),
+        ({"action": {"role": "action", "kind": "number", "low": -5}}, "a continuous action needs both of low and high"),
+        ({"x": {"role": "observation", "kind": "integer", "levels": [0, 1]}}, "levels go with kind category, not with kind"),
+    ],
+)
+def test_levels_and_bounds_that_would_be_read_otherwise_are_refused(column, words):
+    with pytest.raises(UserError, match=words):
+        by_schema(base(), **column)
+
+
+def test_bounds_of_some_actions_alone_are_refused():
+    bounded = {"role": "action", "kind": "number", "low": -5, "high": 5}
+    with pytest.raises(UserError, match="bounds of some actions, not of b; give low and high of all, or none"):
+        by_schema(base(b=R), action=bounded, b={"role": "action"})
+    assert by_schema(base(b=R), action=bounded, b=bounded).action_space == Box((-5.0, -5.0), (5.0, 5.0))
+
+
+def test_what_lies_outside_of_what_the_schema_says_is_told():
+    ranged = {"action": {"role": "action", "kind": "integer", "low": 0, "high": 1}, "reward": {"role": "reward", "low": R[1]}}
+    log = by_schema(base(reward=[R[1] - 2.5, *R[1:]]), x={"role": "observation", "kind": "integer"}, **ranged)
+    assert told(log, "column action is outside 0 .. 1 in 40 rows, first 2 in row 2")
+    assert told(log, rf"column reward is outside {R[1]:g} .. inf in .* rows, first {R[1] - 2.5:g} in row 0")
+    assert told(log, rf"column x is of kind integer and has {X[0]:g} in row 0, which is not rounded")
+    assert not told(by_schema(base(x=[None, *range(N - 1)]), x={"role": "observation", "kind": "integer"}), "which is not")
+
+
 def test_groups_are_kept_and_held_out_together():
     from deadreckon.runs.holdout import divided
 
@@ -285,13 +456,23 @@ def written(tmp_path, **columns):
     return path
 
 
+def test_a_reward_of_percentages_says_what_to_do():
+    table = {"x": np.arange(30.0), "action": np.arange(30) % 2, "reward": [f"{i}%" for i in range(30)]}
+    with pytest.raises(UserError, match="column reward holds string, numbers are needed; row 0 has '0%'; write all cells as"):
+        Dataset.from_frame(table, action="action", reward="reward")
+
+
 @pytest.mark.parametrize(
     ("cells", "odd"),
     [
         ([*map(str, range(N - 1)), "1,5"], "'1,5' in row 119, beside '0'"),
-        ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"), ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
-        ([f"{i}k" for i in range(N)], "'0k' in row 0;"), ([f"{i}.5 %" for i in range(N)], "'0.5 %' in row 0;"),
-        ([f"1,{i}00,5" for i in range(N)], None), ([f"10.{i}.0.1" for i in range(N)], None),
+        ([f"({i})" for i in range(N)], r"'\(0\)' in row 0;"),
+        ([f"{i}.5M" for i in range(N)], "'0.5M' in row 0;"),
+        ([f"{i}k" for i in range(N)], "'0k' in row 0;"),
+        ([f"{i}.5 %" for i in range(N)], r"'0.5 %' in row 0; write its cells as plain numbers without %, .* \(--ignore y\)"),
+        ([f"€{i}" for i in range(N)], "'€0' in row 0; write its cells as plain numbers without €,"),
+        ([f"1,{i}00,5" for i in range(N)], None),
+        ([f"10.{i}.0.1" for i in range(N)], None),
     ],
 )
 def test_texts_that_look_like_numbers_are_no_levels(tmp_path, cells, odd):
@@ -333,6 +514,47 @@ def test_what_replaces_missing_values_is_told_as_it_is():
     log = Dataset.from_frame(base(x=[None, *X[1:]]), schema=schema)
     assert log.observations[0].tolist() == [0, 1]
     assert told(log, r"1 missing values in 1 of 120 rows are replaced by the column's fill \(the mean by default\)")
+
+
+def test_rows_of_an_episode_that_are_not_together_are_told():
+    """With the column that counts their steps, where there is one; rows that are together are taken as they stand."""
+    step, episode = np.arange(N) % 12, np.arange(N) // 12
+    shuffled = RNG.permutation(N)
+    for order, words in ((shuffled, "column minute counts their steps in another order: --time minute"),
+                         (np.argsort(step, kind="stable"), "they are taken in the table's order")):  # fmt: skip
+        log = Dataset.from_frame(base(minute=step[order], machine=episode[order]), episode="machine")
+        assert told(log, f"rows of an episode are not together \\(10 episodes in \\d+ pieces\\).*{words}")
+        assert not told(
+            Dataset.from_frame(base(minute=step[order], machine=episode[order]), episode="machine", time="minute"), "together"
+        )
+    assert not told(Dataset.from_frame(base(minute=step, machine=episode), episode="machine"), "together")
+
+
+def test_times_of_day_that_pass_midnight_are_told(tmp_path):
+    path, words = tmp_path / "log.csv", "10 of 10 episodes are put in another order than the table's by clock"
+    table = pd.DataFrame(base(clock=[f"{(22 + i % 6) % 24:02}:00" for i in range(N)], night=np.arange(N) // 12))
+    table[table.index % 12 < 6].to_csv(path, index=False)
+    assert told(read(path, episode="night", time="clock"), words)
+    table["clock"] = [f"{i % 6:02}:00" for i in range(N)]
+    table[table.index % 12 < 6].to_csv(path, index=False)
+    assert not told(read(path, episode="night", time="clock"), "another order")
+
+
+def test_columns_that_count_rows_are_told():
+    log = Dataset.from_frame(base(order=70_001 + RNG.permutation(N)))
+    assert told(log, "column order has whole numbers without gaps, each once")
+    assert not told(Dataset.from_frame(base(order=RNG.permutation(N) * 2)), "column order has")
+
+
+def test_subtotals_among_levels_are_told():
+    log = Dataset.from_frame(base(action=["a Total" if i % 30 == 0 else "ab"[i % 2] for i in range(N)]))
+    assert told(log, "column action has 'a Total' beside 'a', as subtotals are called")
+    assert not told(Dataset.from_frame(base(action=["Total" if i % 2 else "a" for i in range(N)])), "subtotals")
+
+
+def test_placeholders_among_rewards_are_told():
+    log = Dataset.from_frame(base(reward=[-999.0 if i % 20 == 0 else i / N for i in range(N)]))
+    assert told(log, "column reward has -999 in 6 rows")
 
 
 @pytest.mark.parametrize("word", ["Total", "total:", "AVERAGE", "Summe", "Gesamtsumme", "Mittelwert", "Grand Total"])

@@ -39,6 +39,9 @@ def test_a_table_is_written_as_it_is(wheel, capsys):
     with pytest.raises(UserError, match=f"{NAME}.csv exists already; --force replaces it"):
         get_sample(NAME)
     assert get_sample(NAME, "other.csv").read_bytes() == TABLE
+    for folder in (".", str(wheel)):
+        with pytest.raises(UserError, match=rf"is a folder; name the file to write, such as .*{NAME}.csv"):
+            get_sample(NAME, folder, force=True)
 
 
 def test_what_is_not_the_archive_leaves_nothing(wheel, monkeypatch):

@@ -65,6 +65,14 @@ def test_changed_by_hand(table, tmp_path):
     assert log.provenance.extra["schema"]["columns"]["valve"]["unit"] == "share"
 
 
+def test_a_zero_is_kept():
+    """A range that begins at 0 and a fill of 0 are something else than nothing."""
+    column = Column("x", "action", "number", low=0.0, high=1.0, fill=0)
+    schema = Schema((column,))
+    assert Schema.from_json(schema.to_json()) == schema
+    assert "low = 0.0\nhigh = 1.0\nfill = 0" in schema.to_toml()
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

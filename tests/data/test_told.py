@@ -87,5 +87,5 @@ def test_warnings_name_columns():
 
 def test_unused_actions_are_named():
     told = "\n".join(warnings_for(make_log(discrete=True)))
-    assert "1 of the actions never occur in the log (3)" in told
+    assert "1 of 4 actions never occurs in the log (3)" in told
     assert isinstance(make_log().action_space, Box)

@@ -80,7 +80,7 @@ def test_who_may_cost_too_much_is_not_deployed(limit, deployed):
     choice = decided(limit, [ImportanceSampling()]).choice
     assert choice.deploy == deployed
     assert choice.objections[0] == ()
-    told = f", which is not surely within {limit:g}" if isinstance(limit, float) else ""
+    told = f", which may be above its limit of {limit:g}" if isinstance(limit, float) else ""
     assert [told in line for line in choice.objections[1]] == ([True] if told else [])
 
 
@@ -171,3 +171,9 @@ def test_limits_need_costs_and_a_name_where_there_are_several():
     assert limits_of(["energy=0.3"], several) == {"cost": None, "energy": 0.3}
     with pytest.raises(UserError, match="the log has several costs; say which, such as cost=3"):
         limits_of("3", several)
+    assert limits_of("energy=0.3", several) == {"cost": None, "energy": 0.3}  # one text is one limit, not a sequence of letters
+    assert limits_of(np.int64(3), case().given) == limits_of(np.float32(3), case().given) == {"cost": 3.0}
+    with pytest.raises(UserError, match="--cost-limit energy: a cost needs its limit beside it, such as energy=25"):
+        limits_of(["energy"], several)
+    with pytest.raises(UserError, match="energy has the limit 1 already; give one"):
+        limits_of(["energy=1", "energy=2"], several)

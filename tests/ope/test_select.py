@@ -283,6 +283,7 @@ def little(rows):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     """One line for a user's own estimator; what has been computed is not computed again."""
     data = little(200)

@@ -14,7 +14,7 @@ import scipy.stats
 from scipy import integrate
 
 from deadreckon.data.normalizer import EDGE, Normalizer
-from deadreckon.data.spec import Box, Spec
+from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.vae import VAE
@@ -336,3 +336,15 @@ def test_a_kind_of_policy_of_ones_own_is_saved_and_read_and_takes_no_name_that_t
     with pytest.raises(TypeError, match="deadreckon.policies.kinds has a kind of policy called Gaussian already"):
         type("Gaussian", (NormalizedPolicy,), {})
     assert KINDS["Gaussian"].__module__ == "deadreckon.policies.kinds"
+
+
+def test_rows_without_the_legal_actions_or_without_any_are_refused(tmp_path):
+    spec = Spec.empty((5,), Discrete(3, masked=True), "any")
+    policy = EnvPolicy(Categorical.create(spec, (4,), KEY), None, None, None, None)
+    store.save(tmp_path / "p.npz", policy)
+    for play, error in ((policy, UserError), (portable.load(tmp_path / "p.npz"), ValueError)):
+        assert play(np.zeros(2), legal=[False, True, False]) == 1
+        with pytest.raises(error, match=r"an observation has 2 numbers, 5 are needed, 2 and which of the 3 actions are legal"):
+            play(np.zeros(2))
+        with pytest.raises(error, match="no action is legal in row 1; at least one must be"):
+            play(np.zeros((2, 2)), legal=[[True, True, False], [False, False, False]])

@@ -10,6 +10,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.info import describe, warnings_for
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
+from deadreckon.report import bars
 from deadreckon.report.log import write_log
 
 CHECK = """<script>
@@ -68,6 +69,22 @@ def test_the_page_in_a_browser(tmp_path, browse):
     assert found["charts"] >= 9
     assert found["phone"][0] <= found["phone"][1]
     assert not console
+
+
+@pytest.mark.parametrize("values", [
+    np.linspace(-1.0, 1.0, 40) * 1.6e308, 1.7e18 + 256.0 * np.arange(15), 1.0 + np.spacing(1.0) * np.arange(20),
+    np.full(3, np.nan), np.array([np.inf, 1.0]), np.zeros(0), np.array([5e-324, 0.0]),
+])  # fmt: skip
+def test_any_numbers_have_a_histogram(values):
+    drawn = str(bars.histogram(values, "values"))
+    counts = [int(count) for count in re.findall(r": (\d+) rows</title>", drawn)]
+    assert sum(counts) == np.isfinite(values).sum()
+    assert "nan" not in drawn
+
+
+def test_bars_of_different_numbers_have_different_names():
+    drawn = str(bars.histogram(1_000_000 + np.arange(3) / 8, "values"))
+    assert re.findall(r"<title>([^<]*): 1 rows</title>", drawn) == ["1000000", "1000000.125", "1000000.25"]
 
 
 @pytest.mark.parametrize("kind", ["continuous", "bandit", "images", "one dimension", "long"])

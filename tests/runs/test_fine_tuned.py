@@ -11,6 +11,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon import tasks
+from deadreckon.agents import agent_class
 from deadreckon.cli.main import main
 from deadreckon.cli.train import summary
 from deadreckon.data.batch import BatchSpec
@@ -19,11 +20,15 @@ from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.files import read_json
 from deadreckon.online.exploration import Online
+from deadreckon.report.entries import read
+from deadreckon.report.provenance import command, section
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.training.checkpoint import load_arrays
 from deadreckon.training.fit import Failure
+from tests.agents.corridor_task import CORRIDOR
 from tests.agents.little import Little
+from tests.agents.worlds import corridor
 from tests.runs.test_online import Stop, assert_same
 
 HOPPER = replace(tasks.task("hopper"), horizon=20)
@@ -141,6 +146,20 @@ def test_the_last_lines_count_the_steps_of_simulation(run):
     assert "from return" in told
 
 
+def test_the_report_tells_what_it_began_with_and_how_it_is_made_again(offline, run):
+    page = read([run.path])
+    [entry] = page.entries
+    assert entry.label.endswith(" fine-tuned")
+    words = command(entry).split()
+    assert words[:5] == ["deadreckon", "train", "--online", "--task", "hopper"]
+    assert words[words.index("--from") + 1] == str(offline.path)
+    assert words[words.index("--data") + 1] == "hops"
+    told = str(section(page))
+    for fact in ("goes on from", "after 20 updates on the log", "90 rows, 50% of each batch; 3 episodes are held out"):
+        assert fact in told
+    assert f"{STEPS} steps a seed to learn" in told
+
+
 @pytest.mark.parametrize("step", [8, 16, 48])
 def test_killed_and_resumed_is_the_same_as_unbroken(offline, run, step, tmp_path):
     def stop(progress, steps):
@@ -227,62 +246,46 @@ def test_a_log_may_stand_in_the_replay_of_an_agent_that_has_learned_nothing(tmp_
 
 
 def test_from_the_command_line(tmp_path, home, capsys):
-    path = tmp_path / "hops.hdf5"
-    write_hdf5(log_of(), path)
-    small = ["--agent.hidden", "4", "--agent.batch-size", "8", "--episodes", "1"]
-    words = ["train", "--agent", "td3_bc", "--data", str(path), "--task", "hopper", "--steps", "4", *small]
-    main([*words, "--out", str(tmp_path / "a")])
-    turns = ["--copies", "4", "--block", "8", "--updates-per-step", "0.5", "--evaluate-every", "8", "--threads", "1"]
-    words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "16", "--episodes", "1", *turns]
+    path, agent = tmp_path / "hops.hdf5", "tests.runs.test_fine_tuned:Returned"
+    write_hdf5(LOG, path)
+    words = ["train", "--agent", agent, "--data", str(path), "--task", "hopper", "--steps", "4", "--episodes", "1"]
+    assert main([*words, "--agent.hidden", "5", "--out", str(tmp_path / "a")]) == 0
+    turns = ["--copies", "4", "--block", "16", "--updates-per-step", "0.5", "--evaluate-every", "16", "--threads", "1"]
+    words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "32", "--episodes", "1", *turns]
     capsys.readouterr()
-    main([*words, "--agent.alpha", "1.5", "--out", str(tmp_path / "b")])
-    assert "16 steps a seed to learn" in capsys.readouterr().out
+    assert main([*words, "--agent.lr", "0.002", "--out", str(tmp_path / "b")]) == 0
+    assert "32 steps a seed to learn" in capsys.readouterr().out
     config = read_json(tmp_path / "b" / "run.json")
     fields = config["agent"]["fields"]
-    assert (config["agent"]["name"], fields["alpha"], fields["hidden"], config["online"]["explore"]) == ("td3_bc", 1.5, [4], 0)
+    assert (config["agent"]["name"], fields["lr"], fields["hidden"], config["online"]["explore"]) == (agent, 0.002, [5], 0)
     assert main([*words, "--agent", "sac", "--out", str(tmp_path / "c")]) == 2
-    assert "is a run of td3_bc, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
+    assert f"is a run of {agent}, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
     assert main(["train", "--from", str(tmp_path / "a"), "--data", str(path)]) == 2
     assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
 
 
-def wobbling(rows=4000, copies=4, seed=0):
-    """What a weak controller with much noise does on the inverted pendulum: it falls after 12 steps on average."""
-    task = tasks.task("inverted-pendulum")
-    rng, simulator, parts = np.random.default_rng(seed), task.simulate(range(copies), threads=1), []
-    seen = simulator.reset()
-    for turn in range(rows // copies):
-        wanted = 0.3 * (seen @ np.array([0.5, 8.0, 0.5, 1.5]))[:, None] + 1.5 * rng.normal(size=(copies, 1))
-        action = np.clip(wanted, -3, 3).astype(np.float32)
-        following, reward, terminal, timeout = simulator.step(action)
-        cut = ~terminal & (timeout | (turn == rows // copies - 1))
-        parts.append((seen, action, reward, terminal, cut, following.copy()))
-        seen = following.copy()
-        if (over := np.flatnonzero(terminal | timeout)).size:
-            seen[over] = simulator.reset(over)
-    by_copy = [np.concatenate(np.swapaxes(np.stack(part), 0, 1)) for part in zip(*parts)]
-    observations, actions, rewards, terminals, timeouts, following = by_copy
-    return Dataset.from_arrays(
-        observations=observations, actions=actions, rewards=rewards, terminals=terminals, timeouts=timeouts,
-        final_observations=following[terminals | timeouts], action_space=task.action_space, name="wobbling",
-    )  # fmt: skip
+# A log of actions in [-0.5, 0]: nobody has seen what moves to the right brings, so what is left of the middle stays there or
+# leaves it further. Six seeds of these settings had these mean returns before they acted, and after 3,000 steps of their own
+# (the best there is: -0.27), each seed above its own beginning: Cal-QL -7.5 and -5.9, TD3+BC -1.6 and -0.45, IQL -5.3 and
+# -0.45, SAC -1.0 and -0.30.
+TUNED = {
+    "cal_ql": ({"critic_hidden": (16, 16), "samples": 4, "cql_weight": 0.5, "temperature": 0.01}, -7.0),
+    "td3_bc": ({}, -0.8), "iql": ({"beta": 10.0, "expectile": 0.9}, -0.8), "sac": ({"temperature": 0.01}, -0.6),
+}  # fmt: skip
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_what_a_weak_log_taught_gets_better_online(tmp_path):
-    """Seeds 0 to 2 began at 114 and were at 537 on average over the later evaluations; 1000 is the most there is."""
-    log, fast = wobbling(), {"actor_lr": 1e-3, "critic_lr": 1e-3, "temperature_lr": 1e-3}
-    agent = dr.agents.CalQL(
-        hidden=(64, 64), critic_hidden=(64, 64), batch_size=64, samples=4, cql_weight=0.1, max_target_backup=False, **fast
-    )
-    where = tasks.task("inverted-pendulum")
-    run = dr.train(agent, log, steps=2000, seeds=3, episodes=5, evaluate_every=2000, task=where, out=tmp_path / "offline")
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", TUNED)
+def test_what_a_narrow_log_taught_gets_better_online(name, tmp_path):
+    fields, least = TUNED[name]
+    fast = {"hidden": (16, 16), "batch_size": 64, "actor_lr": 1e-3, "critic_lr": 1e-3, "discount": 0.9}
+    log, agent = corridor(actions="half"), agent_class(name)(**fast | fields)
+    run = dr.train(agent, log, steps=1500, seeds=3, episodes=20, evaluate_every=1500, task=CORRIDOR, out=tmp_path / "offline")
     online = dr.train_online(
-        start=run, data=log, steps=8000, settings=Online(copies=4, explore=0, block=20), episodes=5, evaluate_every=2000,
-        threads=1, out=tmp_path / "online",
+        task=CORRIDOR, start=run, data=log, steps=3000, settings=Online(copies=4, explore=0, block=20), episodes=20,
+        evaluate_every=1000, out=tmp_path / "online",
     )  # fmt: skip
-    returns = online.evaluations["return"].to_numpy().reshape(5, 3, 5).mean((1, 2))
-    assert log.returns().mean() < 15
-    assert 50 < returns[0] < 200  # better than the log already
-    assert returns[1:].mean() > 1.5 * returns[0]
+    returns = online.evaluations["return"].to_numpy().reshape(4, 3, 20).mean(2)
+    assert (returns[-1] > returns[0]).all()  # of every seed
+    assert returns[-1].mean() > least

@@ -64,10 +64,14 @@ def run(log, tmp_path_factory):
     return train(AGENT, log, out=tmp_path_factory.mktemp("runs") / "h2", history=2, **OPTIONS)
 
 
-def test_two_steps_teach_what_one_does_not(log, run, tmp_path):
+def test_two_steps_teach_what_one_does_not(run):
     assert run.config["history"] == 2
     assert history_of(run.policy) == 2
     assert worth(run.policy) == pytest.approx(BEST)
+
+
+@pytest.mark.slow  # a bound that holds for every policy of one step
+def test_one_step_teaches_no_more_than_a_memoryless_policy_is_worth(log, tmp_path):
     alone = train(AGENT, log, out=tmp_path / "h1", **OPTIONS)
     assert "history" not in alone.config
     assert worth(alone.policy) <= MEMORYLESS + 1e-6

@@ -175,6 +175,7 @@ def test_runs_that_share_a_program_hold_the_same_out(log, tmp_path):
         np.testing.assert_array_equal(store.taught(run.path / "policies" / "seed0.npz"), run.taught)
 
 
+@pytest.mark.slow
 def test_the_command_holds_out_whole_users_and_does_not_observe_them(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)

@@ -292,6 +292,7 @@ def test_what_does_not_fit_is_told_before_anything_is_written(agent, change, wor
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_a_run_is_opened_again_to_look_into(run, tmp_path):
     lanes = [Little(lr=lr) for lr in (1e-3, 1e-2)]
     trained = train(tmp_path / "run", lanes, seeds=2)

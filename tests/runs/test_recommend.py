@@ -16,16 +16,19 @@ import pytest
 import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.data.formats.folder import write_folder
+from deadreckon.data.info import warnings_for
+from deadreckon.data.leaks import leaks
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json
+from deadreckon.policies.deployed import history_of
 from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
 from deadreckon.runs import follow as module
 from deadreckon.runs.attempt import Attempt, Candidate, Job
+from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
-from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import RecommendSettings
 
 
@@ -135,6 +138,17 @@ def test_what_was_found_is_told(doing, tmp_path):
     assert "iql: was learning, 30 of 90 updates" in page
     with pytest.raises(UserError, match="holds no estimates: not enough time"):
         dr.report.write([], tmp_path / "page.html", estimates=tmp_path / "out")
+
+
+def test_suspected_leaks_are_on_the_card_once(doing, tmp_path):
+    line = "column <bill> may be the reward by another name"
+    doing(STATES + f"send('state', {{'leaks': [{line!r}]}})\nsend('unfinished', 'all of them diverged (NaN or Inf)')")
+    lines = []
+    found = recommend(a_log(), 60.0, out=tmp_path / "out", tell=lines.append, page=recommended.write)
+    assert found.choice.warnings == (line,)
+    assert str(found).count(f"warning: {line}") == 1
+    assert not any(line in each for each in lines)
+    assert (tmp_path / "out" / "report.html").read_text().count("column &lt;bill&gt; may be the reward") == 1
 
 
 @pytest.mark.parametrize(("end", "reason"), [
@@ -282,12 +296,17 @@ def test_policies_learn_from_one_part_and_are_judged_by_the_other(small, tmp_pat
 
     def pilot(self, candidate, hidden, part):
         seen.append(part.episode_ids)
+        assert part.spec.observation_size == 3 * 2 + 2 * 1
         return real(self, candidate, hidden, part)
 
     monkeypatch.setattr(Attempt, "_pilot", pilot)
-    sent, out = attempt(tmp_path, log)
+    sent, out = attempt(tmp_path, log, history=3)
     assert of(sent, "done") == [True]
+    assert [state for state in of(sent, "state") if "leaks" in state] == [{"leaks": []}]
+    assert [line for line in of(sent, "line") if line.startswith("! ")] == [f"! {line}" for line in warnings_for(log)]
     runs = [dr.load_run(out / name) for name in ("bc", "bold")]
+    for run in runs:  # on the last three steps, and judged so
+        assert run.config["history"] == history_of(run.policy) == 3
     assert runs[1].config["agent"]["fields"]["lr"] == 1e-3
     held = runs[0].held
     assert len(held) == 12
@@ -299,10 +318,31 @@ def test_policies_learn_from_one_part_and_are_judged_by_the_other(small, tmp_pat
     assert told["judged"]["fresh"]
     assert not told["estimand"]["greedy"]
     assert told["truth"] is None
+    assert np.isfinite(told["results"][0]["value"]).all()
     stages = [state["stage"] for state in of(sent, "state") if "stage" in state]
     assert stages == ["reading the log", "pilots", "learning", "judging"]
     assert of(sent, "line")[-1].startswith("about ")
     assert [each["state"] for each in [s for s in of(sent, "state") if "candidates" in s][-1]["candidates"]] == ["learned"] * 2
+
+
+def test_warnings_of_the_log_are_lines_and_suspected_leaks_are_for_the_card(tmp_path, monkeypatch):
+    """The log's second observation is its reward."""
+    log = a_log()
+    observations = np.stack([log.observations[:, 0], log.rewards], 1)
+    log = dr.Dataset.from_arrays(
+        observations=observations, actions=log.actions, rewards=100_000 * log.rewards, timeouts=log.timeouts, name="near"
+    )
+    sent = []
+    Attempt(job_of("-", tmp_path), lambda what, value: sent.append((what, value)))._warn(log)
+    assert of(sent, "state") == [{"leaks": leaks(log)}]
+    assert leaks(log)[0].startswith("column observation 1 may be the reward by another name: 1e+05 times it")
+    assert of(sent, "line") == [f"! {line}" for line in warnings_for(log)]
+    assert any("rewards reach" in line for line in of(sent, "line"))
+    sent.clear()
+    monkeypatch.setattr(work, "DESCRIBED", 599)
+    Attempt(job_of("-", tmp_path), lambda what, value: sent.append((what, value)))._warn(log)
+    more = "the log is long; `deadreckon data info` checks its rewards, observations and episodes too"
+    assert of(sent, "line") == [f"! {line}" for line in (*log.warnings, more)]
 
 
 def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch):
@@ -326,7 +366,9 @@ def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, m
     monkeypatch.setattr(work, "FEWEST", 200)
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 20)
     sent, out = attempt(tmp_path, a_log())
-    assert of(sent, "unfinished") == ["not enough time: it would do for 20 updates of each candidate, 200 are the fewest"]
+    (unfinished,) = of(sent, "unfinished")
+    words = "not enough time: it would do for 20 updates of each candidate, 200 are the fewest; reading, compiling"
+    assert unfinished.startswith(words)
     assert [each["need"] > 0 for each in of(sent, "state") if "need" in each] == [True]
     assert {"short": True} in of(sent, "state")
     assert not (out / "estimates.json").exists()

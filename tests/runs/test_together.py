@@ -6,7 +6,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.collect import generate
 from deadreckon.report.entries import read
-from deadreckon.runs.recorder import StopTraining
+from deadreckon.runs.callback import StopTraining
 from deadreckon.training.learner import lift
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}

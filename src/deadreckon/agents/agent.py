@@ -1,7 +1,7 @@
 """What every agent is, and the steps that several share. One algorithm is one file beside this one."""
 
 import dataclasses
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -14,8 +14,12 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, UNIFORM, Init, ensemble, q_values
 from deadreckon.policies.kinds import Categorical, TanhMeanGaussian, stochastic
 from deadreckon.policies.policy import NormalizedPolicy
+from deadreckon.provided import provided
 from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
+
+if TYPE_CHECKING:
+    from deadreckon.runs.run import Run
 
 
 class Agent(eqx.Module):
@@ -90,6 +94,21 @@ class Agent(eqx.Module):
         if len(spec.observation_shape) != 1 and not self.supports_images:
             raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
         return self
+
+    def fit(self, data: Any, *, out: Any = None, **settings: Any) -> "Run":
+        """Learns from a log: `deadreckon.train(self, data, ...)`, in a new folder every time.
+
+        The agent itself holds hyperparameters and stays as it is; what is learned is in the run that is given back.
+
+        Args:
+            data: a `Dataset`, the name of a known log, or a file.
+            out: run folder; None: the first of `runs/AGENT-LOG`, `runs/AGENT-LOG-2`, ... that is not there yet.
+            **settings: `steps`, `seeds`, `seed`, `task` and all others that `deadreckon.train` takes.
+
+        Raises:
+            UserError: input that does not fit, in one line; nothing is written then.
+        """
+        return provided("fit")(self, data, out=out, **settings)
 
     def going_on(self) -> Self:
         """The agent as it goes on in a simulator after a run on a log: without what was for that run alone."""

@@ -32,6 +32,7 @@ class AlgaeDICE(SAC):
     """Policy gradients from arbitrary experience by DICE."""
 
     revision: ClassVar[int] = 1
+    supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     fine_tunes: ClassVar[bool] = False
 

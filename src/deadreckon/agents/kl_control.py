@@ -23,6 +23,7 @@ class KLControl(SAC):
     """SAC that pays for its divergence from the log's policy."""
 
     revision: ClassVar[int] = 2
+    supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     fine_tunes: ClassVar[bool] = False
 

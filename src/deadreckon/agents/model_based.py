@@ -114,3 +114,4 @@ class ModelBasedSAC(OnlineModelBasedAgent, SAC):
     """Online SAC with an ensemble in its state."""
 
     revision: ClassVar[int] = 1
+    supports_discrete: ClassVar[bool] = False

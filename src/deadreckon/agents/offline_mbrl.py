@@ -34,6 +34,7 @@ class OfflineMBRL(ModelBasedAgent, SAC):
     """SAC on logged and made-up rows."""
 
     revision: ClassVar[int] = 2
+    supports_discrete: ClassVar[bool] = False
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollout_batch_size", "keep": "retain_rounds",
         "logged_rows": "real_batch_size",

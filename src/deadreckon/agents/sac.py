@@ -35,6 +35,7 @@ class SAC(Agent):
     """Soft actor-critic with several critics, a tanh-Gaussian actor and a target entropy."""
 
     revision: ClassVar[int] = 1
+    supports_discrete: ClassVar[bool] = True
     online: ClassVar[bool] = True
     fine_tunes: ClassVar[bool] = True
     actor_init: ClassVar[Init] = UNIFORM  # how its networks begin

@@ -21,6 +21,7 @@ class SACN(SAC):
     """SAC with an ensemble of critics."""
 
     revision: ClassVar[int] = 2
+    supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
     actor_init: ClassVar[Init] = ACTOR_INIT
     critic_init: ClassVar[Init] = CRITIC_INIT

@@ -35,6 +35,7 @@ THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BC
 
 
 _SCORE = Metric("score", "normalised score")
+_RETURN = Metric("raw", "return", joint=False)
 METRICS: dict[str, tuple[Metric, ...]] = {
     "learn": (_SCORE,), "online": (_SCORE,),
     "design": (
@@ -108,7 +109,17 @@ def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool =
         store: where results lie.
         any_revision: take results that other revisions of a method or the protocol made, too, where the present ones have none.
     """
-    return [_table(suite, metric, jobs, store, any_revision) for metric in suite.metrics or metrics_of(suite)]
+    return [_table(suite, metric, jobs, store, any_revision) for metric in suite.metrics or _metrics(suite)]
+
+
+def _metrics(suite: Suite) -> tuple[Metric, ...]:
+    """Of its kind; where tasks have no scale of scores, the raw returns as well, or alone."""
+    from deadreckon.tasks.registry import task
+
+    known = metrics_of(suite)
+    if suite.kind != "online" or all(scored := [task(on).reference is not None for on in suite.on]):
+        return known
+    return (*known, _RETURN) if any(scored) else (_RETURN,)
 
 
 def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_revision: bool) -> Table:

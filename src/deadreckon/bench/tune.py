@@ -10,7 +10,7 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Unpack, get_args
+from typing import Any, Unpack, get_args
 
 import numpy as np
 
@@ -20,21 +20,19 @@ from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Method, Suite
+from deadreckon.bench.tuned import By, Trial, Tuned, named, standing_of
 from deadreckon.data import catalogue
 from deadreckon.errors import BusyError, UserError, unknown
 from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.coverage import MODEL
-from deadreckon.ope.metrics import Metrics, compare
+from deadreckon.ope.metrics import compare
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings, RunSettings
-from deadreckon.stats.means import student
 from deadreckon.tasks.registry import of_log
 from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields
-
-By = Literal["ope", "simulator"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,70 +43,6 @@ class TrialSettings(JudgeSettings):
     greedy: bool = True  # whether to evaluate deterministic (greedy) instead of sampled actions
     model: BehaviorModel = MODEL  # how the behaviour policy is learned, to see what of the policies' actions the log covers
     counted: bool = False  # whether this counts as a look at these episodes; they choose settings, and no card rests on them
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One setting.
-
-    Attributes:
-        fields: what differs from the agent's defaults.
-        scores: (logs, seeds) normalised scores in the simulators; NaN where there is none, or none may be used.
-        values: (seeds,) what its policies are estimated at from the log; empty where that was not asked for.
-        failure: why a seed diverged, or "": then it is not chosen.
-    """
-
-    fields: dict[str, Any]
-    scores: np.ndarray
-    values: np.ndarray
-    failure: str = ""
-
-    def __str__(self) -> str:
-        return named(self.fields)
-
-
-@dataclass(frozen=True)
-class Tuned:
-    """What a search found.
-
-    Attributes:
-        agent: its name.
-        by: what chose.
-        trials: all settings.
-        best: the chosen one among them.
-        truth: by estimates, and where a simulator can tell: how well estimates ranked the settings; else None.
-        lost: points of score that the choice has less than the best setting, where that is known.
-    """
-
-    agent: str
-    by: By
-    trials: tuple[Trial, ...]
-    best: Trial
-    truth: Metrics | None
-    lost: float | None
-
-    def __str__(self) -> str:
-        width = max(len(str(trial)) for trial in self.trials)
-        lines = []
-        for trial in sorted(self.trials, key=self._standing, reverse=True):
-            words = [f"{'*' if trial is self.best else ' '} {trial!s:<{width}}"]
-            if len(trial.values):
-                words.append(f"estimated {_interval(trial.values)}")
-            if np.isfinite(trial.scores).all():
-                words.append(f"score {_interval(trial.scores.mean(0))}")
-            words += [f"FAILED, not chosen: {trial.failure}"] if trial.failure else []
-            lines.append("  ".join(words))
-        if self.lost is not None:
-            spread = np.ptp([trial.scores.mean() for trial in self.trials])
-            share = f", {100 * self.lost / spread:.0f} % of the range of all" if spread > 0 else ""
-            chance = np.mean([max(t.scores.mean() for t in self.trials) - trial.scores.mean() for trial in self.trials])
-            lines.append(f"the choice loses {self.lost:.1f} points of score{share}; a choice by chance would lose {chance:.1f}")
-        if self.truth is not None:
-            lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation.value:.2f}")
-        return "\n".join(lines)
-
-    def _standing(self, trial: Trial) -> float:
-        return _standing(trial, self.by)
 
 
 def candidates(
@@ -146,11 +80,6 @@ def candidates(
         raise UserError(f"at least one setting must be tried, got {most}")
     picked = np.sort(np.random.default_rng(seed).choice(len(others), most - len(kept), replace=False))
     return kept + [others[i] for i in picked]
-
-
-def named(fields: Mapping[str, Any]) -> str:
-    """Settings as a method's name."""
-    return ", ".join(f"{name} = {value}" for name, value in fields.items()) or "defaults"
 
 
 def suite(
@@ -214,9 +143,28 @@ def tune(
         BusyError: another command does some of it.
         UserError: a setting that failed, in the first one's words.
     """
+    judging = judging_of(options)
+    trials = tried(search, settings, by, store, executor, on_event, estimators, replace(judging, out=store.path / "estimates"))
+    return chosen(search, by, trials, store)
+
+
+def judging_of(options: Mapping[str, Any]) -> TrialSettings:
+    """How settings are estimated.
+
+    Raises:
+        UserError: a discount out of range.
+    """
     judging = TrialSettings.of(options)
     if not 0.0 <= judging.discount < 1.0:
         raise UserError(f"discount must be in [0, 1), got {judging.discount}")
+    return judging
+
+
+def tried(
+    search: Suite, settings: Sequence[Mapping[str, Any]], by: By, store: Store, executor: Executor, on_event: OnEvent,
+    estimators: Sequence[Any], judging: TrialSettings,
+) -> list[Trial]:  # fmt: skip
+    """Runs what is not done yet, and gives what is known of each setting; estimates go to the folder that `judging` names."""
     jobs = plan(search, executor.lanes)
     run(jobs, store, on_event, executor)
     failures = [(job, failure) for job in store.undone(jobs) if (failure := store.failure(job, job.seeds[0]))]
@@ -233,8 +181,17 @@ def tune(
         failure = next((row["failure"] for log in own for row in log if row["failure"]), "")
         scores = np.array([[row["score"] for row in log] for log in own], float)
         trials.append(Trial(dict(fields), scores, np.array(values.get(method.name, [])), failure))
+    return trials
+
+
+def chosen(search: Suite, by: By, trials: Sequence[Trial], store: Store) -> Tuned:
+    """The choice among settings that were tried, which is written to `tuned.json`.
+
+    Raises:
+        UserError: none can be chosen.
+    """
     means = np.array([trial.scores.mean() for trial in trials])
-    standing = np.array([_standing(trial, by) for trial in trials])
+    standing = np.array([standing_of(trial, by) for trial in trials])
     if not np.isfinite(standing).any():
         raise UserError(f"no setting can be chosen: {trials[0].failure or 'nothing finite was estimated'}")
     best = int(np.nanargmax(standing))
@@ -246,10 +203,6 @@ def tune(
     return found
 
 
-def _standing(trial: Trial, by: By) -> float:
-    return -np.inf if trial.failure else float(np.mean(trial.values if by == "ope" else trial.scores))
-
-
 def _estimated(
     jobs: Sequence[Job], store: Store, rows: Mapping[str, Mapping[str, Any]], estimators: Sequence[Any],
     judging: TrialSettings,
@@ -258,10 +211,10 @@ def _estimated(
     from deadreckon.bench.work import source
 
     folders = {store.path / "runs" / rows[cell]["job"]: job.method for job in jobs for cell in job.cells}
-    log, out = catalogue.load(source(jobs[0])), store.path / "estimates"
+    log = catalogue.load(source(jobs[0]))
     if jobs[0].options.get("divided"):
         log = trial_parts(log)[1]
-    judged = judge(list(folders), log, estimators, **vars(replace(judging, out=out)))
+    judged = judge(list(folders), log, estimators, **vars(judging))
     values: dict[str, list[float]] = {}
     owners = {folder.name: method for folder, method in folders.items()}
     for policy, value in zip(judged.results["policies"], judged.results["results"][0]["value"]):
@@ -277,10 +230,3 @@ def _json(found: Tuned, search: Suite) -> dict[str, Any]:
 
 def _finite(scores: np.ndarray) -> list[Any] | None:
     return scores.tolist() if np.isfinite(scores).all() else None
-
-
-def _interval(values: np.ndarray) -> str:
-    if len(values) < 2:
-        return f"{values.mean():.1f}"
-    low, high = student(values)
-    return f"{values.mean():.1f} [{low:.1f}, {high:.1f}]"

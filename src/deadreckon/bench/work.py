@@ -145,14 +145,14 @@ def _result(job: Job, run: Any) -> JobResult:
     """Rows and curves of a run: means over the episodes of its evaluations, and what else its last one and last chunk say."""
     table = {name: np.asarray(column) for name, column in run.evaluations.to_pydict().items()}
     metrics = {name: np.asarray(column) for name, column in run.metrics.to_pydict().items()}
-    judged = "score" in table
+    scored = "score" in table  # where no reference is known there are returns alone
     step, seed = table["step"], table["seed"]
     rows, curves = [], []
     for number, failure in zip(run.seeds, run.failures):
         own = seed == number
         for at in np.unique(step[own]):
             here = own & (step == at)
-            score, raw = (table[name][here] if judged else np.array([np.nan]) for name in ("score", "return"))
+            score, raw = (table[name][here] if name in table else np.array([np.nan]) for name in ("score", "return"))
             spread = float(score.std(ddof=1)) if len(score) > 1 else None
             point = {"step": int(at), "score": float(score.mean()), "raw": float(raw.mean())}
             curves.append({"cell": job.cell(number), "spread": spread} | point)
@@ -161,9 +161,10 @@ def _result(job: Job, run: Any) -> JobResult:
         more = _last(metrics, metrics["seed"] == number) | {
             name: float(column[final].mean()) for name, column in table.items() if name not in ("step", "seed", "episode")
         }
-        if job.kind == "online" and judged:  # of the policy that it began with, and the lowest since
-            more["start"], more["gain"] = first["score"], last["score"] - first["score"]
-            more["lowest"] = min(point["score"] for point in curves if point["cell"] == last["cell"])
+        if job.kind == "online":  # of the policy that it began with, and the lowest since; returns where there are no scores
+            told = "score" if scored else "raw"
+            more["start"], more["gain"] = first[told], last[told] - first[told]
+            more["lowest"] = min(point[told] for point in curves if point["cell"] == last["cell"])
         if {"estimated_value", "discounted_return"} <= set(more):
             more["overestimate"] = more["estimated_value"] - more["discounted_return"]
         steps = last["step"] if failure and job.kind == "learn" else job.options["steps"]
@@ -171,7 +172,7 @@ def _result(job: Job, run: Any) -> JobResult:
             {
                 "seed": number, "score": last["score"], "raw": last["raw"], "steps": steps,
                 "more": json.dumps({name: value for name, value in more.items() if math.isfinite(value)}),
-                "episodes": [float(score) for score in table["score"][final]] if judged else [],
+                "episodes": [float(score) for score in table["score"][final]] if scored else [],
                 "log": run.config["data"]["fingerprint"],
                 "failure": "" if failure is None else f"{failure.metric} was not finite at update {failure.step}",
                 "versions": json.dumps(run.config["versions"]),

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from deadreckon.cli.collect import Collect, collect
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar
 from deadreckon.cli.show import table
@@ -24,25 +25,14 @@ _COLUMNS = tyro.conf.arg(metavar="COLUMN [COLUMN ...]")
 
 
 @dataclass
-class Collect:
-    """Collect a known log again on this machine."""
-
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as maze2d-umaze-v1
-    steps: int | None = None  # number of rows; None: the full log
-    seed: int = 0  # random seed of the collection
-    out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
-    """file to write (.hdf5); None: the cache, where `deadreckon train --data NAME` finds it"""
-    threads: int | None = None  # threads of the simulator; None: one per core. The log does not depend on it
-    force: bool = False  # whether to replace an existing file
-
-
-@dataclass
 class Get:
     """Download a known log, the original or its Minari version, with resume and checksum."""
 
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]  # name of the log, such as hopper-medium-v2
-    source: Literal["d4rl", "minari"] = "d4rl"
-    """source of the log: the original (d4rl), or its version on Minari, collected by others"""
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    """name of the log, such as hopper-medium-v2, or the id of its Minari version"""
+    source: Literal["d4rl", "minari"] | None = None
+    """source of the log: the original (d4rl), or its version on Minari, collected by others (minari); None: minari for a Minari
+    id, d4rl for other names"""
     sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
     """checksum that the file must have; for minari that of main_data.hdf5"""
     force: bool = False  # whether to download the file again
@@ -58,7 +48,26 @@ class Sample:
 
 
 @dataclass
-class Mapping:
+class Reading:
+    """How the file of a table is read; what is not given is detected."""
+
+    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
+    """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
+    decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
+    """mark of decimals in a text file; None: detected"""
+    thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
+    """mark of thousands in a text file; None: detected"""
+    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
+    dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
+    """order of dates such as 03/04/2024; None: detected"""
+    sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
+    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # query (one SELECT) that gives the rows of a database
+    table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
+
+
+@dataclass
+class Mapping(Reading):
     """Which columns of a table (CSV, Parquet, a spreadsheet, a database) are what, and how its file is read.
 
     Names decide about columns that are not given.
@@ -89,19 +98,6 @@ class Mapping:
     weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are kept beside the log
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
     """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""
-    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
-    """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
-    decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
-    """mark of decimals in a text file; None: detected"""
-    thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
-    """mark of thousands in a text file; None: detected"""
-    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
-    dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
-    """order of dates such as 03/04/2024; None: detected"""
-    sheet: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # sheet of a spreadsheet, by name or number from 1
-    query: Annotated[str | None, tyro.conf.arg(metavar="SQL")] = None  # query (one SELECT) that gives the rows of a database
-    table: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None  # table of a database
 
 
 @dataclass
@@ -167,7 +163,7 @@ def data(args: Sequence[str]) -> None:
         raise unknown("data command", args[0], KINDS)
     options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
     run = {
-        "list": _list, "collect": _collect, "get": _get, "sample": _sample, "info": _info, "describe": _describe,
+        "list": _list, "collect": collect, "get": _get, "sample": _sample, "info": _info, "describe": _describe,
         "convert": _convert,
     }  # fmt: skip
     run[args[0]](options)
@@ -186,34 +182,12 @@ def _list(options: List) -> None:
     print("`deadreckon data get NAME --source d4rl|minari` downloads the original (NAME@d4rl) or Minari's (NAME@minari).")
 
 
-def _collect(options: Collect) -> None:
-    from deadreckon.collect import collect, recipe
-    from deadreckon.collect.recipes import default_path
-
-    if options.out is not None and Path(options.out).suffix.lower() not in (".hdf5", ".h5"):
-        made = Path(options.out).with_suffix(".hdf5") if Path(options.out).name else "LOG.hdf5"
-        how = f"`--out {made}`, then `deadreckon data convert {made} {options.out}`"
-        raise UserError(f"--out {options.out}: logs are collected into .hdf5 files; {how}")
-    found = recipe(options.name)
-    steps = options.steps if options.steps is not None else found.steps
-    path = default_path(found, options.steps, options.seed)
-    if options.out is None and path.exists() and not options.force:
-        print(f"! {path.name} is there already; --force collects it again", file=sys.stderr)
-        print(path)
-        return
-    with Bar(f"collecting {options.name}", steps, "steps") as bar:
-        path = collect(
-            options.name, steps=options.steps, seed=options.seed, out=options.out, threads=options.threads,
-            force=options.force, progress=bar,
-        )  # fmt: skip
-    print(path)
-
-
 def _get(options: Get) -> None:
-    from deadreckon.data.download import get
+    from deadreckon.data.download import get, source_of
 
-    with Bar(f"downloading {options.name} from {options.source}", None, "bytes") as bar:
-        got = get(options.name, options.source, sha256=options.sha256, force=options.force, progress=bar)
+    source = source_of(options.name, options.source)
+    with Bar(f"downloading {options.name} from {source}", None, "bytes") as bar:
+        got = get(options.name, source, sha256=options.sha256, force=options.force, progress=bar)
     if not got.new:
         print(f"! {got.name} is there already; --force downloads it again", file=sys.stderr)
     elif got.vouched is None:

@@ -16,7 +16,8 @@ class Evaluate:
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional]
     """run or cross-fit folders, policy files (.npz; DOPE's .pkl), or a task with policies"""
-    task: str | None = None  # simulator to evaluate in; None: that of the run
+    task: str | None = None
+    """simulator to evaluate in: a task, a Gymnasium id or module:Class; None: that of the run"""
     episodes: int = 100  # number of episodes per policy
     seed: int = 0  # random seed of starts and sampled actions
     sample: bool = False  # whether to sample actions instead of taking the deterministic (greedy) ones
@@ -31,14 +32,16 @@ def evaluate(args: Sequence[str]) -> None:
 
     from deadreckon.runs.evaluate import evaluate as run_evaluation
     from deadreckon.runs.gather import gather
+    from deadreckon.tasks.registry import of_run
+    from deadreckon.tasks.registry import task as find_task
 
     given = gather(options.policies)
     names, found = [each.name for each in given], sorted({each.task for each in given if each.task})
     if options.task is None and len(found) > 1:
         raise UserError(f"the runs are of several tasks ({', '.join(found)}); evaluate those of one, or name one with --task")
-    task = options.task or next(iter(found), None)
-    if task is None:
+    if options.task is None and not found:
         raise UserError("missing --task: the policies do not say where they belong")
+    task = find_task(options.task) if options.task else of_run(found[0])
     policies = [each.acting for each in given]
     result = run_evaluation(
         policies, task, episodes=options.episodes, seed=options.seed, greedy=not options.sample, names=names
@@ -53,7 +56,9 @@ def evaluate(args: Sequence[str]) -> None:
 
         columns = {
             "policy": np.repeat(names, options.episodes), "episode": np.tile(np.arange(options.episodes), len(names)),
-            "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
+            "return": result.returns.ravel(), "length": result.lengths.ravel(),
         }  # fmt: skip
+        if (scores := result.scores) is not None:
+            columns["score"] = scores.ravel()
         with replacing(options.out) as temporary:
             pq.write_table(pa.table(columns), temporary)

@@ -24,9 +24,14 @@ COMMANDS = {
     "tune": ("tune", "tune", "choose an agent's settings by estimates from a log alone, or on training tasks"),
     "recommend": ("recommend", "recommend", "learn from a log within a time budget, and recommend a policy to deploy, if any"),
     "design": ("design", "design", "propose designs from a table of scored ones; see also design problems|get|methods|bench"),
+    "predict": ("predict", "predict", "write a policy's actions in the rows of a new table, named as in its log"),
+    "serve": ("serve", "serve", "serve a policy over HTTP: rows as JSON in, named actions out"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator, for returns and scores with intervals"),
     "bench": ("bench", "bench", "run a benchmark suite and show its table with published numbers; bench list, bench show"),
     "theory": ("theory", "theory", "run experiments on the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),
+    "explain": ("explain", "explain", "imitate a policy by a small tree, with its fidelity, and name the columns that matter"),
+    "export": ("export", "export", "write a policy for other programs: ONNX, StableHLO, numpy or MLflow, with a model card"),
+    "monitor": ("monitor", "monitor", "compare a new log with a policy's own: drift, rows outside the log, realised value"),
     "report": ("report", "report", "write a self-contained HTML page about run folders"),
 }
 
@@ -49,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line.
 
     Returns:
-        The exit code: 0, 1 for a failed run or a mistake of ours, 2 for bad input, 130 when interrupted.
+        The exit code: 0, 1 for a failed run, an alarm of `monitor` or a mistake of ours, 2 for bad input, 130 when interrupted.
     """
     args = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in args
@@ -68,8 +73,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise unknown("command", args[0], COMMANDS)
         module, function, _ = COMMANDS[args[0]]
         cache_compiled_programs()
-        getattr(importlib.import_module(f"deadreckon.cli.{module}"), function)(args[1:])
-        return 0
+        code = getattr(importlib.import_module(f"deadreckon.cli.{module}"), function)(args[1:])
+        return code or 0
     except UserError as error:
         if debug:
             raise

@@ -105,8 +105,11 @@ def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | 
         call = f"deadreckon.policies.load_dope({file!r})"
         return f"{call}(observations)" if greedy else f"{call}, whose act(step, carry, key, greedy=False) samples actions"
     more = "" if greedy else ", rng, greedy=False"
-    if portable.read(file)[0]["policy"]["inner"]["kind"] in ("Mixture", "History"):
+    tree = portable.read(file)[0]
+    if tree["policy"]["inner"]["kind"] in ("Mixture", "History"):
         more += ", first=first"
+    if tree["meta"].get("log", {}).get("action_space", {}).get("masked"):
+        more += ", legal=legal"
     call = f"deadreckon.policies.portable.load({file!r})(observations{more})"
     return f"{call}, where first is True at the first step of an episode" if "first" in more else call
 

@@ -13,6 +13,7 @@ from deadreckon.cli.data import Mapping
 from deadreckon.cli.fits import NAMES, Fits
 from deadreckon.runs.settings import JudgeSettings, OnlineSettings, RecommendSettings, TrainSettings
 
+_TRACKERS = tyro.conf.arg(metavar="tensorboard|wandb|mlflow|module:Class ...")
 _LIMITS = tyro.conf.arg(metavar="[COLUMN=]LIMIT [COLUMN=LIMIT ...]")
 
 
@@ -24,6 +25,8 @@ class _Online(OnlineSettings):
     data: str | None = None  # log that every batch has a share of, a known name or a file; None: that of --from, or none
     settings: tyro.conf.Suppress[Any] = None
     watch: tyro.conf.Suppress[Any] = None
+    callback: tyro.conf.Suppress[Any] = None
+    track: Annotated[tuple[str, ...], _TRACKERS] = ()  # trackers that show the run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,13 +34,16 @@ class _OnLog(TrainSettings):
     holdout: Annotated[float | None, tyro.conf.arg(metavar="SHARE")] = None
     """share of the episodes that is held out for `deadreckon ope`; None: 0.2, or 0 if there is a simulator"""
     watch: tyro.conf.Suppress[Any] = None
+    callback: tyro.conf.Suppress[Any] = None
+    track: Annotated[tuple[str, ...], _TRACKERS] = ()  # trackers that show the run
 
 
 @dataclass
 class TrainOnline:
     """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN goes on with a run on a log."""
 
-    task: str  # simulator to learn in (see `deadreckon tasks`)
+    task: str
+    """simulator to learn in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int | None = None
     """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1"""
@@ -63,7 +69,8 @@ class Train:
     steps: int = 100_000  # number of updates per seed
     seeds: int = 1  # number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1
     seed: int = 0  # first random seed
-    task: str | None = None  # simulator to evaluate in; None: that of a known log, none for others
+    task: str | None = None
+    """simulator to evaluate in: a task, a Gymnasium id or module:Class; None: that of a known log, none for others"""
     out: str | None = None  # run folder; None: runs/AGENT-LOG
     mmap: bool = False  # whether to memory-map the log, for logs larger than memory; folders of more than 1 GiB always are
     settings: Annotated[_OnLog, tyro.conf.arg(name="")] = field(default_factory=_OnLog)
@@ -101,7 +108,8 @@ class Ope:
     map: Annotated[Mapping, tyro.conf.arg(name="")] = field(default_factory=Mapping)  # columns of a table
     log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
     episodes: int | None = None  # number of episodes to use, the first that no policy has learned from; None: all of these
-    task: str | None = None  # simulator in which to check the decision, if there is one
+    task: str | None = None
+    """simulator in which to check the decision, if there is one: a task, a Gymnasium id or module:Class"""
     settings: Annotated[_Judge, tyro.conf.arg(name="")] = field(default_factory=_Judge)
     fits: Annotated[Fits, tyro.conf.arg(name="")] = field(default_factory=Fits)
 

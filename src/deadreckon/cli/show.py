@@ -42,12 +42,12 @@ def tasks(args: Sequence[str]) -> None:
         found = [task for task in found if task.domain == options.domain]
     rows = [["task", "steps", "random", "expert", "D4RL random", "D4RL expert", "split", "what"]]
     for t in found:
-        published = (f"{t.published.random:.1f}", f"{t.published.expert:.1f}") if t.published else ("-", "-")
-        references = (f"{t.reference.random:.1f}", f"{t.reference.expert:.1f}")
-        rows.append([t.name, str(t.horizon), *references, *published, t.split, t.summary])
+        known = [(f"{each.random:.1f}", f"{each.expert:.1f}") if each else ("-", "-") for each in (t.reference, t.published)]
+        rows.append([t.name, str(t.horizon), *known[0], *known[1], t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5)))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
-    print("and Flow; AntMaze's 100 is to arrive every time.")
+    print("and Flow; AntMaze's 100 is to arrive every time. Any Gymnasium environment is a task too, such as --task")
+    print("gymnasium:Pendulum-v1; its scores are raw returns.")
     _logs([task for task in found if task.domain in ("antmaze", "adroit", "kitchen", "flow")])
     hard = {task.domain: task for task in found if task.properties}
     rows = [[domain, ", ".join(task.properties), task.source] for domain, task in hard.items()]

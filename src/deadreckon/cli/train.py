@@ -178,12 +178,13 @@ def summary(run) -> str:
         if "mmd_to_data" in evaluations:
             distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
             lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
-        if "score" in evaluations:
+        if "return" in evaluations:
             from deadreckon.stats.crossed import mean_interval
 
-            scores = np.asarray(evaluations["score"])[last].reshape(count, -1)
-            returns = np.asarray(evaluations["return"])[last].reshape(count, -1)
-            lines.append(f"{run.config['task']}: return {mean_interval(returns):.1f}, score {mean_interval(scores):.1f}")
+            named = [name for name in ("return", "score") if name in evaluations]
+            columns = {name: np.asarray(evaluations[name])[last].reshape(count, -1) for name in named}
+            values = ", ".join(f"{name} {mean_interval(column):.1f}" for name, column in columns.items())
+            lines.append(f"{run.config['task']}: {values}")
         if "online" in run.config:
             from deadreckon.runs.steps import course, simulated
 

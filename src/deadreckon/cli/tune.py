@@ -26,9 +26,14 @@ class Tune:
     by: Literal["ope", "simulator"] = "ope"
     """criterion: off-policy estimates from the log, or scores in the simulators of training tasks"""
     values: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V,V...")] = ()
-    """values to try per field; none: those that the paper varied"""
+    """values to try per field, or with --sampler optuna a range LOW..HIGH, logarithmic with :log (lr=1e-4..1e-2:log); none:
+    those that the paper varied"""
     fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V")] = ()  # fields with one value in all settings
-    trials: int | None = None  # largest number of settings, drawn from all combinations; None: all
+    trials: int | None = None
+    """largest number of settings; None: all combinations of the values, or 20 with --sampler optuna"""
+    sampler: Literal["grid", "optuna"] = "grid"
+    """how settings are proposed: all combinations, or some of them by chance (grid), or in rounds, each by the results of those
+    before it (optuna)"""
     steps: int = 20_000  # updates of each setting and seed
     seeds: int = 3  # number of seeds of each setting
     rows: int | None = None  # rows of logs that have a recipe; None: all
@@ -56,6 +61,10 @@ def tune(args: Sequence[str]) -> None:
 
     given = {name: _values(text) for name, text in map(_pair, options.values)} or None
     fixed = {name: _value(text) for name, text in map(_pair, options.fixed)}
+    if options.sampler == "optuna":
+        return _in_rounds(options, given, fixed)
+    if ranges := [name for name, values in (given or {}).items() if not isinstance(values, list)]:
+        raise UserError(f"{ranges[0]} is a range, of which there are no combinations; say --sampler optuna, or name values")
     settings = found.candidates(options.agent, given, options.trials, options.seed)
     sizes = {"steps": options.steps, "seeds": options.seeds, "rows": options.rows}
     asked = found.suite(options.agent, options.data, settings, by=options.by, fixed=fixed, **sizes)
@@ -71,6 +80,40 @@ def tune(args: Sequence[str]) -> None:
             estimators=estimators(options.estimators, options.fit), model=with_fields(MODEL, options.fit.given),
             discount=options.discount, watch=watch,
         )  # fmt: skip
+    _told(result, fixed)
+
+
+def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any]) -> None:
+    """Tunes by Optuna's proposals and prints."""
+    from deadreckon.bench.local import Local
+    from deadreckon.bench.sampler import ROUND, OptunaSampler, tune_in_rounds
+    from deadreckon.bench.store import Store
+    from deadreckon.bench.tune import suite
+    from deadreckon.bench.tuned import named
+    from deadreckon.cli.bench import Lines
+    from deadreckon.cli.progress import Watch
+    from deadreckon.ope.coverage import MODEL
+    from deadreckon.ope.registry import with_fields
+
+    sampler = OptunaSampler(options.agent, given, options.seed)
+    trials = 20 if options.trials is None else options.trials
+    sizes: dict[str, Any] = {name: getattr(options, name) for name in ("by", "steps", "seeds", "rows")} | {"fixed": fixed}
+    if options.dry_run:
+        first = sampler.ask(min(ROUND, trials))
+        asked = suite(options.agent, options.data, first, **sizes)  # what does not fit is refused
+        print(f"{asked.name}: {trials} settings in rounds of {ROUND}; the first: {'; '.join(map(named, first))}")
+        return
+    store = Store(Path(options.out))
+    with Watch() as watch:
+        result = tune_in_rounds(
+            options.agent, options.data, sampler, trials=trials, store=store, on_event=Lines(trials), tell=print, **sizes,
+            executor=lambda: Local(store.path, options.workers), estimators=estimators(options.estimators, options.fit),
+            model=with_fields(MODEL, options.fit.given), discount=options.discount, watch=watch,
+        )  # fmt: skip
+    _told(result, fixed)
+
+
+def _told(result: Any, fixed: dict[str, Any]) -> None:
     best = result.best.fields | fixed
     words = [f"--agent.{name.replace('_', '-')} {value}" for name, value in best.items()]
     print(f"\n{result}\n\nchosen: {' '.join(words)}")
@@ -83,8 +126,18 @@ def _pair(text: str) -> tuple[str, str]:
     return name.replace("-", "_"), value
 
 
-def _values(text: str) -> list[Any]:
-    """With commas between; those of lists, such as [64,64],[256,256], are none of these."""
+def _values(text: str) -> Any:
+    """With commas between; those of lists, such as [64,64],[256,256], are none. Or a range, LOW..HIGH or LOW..HIGH:log.
+
+    Raises:
+        UserError: a range whose ends are not in order.
+    """
+    if match := re.fullmatch(r"([^.,]+(?:\.\d+)?)\.\.([^:,]+)(:log)?", text):
+        from deadreckon.bench.sampler import Range
+
+        low, high = _value(match[1]), _value(match[2])
+        if all(isinstance(end, int | float) and not isinstance(end, bool) for end in (low, high)):
+            return Range(low, high, bool(match[3]))
     return [_value(part) for part in re.split(r",(?![^\[]*\])", text)]
 
 

@@ -83,7 +83,7 @@ def collect_rollouts(
     `behavior_log_probs` holds the log-density of each action, where all policies have one.
 
     Args:
-        task: with continuous actions and flat observations.
+        task: where.
         segments: at least one.
         name: of the log.
         seed: random seed.
@@ -97,13 +97,17 @@ def collect_rollouts(
         UserError: `scratch` holds the beginning of another log, or cannot be written.
     """
     kinds = column_kinds(task, segments[0].policy)
+    for segment in segments:
+        if isinstance(segment.policy, EnvPolicy) and jax.tree.leaves(segment.policy.start(1)):
+            raise UserError(f"{name}: a policy that remembers earlier steps cannot collect a log, one of single steps can")
     stage = Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
     _collect(task, segments, stage, seed, threads, progress)
-    return stage.log(name, provenance, densities=all(_drawn(segment.policy) for segment in segments))
+    dense = all(_drawn(each.policy) and (each.policy is None or each.policy.has_log_prob) for each in segments)
+    return stage.log(name, provenance, densities=dense)
 
 
 def _drawn(policy: Any) -> TypeGuard[EnvPolicy | None]:
-    """Whether actions are drawn from a density."""
+    """Whether actions are drawn by keys, one a row."""
     return policy is None or isinstance(policy, EnvPolicy)
 
 
@@ -147,16 +151,22 @@ def _draw(
 ) -> tuple[Array, Array]:
     """Actions (n, size) and their log-densities (n,), as `EnvPolicy.log_prob` gives them for the actions that are logged.
 
-    A row's draw follows from its episode and step alone, wherever it stands among the others.
+    Discrete actions are (n,) numbers from `low`, which is 0, to `high`. A policy without densities has NaN. A row's draw
+    follows from its episode and step alone, wherever it stands among the others.
     """
+    discrete = jnp.issubdtype(low.dtype, jnp.integer)
 
     def one(observation: Array, episode: Array, age: Array) -> tuple[Array, Array]:
         key = jax.random.fold_in(jax.random.fold_in(root, episode), age)
+        if policy is None and discrete:
+            return jax.random.randint(key, (), low, high + 1), -jnp.log(high + 1.0)
         if policy is None:
             action = jax.random.uniform(key, low.shape, minval=low, maxval=high)
             return action, -jnp.log(high - low).sum()
         step = Step(observation[None], jnp.zeros(1), jnp.ones(1, bool))
         action = jnp.clip(policy.act(step, policy.start(1), key, greedy=False)[0], low, high)
+        if not policy.has_log_prob:
+            return action[0], jnp.full((), jnp.nan)
         return action[0], policy.log_prob(observation[None], action)[0]
 
     return jax.vmap(one)(observations, episodes, ages)
@@ -171,10 +181,10 @@ class _Scene:
     """
 
     def __init__(self, task: Task, simulator: Simulator, policy: Any, root: PRNGKeyArray, seed: list[int]):
-        if not isinstance(task.action_space, Box):
-            raise UserError(f"{task.name}: logs of policies need continuous actions")
         self.task, self.simulator, self.policy, self.root, self.seed = task, simulator, policy, root, seed
-        self.low, self.high = (np.asarray(side, np.float32) for side in (task.action_space.low, task.action_space.high))
+        space = task.action_space
+        bounds = (space.low, space.high) if isinstance(space, Box) else (0, space.n - 1)
+        self.low, self.high = (np.asarray(side, action_kind(task)[1]) for side in bounds)
         self.episode, self.age = np.full(COPIES, -1), np.zeros(COPIES, int)
         self.seen = np.zeros((COPIES, *task.observation_shape), np.float32)
         kinds = column_kinds(task, policy)
@@ -239,8 +249,8 @@ class _Scene:
                 actions, told = self.policy.act(self.seen, alive)
             else:
                 actions = self.policy(self.seen)
-            actions, log_probs = np.array(actions, np.float32), np.full(COPIES, np.nan, np.float32)
-        actions[self.episode < 0] = 0.0
+            actions, log_probs = np.array(actions, self.low.dtype), np.full(COPIES, np.nan, np.float32)
+        actions[self.episode < 0] = 0
         seen, rewards, terminals, timeouts = self.simulator.step(actions)
         parts = dict(zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs))) | told
         for key, part in parts.items():
@@ -254,9 +264,14 @@ class _Scene:
             self.episode[copy] = -1
 
 
+def action_kind(task: Task) -> tuple[tuple[int, ...], Any]:
+    """Shape and dtype of one action."""
+    return ((task.action_space.size,), np.float32) if isinstance(task.action_space, Box) else ((), np.int32)
+
+
 def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], Any]]:
     """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a guide."""
-    kinds = (task.observation_shape, np.float32), ((task.action_space.size,), np.float32), ((), np.float32), ((), bool)
+    kinds = (task.observation_shape, np.float32), action_kind(task), ((), np.float32), ((), bool)
     known = dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
     told = policy.columns if isinstance(policy, StatefulController) else {}
     return known | {key: (shape, np.float32) for key, shape in told.items()}

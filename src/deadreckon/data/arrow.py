@@ -17,16 +17,24 @@ _EXACT = 2**53  # up to which float64 holds every integer
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
 
-def flat(table: pa.Table, column: str) -> Any:
+def flat(table: pa.Table, column: str, ignored: bool = False) -> Any:
     """(rows,) the column as one pyarrow array, of a type with which all functions of pyarrow work.
 
+    Args:
+        table: that has it.
+        column: its name.
+        ignored: whether it is left out of the log, so that it may have any type.
+
     Raises:
-        UserError: the column has a type of a library's own, such as pandas' intervals.
+        UserError: the column has a type of a library's own, such as pandas' intervals or UUIDs.
     """
     values = table.column(column)
     kind = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
     if isinstance(kind, pa.BaseExtensionType):
-        raise UserError(f"column {column} holds {kind.extension_name}, numbers, texts, dates or truth values are needed")
+        if not ignored:
+            text = f"column {column} holds {kind.extension_name}, numbers, texts, dates or truth values are needed"
+            raise UserError(f"{text}; leave it out (--ignore {column})")
+        values = values.cast(kind.storage_type)
     if pa.types.is_float16(kind):
         values = (values.cast(kind) if pa.types.is_dictionary(values.type) else values).cast(pa.float32())
     elif pa.types.is_decimal(kind):
@@ -85,7 +93,11 @@ def distinct(values: Any) -> int:
 
 def decoded(values: Any) -> Any:
     """The values of a dictionary array, or the array itself."""
-    return values.dictionary_decode() if isinstance(values, pa.DictionaryArray) else values
+    if not isinstance(values, pa.DictionaryArray):
+        return values
+    if pa.types.is_string_view(values.type.value_type):  # polars' categories; pyarrow cannot take from these yet
+        values = pa.DictionaryArray.from_arrays(values.indices, values.dictionary.cast(pa.large_string()))
+    return values.dictionary_decode()
 
 
 def says_numbers(values: Any) -> bool:
@@ -107,6 +119,12 @@ def as_dates(values: Any) -> Any | None:
         except pa.ArrowInvalid:
             continue
     return None
+
+
+def ordered_moments(dates: Any) -> np.ndarray:
+    """(rows,) int64 counts of the type's own unit, which keep the order of dates exactly; none is missing."""
+    width = pa.int32() if dates.type.bit_width == 32 else pa.int64()
+    return np.asarray(dates.view(width).to_numpy(zero_copy_only=False), np.int64)
 
 
 def levels_of_whole_numbers(values: Any, missing: bool = False) -> list[int] | None:
@@ -165,7 +183,7 @@ def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.nd
     elif pa.types.is_null(kind):
         return np.full(len(values), np.nan), np.ones(len(values), bool)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else _first_text(values)
+        hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else first_text(values)
         raise UserError(f"{name}: column {column} holds {kind}, numbers are needed{hint}")
     out = values.to_numpy(zero_copy_only=False).astype(np.float64)
     return out, np.isnan(out)
@@ -225,11 +243,11 @@ def sorted_indices(values: Any) -> np.ndarray:
     return compute.sort_indices(values).to_numpy()
 
 
-def _first_text(values: Any) -> str:
+def first_text(values: Any) -> str:
     """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
     for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
         if isinstance(value, str) and not is_number(value):
-            return f"; row {row} has {value!r}"
+            return f"; row {row} has {value!r}; write all cells as plain numbers"
     return ""
 
 
@@ -255,7 +273,7 @@ def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
     except (pa.ArrowException, TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        raise UserError(f"{name}: not a table of plain columns ({' '.join(str(error).split())})") from error
+        raise UserError(f"{name}: not a table of plain columns ({' '.join(' '.join(map(str, error.args)).split())})") from error
     names = table.column_names
     twice = sorted({column for column in names if names.count(column) > 1}) if len(set(names)) < len(names) else []
     if twice:

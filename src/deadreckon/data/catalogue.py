@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats import minari as minaris
+from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.build import TABLE_ENDINGS
 from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
@@ -157,13 +157,21 @@ ENTRIES: dict[str, Entry] = {
 }
 
 
+TWINS = {found.minari: name for name, found in ENTRIES.items() if found.minari is not None}  # by Minari's ids
+
+
+def plain_name(name: str) -> str:
+    """The name of the downloaded copy that an id of Minari's means (`hopper-medium-v2@minari`); other names as they are."""
+    return f"{TWINS[name]}@{TWIN}" if name in TWINS else name
+
+
 def entry(name: str) -> Entry:
-    """The entry of a log, by D4RL's name or that of a copy (`maze2d-umaze-v1@dr1`, `@d4rl`, `@minari`).
+    """The entry of a log, by D4RL's name, that of a copy (`maze2d-umaze-v1@dr1`, `@d4rl`, `@minari`) or its twin's Minari id.
 
     Raises:
         UserError: no such name, with the nearest if one is near; or no such copy.
     """
-    base, _, version = name.partition("@")
+    base, _, version = plain_name(name).partition("@")
     if base not in ENTRIES:
         if not difflib.get_close_matches(base, ENTRIES, 1, 0.5):
             raise UserError(f"no file {name}, and no data set is called so (`deadreckon data list` lists them)")
@@ -206,7 +214,8 @@ def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **opt
     says in its name which it is. The longer names mean that one copy.
 
     Args:
-        name: from the catalogue, or an existing file or folder, or `minari:` and an id.
+        name: from the catalogue, or an existing file or folder, or a Minari id, such as `mujoco/hopper/medium-v0`: of a data
+            set that is installed here, else of a twin in the cache.
         mmap: memory-map the columns; see `read`.
         strict: refuse actions out of bounds instead of warning.
         **options: more that `read` takes.
@@ -220,6 +229,10 @@ def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **opt
     looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".gz", ".txt", *TABLE_ENDINGS)
     if isinstance(name, Path) or looks_like_a_file:
         raise UserError(f"no file {text}")
+    text = plain_name(text)
+    if minaris.is_id(text):
+        near = difflib.get_close_matches(text, TWINS, 1, 0.8)
+        raise unknown("Minari data set", text, TWINS) if near else UserError(minaris.missing(text))
     if text in ENTRIES and (there := at_hand(ENTRIES[text])):
         text = f"{text}@{there[0]}"
     path = cached_path(text)

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.columns import COLUMNS, LOG_PROBS
+from deadreckon.data.scratch import BLOCK
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming
 
 SLACK = 1e-6  # that a logarithm of a probability may lie above 0 by rounding
-_BLOCK = 262_144  # rows looked at together, so that checks never load a memory-mapped column whole
 _LAST = ("final_observations", "final_known")  # have a row per episode
 
 
@@ -90,7 +90,7 @@ def _finals(
 
 
 def _blocks(column: np.ndarray) -> range:
-    return range(0, len(column), _BLOCK)
+    return range(0, len(column), BLOCK)
 
 
 def _check_numbers(log: str, key: str, column: np.ndarray) -> None:
@@ -99,7 +99,7 @@ def _check_numbers(log: str, key: str, column: np.ndarray) -> None:
     if column.dtype.kind != "f":
         return
     for start in _blocks(column):
-        bad = ~np.isfinite(column[start : start + _BLOCK])
+        bad = ~np.isfinite(column[start : start + BLOCK])
         if bad.any():
             where = np.argwhere(bad)[0]
             value = column[start + where[0]][tuple(where[1:])]
@@ -111,7 +111,7 @@ def _check_log_probabilities(log: str, column: np.ndarray) -> None:
     """Refuses probabilities given as their logarithms: every weight made of them would be wrong, and none would show it."""
     row, value, low, high = -1, 0.0, np.inf, -np.inf
     for start in _blocks(column):
-        part = column[start : start + _BLOCK]
+        part = column[start : start + BLOCK]
         low, high = min(low, float(part.min())), max(high, float(part.max()))
         if row < 0 and high > SLACK:
             first = np.argwhere(part > SLACK)[0]
@@ -198,7 +198,7 @@ def bounds_warnings(
     count, first = 0, -1
     each = np.zeros(space.size, int)
     for start in _blocks(actions):
-        part = actions[start : start + _BLOCK]
+        part = actions[start : start + BLOCK]
         beyond = (part < low) | (part > high)
         each += beyond.sum(0)
         outside = beyond.any(1)
@@ -225,8 +225,8 @@ def if_needed(following: np.ndarray, observations: np.ndarray, ends: np.ndarray)
 def _breaks(observations: np.ndarray, following: np.ndarray) -> np.ndarray:
     """(rows - 1,) bool: the next row's observation is not this row's next observation."""
     out = np.empty(len(observations) - 1, bool)
-    for start in range(0, len(out), _BLOCK):
-        stop = min(start + _BLOCK, len(out))
+    for start in range(0, len(out), BLOCK):
+        stop = min(start + BLOCK, len(out))
         differs = observations[start + 1 : stop + 1] != following[start:stop]
         out[start:stop] = differs.reshape(stop - start, -1).any(1)
     return out

@@ -15,10 +15,11 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
+from deadreckon.provided import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class Dataset:
+class Dataset(Shown):
     """Logged steps in episodes, made by `Dataset.from_arrays`, `from_dict`, `from_frame` or `deadreckon.read`.
 
     Row `t` holds the observation seen, the action taken there, the reward that followed and how the step ended:
@@ -212,9 +213,8 @@ class Dataset:
     @cached_property
     def episode_ids(self) -> np.ndarray:
         """(episodes,) uint64 that tell episodes apart and know them again, in any file and part, `episodes.content_ids`."""
-        if self.part_of is not None and len(ids := self.part_of()) == self.episodes:
-            return ids
-        return content_ids(self)
+        known = None if self.part_of is None else self.part_of()
+        return known if known is not None and len(known) == self.episodes else content_ids(self)
 
     @cached_property
     def usable(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,14 +12,13 @@ from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing,
 from deadreckon.data.asked import Asked
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.draft import Drafted, draft
-from deadreckon.data.frame import FrameColumns, frame_columns
+from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.frame import FrameColumns, table_columns
 from deadreckon.data.leaks import leaks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.schema import Column, Schema
+from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError
-
-if TYPE_CHECKING:
-    from deadreckon.data.formats.dialect import Dialect
 
 
 def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafted:
@@ -40,7 +39,7 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
     ways: dict[str, Any] = {}
     lines: list[str] = []  # of the file's reader
     if file is None:
-        table = to_arrow(source, name or "frame")
+        table, _, lines = with_dates(to_arrow(source, name or "frame"), Dialect.asked(dates=asked.pop("dates", None)).dates)
     else:
         from deadreckon.data.formats.any_table import read_table
         from deadreckon.data.formats.kind import READING
@@ -56,7 +55,7 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
     found = [replace(column, reason=_about(column, table)) for column in schema.columns]
     if all(schema.having(role) for role in ("action", "reward", "observation")):
         try:
-            read = frame_columns(table, schema=schema, name=name)
+            read = table_columns(table, schema, name)
         except UserError as error:  # what must be mended in the table, or in the schema
             told.insert(0, str(error).removeprefix(f"{name}: "))
         else:
@@ -68,7 +67,7 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
     return Drafted(Schema(tuple(found), where), [*lines, *told])
 
 
-def _pinned(dialect: "Dialect | None") -> dict[str, str]:
+def _pinned(dialect: Dialect | None) -> dict[str, str]:
     """How the file was read, as options, so that the schema reads the next such file alike whatever its cells suggest."""
     if dialect is None:
         return {}

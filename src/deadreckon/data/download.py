@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from deadreckon.data.catalogue import ORIGINAL, TWIN, Entry, cached_path, entry, record_path
+from deadreckon.data.catalogue import ORIGINAL, TWIN, Entry, cached_path, entry, plain_name, record_path
 from deadreckon.data.connection import TransferError
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.transfer import Progress, Received, RetryPolicy, Sums, fetch, file_hashes, file_size, forget
@@ -55,7 +55,7 @@ class Download:
 
 def get(
     name: str,
-    source: str = ORIGINAL,
+    source: str | None = None,
     *,
     sha256: str | None = None,
     force: bool = False,
@@ -67,8 +67,9 @@ def get(
     Two processes may ask for the same log: the second is refused while the first is at it.
 
     Args:
-        name: from the catalogue, such as `hopper-medium-v2`.
-        source: `d4rl` for the original, `minari` for its twin, which others collected and which differs.
+        name: from the catalogue, such as `hopper-medium-v2`, or its twin's id on Minari.
+        source: `d4rl` for the original, `minari` for its twin, which others collected and which differs; None: what the name
+            says, which is the twin for an id of Minari's, else the original.
         sha256: what the file's must be, in hexadecimal; for a twin that of its `main_data.hdf5`.
         force: download it again if it is there.
         progress: called with the bytes that are there, and the bytes in all or None.
@@ -77,6 +78,7 @@ def get(
     Raises:
         UserError: one line: no such log, or what went wrong with which address and how the log can be had instead.
     """
+    name, source = plain_name(name), source_of(name, source)
     found = _known(name, source)
     wanted = _checked_sum(sha256)
     path = cached_path(f"{found.name}@{source}")
@@ -96,6 +98,11 @@ def get(
     except OSError as error:  # of the disk: those of the network were told apart before
         raise UserError(f"cannot write {path}: {error.strerror or error} (what has come is kept)") from error
     return Download(f"{found.name}@{source}", path, True, received.sha256, received.vouched)
+
+
+def source_of(name: str, source: str | None) -> str:
+    """Where a log is downloaded from: the given source, else what its name says."""
+    return source or (TWIN if plain_name(name).endswith(f"@{TWIN}") else ORIGINAL)
 
 
 def _original(found: Entry, path: Path, sums: Sums, progress: Progress, retry: RetryPolicy) -> Received:

@@ -144,8 +144,9 @@ class _Maker:
         for column in [column for column in self.names if column not in self.roles]:
             if roles.DONE.fullmatch(column.lower()):
                 self.give([column], "ignore", "says that an episode ended, not why")
-                self.doubt(column, f"marks ends of episodes and is left out: --terminal {column} where the task itself ended, "
-                           f"--timeout {column} where only the recording did")  # fmt: skip
+                self.doubt(column, "marks starts of episodes and is left out: --episode names a column that tells them apart"
+                           if "first" in column.lower() else f"marks ends of episodes and is left out: --terminal {column} "
+                           f"where the task itself ended, --timeout {column} where only the recording did")  # fmt: skip
             elif roles.like("propensity", column) and "propensity" not in {role for role, _ in self.roles.values()}:
                 self.give([column], "ignore", "looks like the probability of the logged action")
                 self.doubt(column, f"looks like a probability of the logged action and is left out: --propensity {column}, or "
@@ -273,7 +274,7 @@ class _Maker:
                 f"schema ({listed(self.names)})"
             )
         if not self.having("observation"):
-            why = "".join(f" (column {column} {text})" for column, text in list(self.doubts.items())[:1])
+            why = next((f" ({line})" for line in self.told if "left out" in line), "")
             raise UserError(f"{self.name}: no column is left to be an observation; name them with observations{why}")
 
     def drafted(self) -> Drafted:
@@ -284,7 +285,8 @@ class _Maker:
         alone = len(self.having("action")) == 1
         for name in dict.fromkeys([*(name for name in asked if name in self.roles), *self.names]):
             role, why = self.roles[name]
-            kind, reason, doubt = kind_of(name, flat(self.table, name), role, alone=alone, asked=self.kinds.get(name))
+            values = flat(self.table, name, ignored=role == "ignore")
+            kind, reason, doubt = kind_of(name, values, role, alone=alone, asked=self.kinds.get(name))
             if doubt:
                 self.doubt(name, doubt)
             why, keep = ", ".join(filter(None, (why, reason))), name in self.kept and role != "keep"

@@ -13,12 +13,14 @@ from deadreckon.data.arrow import (
     category_codes,
     codes_of,
     decoded,
+    first_text,
     flags,
     flat,
     is_category,
     is_missing,
     levels_of_whole_numbers,
     numbers,
+    ordered_moments,
     some_numbers,
     sorted_indices,
 )
@@ -27,7 +29,6 @@ from deadreckon.data.schema import Column
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.errors import UserError
 
-_SPARSE = 4  # integers that leave more than 3 of 4 values unused are identifiers, and numbered anew
 _SHOWN = 5  # levels named in a message
 
 
@@ -131,6 +132,9 @@ class Encoder:
         if column.kind == "flag" and not np.isin(number[~absent], (0, 1)).all():
             row = int(np.argmax(~absent & ~np.isin(number, (0, 1))))
             raise UserError(f"{self.name}: column {name} has {number[row]:g} in row {row}, a flag is 0 or 1")
+        if column.kind == "integer" and (broken := ~absent & (number != np.floor(number))).any():
+            row = int(np.argmax(broken))
+            self.warnings.append(f"column {name} is of kind integer and has {number[row]:g} in row {row}, which is not rounded")
         if column.fill is None and absent.all():
             raise UserError(f"{self.name}: column {name} is empty; leave it out of the observations")
         if absent.any():
@@ -220,17 +224,24 @@ class Encoder:
         if found is None:
             raise UserError(f"{self.name}: column {column.name} holds other than whole numbers, as discrete actions must be")
         codes = values.cast(pa.int64()).to_numpy(zero_copy_only=False)
+        self._in_range(column, codes)
         if column.levels is not None:
             codes, column = self._codes(column, values.cast(pa.int64()))
             self.extra["action_levels"] = list(column.levels or ())
             return codes
-        if found[0] >= 0 and found[-1] < _SPARSE * len(found):
+        if found == list(range(len(found))):
             return codes
         self.extra["action_levels"] = found
         self.resolved[column.name] = replace(column, levels=tuple(found))
         text = f"actions are {len(found)} integers from {found[0]} to {found[-1]}"
         self.warnings.append(f"{text}; they are numbered 0 .. {len(found) - 1}")
         return np.searchsorted(found, codes)
+
+    def rewards(self, column: Column) -> np.ndarray:
+        """(rows,) float64 of a column of numbers."""
+        values = numbers(self.name, self.table, column.name)
+        self._in_range(column, values)
+        return values
 
     def flags(self, column: Column | None) -> np.ndarray:
         """(rows,) bool of a flag; all false where there is no such column."""
@@ -271,9 +282,10 @@ class Encoder:
         values = self.complete(column)
         dates = as_dates(values)
         if dates is not None:
-            # Only the order matters; int64 counts of the type's own unit keep it exactly.
-            width = pa.int32() if dates.type.bit_width == 32 else pa.int64()
-            return np.asarray(dates.view(width).to_numpy(zero_copy_only=False), np.int64)
+            return ordered_moments(dates)
+        if odd := first_text(values):
+            text = "orders rows, and holds neither numbers nor dates in a form that is read"
+            raise UserError(f"{self.name}: column {column} {text}{odd}; write dates as 2024-04-03 or 2024-04-03 14:30")
         return numbers(self.name, self.table, column)
 
     def complete(self, column: str) -> Any:

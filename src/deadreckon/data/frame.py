@@ -12,12 +12,15 @@ from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS, RESERVED
 from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
+from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.held import HELD, held
 from deadreckon.data.kinds import check_column
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
+from deadreckon.data.row_order import about_order
 from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
+from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError
 
 ALONE = "each row is read as an episode of one step; where rows follow each other, name --episode, --time or --terminal"
@@ -42,7 +45,7 @@ class FrameColumns(NamedTuple):
 
 def frame_columns(
     frame: Any, *, schema: Schema | Mapping[str, Any] | Path | str | None = None, name: str = "frame",
-    scratch: Scratch | None = None, **asked: Any,
+    dates: str | None = None, **asked: Any,
 ) -> FrameColumns:  # fmt: skip
     """The columns of a log that a table holds; `Dataset.from_frame` makes the log of them.
 
@@ -54,7 +57,8 @@ def frame_columns(
         schema: what each column is, as a `Schema`, its JSON values or the path of its TOML file. It says all, so that the
             other options are refused beside it; columns that it does not have are left out.
         name: of the log, used in errors.
-        scratch: where columns are kept; None: in memory.
+        dates: how texts such as 03/04/2024 are read: `iso` (as texts), `day-first` or `month-first`; None: by the rules of
+            text files.
         **asked: without a schema, which column is what:
 
             - action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
@@ -88,7 +92,18 @@ def frame_columns(
     Raises:
         UserError: one line with the column and the row (counted from 0, as in the table given).
     """
-    table = to_arrow(frame, name)
+    schema = None if schema is None else as_schema(schema)
+    dates = Dialect.asked(dates=dates).dates or (schema.table.get("dates") if schema else None)
+    table, _, told = with_dates(to_arrow(frame, name), dates)
+    read = table_columns(table, schema, name, **asked)
+    return read._replace(warnings=[*told, *read.warnings])
+
+
+def table_columns(
+    table: pa.Table, schema: Schema | Mapping[str, Any] | Path | str | None, name: str, scratch: Scratch | None = None,
+    **asked: Any,
+) -> FrameColumns:  # fmt: skip
+    """As `frame_columns`, of a table whose texts of dates are read already; `scratch`, or memory, is where columns are kept."""
     if table.num_rows == 0:
         raise UserError(f"{name}: the table has no rows")
     function = asked.pop("legal") if callable(asked.get("legal")) else None
@@ -113,6 +128,9 @@ def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
     for role in ("action", "reward", "observation"):
         if not schema.having(role):
             raise UserError(f"{name}: the schema gives no column the role {role}, and a log needs one")
+    free = [column.name for column in schema.having("action") if column.low is None]
+    if 0 < len(free) < len(schema.having("action")):
+        raise UserError(f"{name}: the schema gives bounds of some actions, not of {free[0]}; give low and high of all, or none")
     known = {column.name for column in schema.columns}
     other = [column for column in table.column_names if column not in known]
     return [f"the schema does not have these columns, which are left out: {', '.join(other)}"] if other else []
@@ -129,7 +147,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     terminal, timeout, propensity = (schema.one(role) for role in ("terminal", "timeout", "propensity"))
     assert reward is not None  # a schema without one is refused before
     columns: dict[str, Any] = {
-        "observations": encoder.observations(observed), "rewards": scratch.keep(numbers(name, table, reward.name)),
+        "observations": encoder.observations(observed), "rewards": scratch.keep(encoder.rewards(reward)),
         "actions": encoder.actions(actions), "terminals": encoder.flags(terminal), "timeouts": encoder.flags(timeout),
     }  # fmt: skip
     if allowed:
@@ -157,6 +175,8 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
     order, ends = _order(table.num_rows, codes, moments)
+    if codes is not None:
+        encoder.warnings += about_order(table, schema, codes, order)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:
         columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]

@@ -29,8 +29,10 @@ def stacked(log: Dataset, steps: int, view: Normalizer | None = None) -> Dataset
         The log with observations (rows, history_size) float32, and final observations likewise; its episodes keep their ids.
 
     Raises:
-        UserError: observations are not flat, or rows do not follow each other.
+        UserError: `steps` is below 1, observations are not flat, or rows do not follow each other.
     """
+    if steps < 1:
+        raise UserError(f"history must be >= 1, got {steps}")
     if steps == 1:
         return log
     if len(shape := log.observations.shape[1:]) != 1:

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deadreckon.data.copies import Copies, about_copies, copies
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.propensities import about_propensities
 from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names
 
@@ -44,6 +46,7 @@ class Info:
         constant_observations: dimensions (of the flattened observation, without masks of actions) that never change.
         observation_scales: smallest and largest standard deviation among those that do.
         duplicate_rows: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
+        duplicates_together: share of these that follow one another as the earlier ones do.
         sampled: rows that were looked at for duplicates and distinct rewards.
         own_successors: rows inside an episode whose next observation is not the following row's.
         fingerprint: of the log.
@@ -74,6 +77,7 @@ class Info:
     constant_observations: tuple[int, ...]
     observation_scales: tuple[float, float]
     duplicate_rows: int
+    duplicates_together: float
     sampled: int
     own_successors: int
     fingerprint: str
@@ -88,6 +92,7 @@ def describe(log: Dataset) -> Info:
     constant = (spec.observation.min == spec.observation.max).ravel()
     moving = std[~constant] if not constant.all() else np.zeros(1)
     sample = slice(0, min(len(log), _SAMPLE))
+    repeated = copies(log, sample.stop)
     return Info(
         name=log.name,
         source=log.provenance.source,
@@ -114,7 +119,8 @@ def describe(log: Dataset) -> Info:
         # What is legal everywhere carries nothing either, and cannot be left out.
         constant_observations=tuple(np.flatnonzero(constant[: len(constant) - spec.mask_size]).tolist()),
         observation_scales=(float(moving.min()), float(moving.max())),
-        duplicate_rows=_duplicates(log, sample),
+        duplicate_rows=repeated.count,
+        duplicates_together=repeated.together,
         sampled=sample.stop,
         own_successors=_own_successors(log),
         fingerprint=log.fingerprint,
@@ -173,7 +179,8 @@ def _ends(log: Dataset, info: Info) -> list[str]:
         out.append(f"{text}: log final observations, or mark terminals, to keep them")
     if shortest == 1 and longest > 1:
         count = int((log.lengths == 1).sum())
-        out.append(f"{count:,} episodes have one step only: are their ends marked rightly?")
+        some = "1 episode has one step" if count == 1 else f"{count:,} episodes have one step"
+        out.append(f"{some} only: are their ends marked rightly?")
     return out
 
 
@@ -181,7 +188,9 @@ def _rewards(info: Info) -> list[str]:
     """Advice on rewards."""
     out = []
     largest = max(abs(info.rewards[0]), abs(info.rewards[-1]))
-    if info.rewards[0] == info.rewards[-1]:
+    # A constant reward, where episodes can end sooner or later, says how long to go on.
+    length_tells = largest > 0 and info.terminal_share > 0 and info.lengths[0] != info.lengths[-1]
+    if info.rewards[0] == info.rewards[-1] and not length_tells:
         out.append(f"all rewards are {info.rewards[0]:g}: nothing can be learned from them")
     elif info.reward_zero_share > 0.98:
         share = 1 - info.reward_zero_share
@@ -215,12 +224,11 @@ def _columns(log: Dataset, info: Info) -> list[str]:
     if info.unused_actions:
         names, used = action_names(log), _used(log)
         unused = [name for i, name in enumerate(names) if i not in used]
-        text = f"{info.unused_actions} of the actions never occur in the log ({_shortened(unused)})"
-        out.append(f"{text}: nothing is known about them")
-    if info.duplicate_rows > 0.01 * info.sampled and info.lengths[-1] > 1:
-        text = f"{info.duplicate_rows:,} of {info.sampled:,} rows repeat an earlier one"
-        out.append(f"{text}: a split by rows would leak; split by episodes")
-    return out
+        never = "never occurs" if len(unused) == 1 else "never occur"
+        text = f"{len(unused)} of {len(names)} actions {never} in the log ({_shortened(unused)})"
+        out.append(f"{text}: nothing is known about what they lead to")
+    repeated = Copies(info.duplicate_rows, info.duplicates_together)
+    return [*out, *about_propensities(log), *about_copies(log, repeated, info.sampled)]
 
 
 def _shortened(names: Sequence[str]) -> str:
@@ -249,13 +257,6 @@ def _used(log: Dataset) -> np.ndarray:
 
 def _zeros(column: np.ndarray) -> int:
     return sum(int((column[start : start + _SAMPLE] == 0).sum()) for start in range(0, len(column), _SAMPLE))
-
-
-def _duplicates(log: Dataset, rows: slice) -> int:
-    parts = [np.ascontiguousarray(column[rows]).reshape(rows.stop, -1).view(np.uint8).reshape(rows.stop, -1)
-             for column in (log.observations, log.actions, log.rewards)]  # fmt: skip
-    packed = np.ascontiguousarray(np.concatenate(parts, 1))
-    return rows.stop - len(np.unique(packed.view(np.dtype((np.void, packed.shape[1]))).ravel()))
 
 
 def _own_successors(log: Dataset) -> int:

@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from deadreckon.data import roles
 from deadreckon.data.arrow import (
     MOST_LEVELS,
     as_dates,
+    compute,
     decoded,
     distinct,
     is_category,
@@ -17,10 +19,12 @@ from deadreckon.data.arrow import (
     says_numbers,
 )
 from deadreckon.data.legal_columns import is_list
-from deadreckon.data.likeness import FEW
+from deadreckon.data.likeness import FEW, likeness
+from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
+_EXACT = 2**24  # up to which float32 holds every integer
 MOST_ACTIONS = 100  # different whole numbers in a column of actions beyond which it is read as continuous
 
 
@@ -66,8 +70,14 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
     if role in ("observation", "next_observation") and kind == "category" and says_numbers(values):
         doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
         return "number", "texts that are numbers", doubt
+    if role == "episode" and kind == "category":
+        return kind, reason, _alphabetical(values)
     if role == "observation" and kind == "category":
         return kind, reason, _alike(values)
+    if role in ("observation", "reward", "cost") and (doubt := placeholder(values)):
+        return kind if role == "observation" else "number", reason, doubt
+    if role == "observation" and (doubt := _rounded(values)):
+        return kind, reason, doubt
     # What does not go with the role is refused when it is encoded, with the value that is wrong.
     return (kind, reason, "") if kind in ALLOWED.get(role, KINDS) else ("number", reason, "")
 
@@ -101,14 +111,39 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
 
 
 def _alike(values: Any) -> str:
-    """What to say of texts that differ in blanks or in upper and lower case alone, and are probably one level."""
+    """What to say of texts that are empty, or differ in blanks or in upper and lower case alone and are probably one level."""
     found: dict[str, str] = {}
     levels = decoded(values).drop_null().unique()
     for level in levels.to_pylist() if len(levels) <= MOST_LEVELS and is_text(levels.type) else ():
+        if not level.strip():
+            return f"has the empty text {level!r} as a level like others; make it a missing value if it stands for none"
         other = found.setdefault(" ".join(level.lower().split()), level)
         if other != level:
             return f"has levels that differ in blanks or capitals alone, such as {other!r} and {level!r}"
+    for lower, level in found.items():
+        if (of := lower.removesuffix(" total").removesuffix(" ergebnis")) != lower and of in found:
+            return f"has {level!r} beside {found[of]!r}, as subtotals are called: leave such rows out if they sum others up"
     return ""
+
+
+def _alphabetical(values: Any) -> str:
+    """What to say of texts whose order is not that of the numbers or dates that they seem to be."""
+    found = decoded(values)
+    if not is_text(found.type) or (looks := likeness(found)).alike < looks.cells:
+        return ""
+    text = f"holds texts that look like numbers or dates, such as {looks.first!r}"
+    return f"{text}: episodes that begin at the same time are put in alphabetical order"
+
+
+def _rounded(values: Any) -> str:
+    """What to say of integers between which float32, in which observations are kept, does not tell."""
+    ends = compute.min_max(values).as_py().values() if pa.types.is_integer(values.type) else ()
+    if not any(end is not None and abs(end) > _EXACT for end in ends):
+        return ""
+    different = values.drop_null().unique().to_numpy(zero_copy_only=False)
+    lost = len(different) - len(np.unique(different.astype(np.float32)))
+    text = f"holds whole numbers beyond {_EXACT:,}, of which {lost:,} become equal to others in float32"
+    return f"{text}: subtract a constant from quantities, and keep or ignore dates and names" if lost else ""
 
 
 def asked_kinds(given: Mapping[str, str] | Sequence[str], table: pa.Table, name: str) -> dict[str, Kind]:

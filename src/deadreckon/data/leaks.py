@@ -1,6 +1,6 @@
-"""Suspected leaks: columns that hold the reward, the action or the next observation of their row, and rewards that come late.
+"""Suspected leaks: columns that hold the reward, the action or the next observation of their row, and late rewards.
 
-Columns, and not dimensions, are looked at, in a sample of whole episodes. A suspicion is told where chance gives what was
+Columns are looked at where they are known, in a sample of whole episodes. A suspicion is told where chance gives what was
 found with probability `LEVEL` at most, over all columns together (Bonferroni). Honest tables can still have what is told: a
 reward that is by definition a state, an action that a rule without chance takes from one column. The lines say so.
 """
@@ -13,22 +13,22 @@ import numpy as np
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.late import late_reward
+from deadreckon.data.relations import FEW, LEAST, relation
 from deadreckon.data.spec import Box
 from deadreckon.data.told import Told, action_names, columns_of, schema_of
 
 LEVEL = 1e-3  # probability of any false suspicion, where nothing depends on anything
 ROWS = 10_000  # in the sample
 COLUMNS = 200  # that are looked at
-_EXACT = 1e-5  # of a standard deviation: what float32 leaves of an exact linear relation
-_FEW = 64  # rows compared first
-_LEAST = 20  # rows below which nothing is said
+_FILLS = (-1.0, 0.0)  # what stands for the earlier value where there is none
 
 
 @dataclass(frozen=True)
 class _Sample:
-    """Rows of a log: columns (rows,) by name, their actions by name, rewards, and which rows another one follows."""
+    """Rows of a log: columns by name and where they are known, actions by name, rewards, and which rows another one follows."""
 
     columns: dict[str, np.ndarray]
+    known: dict[str, np.ndarray]
     actions: dict[str, np.ndarray]
     rewards: np.ndarray
     followed: np.ndarray
@@ -39,7 +39,7 @@ def leaks(log: Dataset) -> tuple[str, ...]:
 
     Observations of more than one axis (images) are not looked at, and of many columns the first `COLUMNS`.
     """
-    if len(log.spec.observation_shape) > 1 or len(log) < _LEAST:
+    if len(log.spec.observation_shape) > 1 or len(log) < LEAST:
         return ()
     part = _part(log)
     sample = _sample(part)
@@ -71,11 +71,12 @@ def _sample(log: Dataset) -> _Sample:
     flat = np.asarray(log.observations).reshape(len(log), -1)
     observed = [each for each in columns_of(log) if each.role == "observation" and each.dimensions][:COLUMNS]
     columns = {each.name: _one(each, flat) for each in observed}
+    known = {each.name: _known(each, flat) for each in observed}
     names = action_names(log) if isinstance(log.action_space, Box) else [_action(log)]
     acted = np.asarray(log.actions).reshape(len(log), -1)
     followed = np.ones(len(log), bool)
     followed[log.ends] = False
-    return _Sample(columns, {name: acted[:, i] for i, name in enumerate(names)}, np.asarray(log.rewards), followed)
+    return _Sample(columns, known, {name: acted[:, i] for i, name in enumerate(names)}, np.asarray(log.rewards), followed)
 
 
 def _action(log: Dataset) -> str:
@@ -91,12 +92,18 @@ def _one(column: Told, flat: np.ndarray) -> np.ndarray:
     return flat[:, column.dimensions[0]]
 
 
+def _known(column: Told, flat: np.ndarray) -> np.ndarray:
+    """(rows,) bool, where the column has a value of its own."""
+    return flat[:, column.dimensions[-1]] == 0 if column.marked else np.ones(len(flat), bool)
+
+
 def _copies_of_reward(sample: _Sample) -> list[str]:
     out = []
     for name, values in sample.columns.items():
-        how = same(values, sample.rewards, len(sample.columns), ordered=True)
+        known = sample.known[name]
+        how = relation(values[known], sample.rewards[known], LEVEL / len(sample.columns), ordered=True)
         if how:
-            text = f"column {name} may be the reward by another name: {how} in all {len(values):,} rows looked at"
+            text = f"column {name} may be the reward by another name: {how} in all {_rows(known)}"
             out.append(f"{text}; unless it is known before the action, leave it out (--ignore)")
     return out
 
@@ -107,12 +114,13 @@ def _copies_of_action(log: Dataset, sample: _Sample) -> list[str]:
     out = []
     for name, values in sample.columns.items():
         for action, taken in sample.actions.items():
-            how = same(values, taken, len(sample.columns) * len(sample.actions), ordered=isinstance(log.action_space, Box))
+            level, known = LEVEL / (len(sample.columns) * len(sample.actions)), sample.known[name]
+            how = relation(values[known], taken[known], level, ordered=isinstance(log.action_space, Box))
             if not how:
                 continue
-            text = f"column {name} may come after the action: it tells {action}, {how} in all {len(values):,} rows looked at"
+            text = f"column {name} may come after the action: it tells {action}, {how} in all {_rows(known)}"
             if probabilities is not None and not isinstance(log.action_space, Box):
-                chance = float(np.asarray(probabilities, np.float64).sum()) / math.log(10)
+                chance = float(np.asarray(probabilities, np.float64)[known].sum()) / math.log(10)
                 if chance > math.log10(LEVEL / len(sample.columns)):
                     continue  # the policy left nothing to chance: what it acts by may be told by a column
                 text += f", which has probability 1e{chance:.0f} by the propensities if it is known before"
@@ -122,53 +130,9 @@ def _copies_of_action(log: Dataset, sample: _Sample) -> list[str]:
     return out
 
 
-def same(values: np.ndarray, other: np.ndarray, tests: int, ordered: bool) -> str:
-    """How two columns are the same but for names and units, or an empty text.
-
-    They are if an exact line leads from one to the other, or each value of one stands beside one value of the other (for
-    `ordered`, rising or falling together), and a random order of rows gives this with probability `LEVEL / tests` at most.
-
-    Args:
-        values: (rows,) of a column.
-        other: (rows,) to be told by it.
-        tests: number of comparisons that are made.
-        ordered: whether the order of the values counts.
-    """
-    few = np.linspace(0, len(values) - 1, min(_FEW, len(values))).astype(int)
-    if not _paired(values[few], other[few], ordered):  # spares the sorting of all rows, of nearly all pairs of columns
-        return ""
-    kinds, counts = np.unique(other, return_counts=True)
-    if len(kinds) < 2:
-        return ""
-    # Of all orders of the rows, n! / prod(counts!) differ, and these give the relation: both directions, or all labellings.
-    ways = math.log(2) if ordered else math.lgamma(min(len(kinds), 170) + 1)
-    sizes, times = np.unique(counts, return_counts=True)
-    within = sum(many * math.lgamma(size + 1) for size, many in zip(sizes.tolist(), times.tolist()))
-    arrangements = math.lgamma(len(other) + 1) - within
-    if ways - arrangements > math.log(LEVEL / tests):
-        return ""
-    x, y = values.astype(np.float64), other.astype(np.float64)
-    if ordered and x.std() > 0 and y.std() > 0:
-        slope = float(((x - x.mean()) * (y - y.mean())).mean() / x.var())
-        shift = float(y.mean() - slope * x.mean())
-        if np.abs(y - slope * x - shift).max() <= _EXACT * y.std():
-            if abs(slope - 1) < _EXACT and abs(shift) <= _EXACT * y.std():
-                return "equal to it"
-            return f"{slope:.4g} times it {'-' if shift < 0 else '+'} {abs(shift):.4g}"
-    return f"one value for each of its {len(kinds):,} values" if _paired(values, other, ordered) else ""
-
-
-def _paired(values: np.ndarray, other: np.ndarray, ordered: bool) -> bool:
-    """Whether each value of one column stands beside one value of the other, rising or falling together if `ordered`."""
-    kinds, codes = np.unique(other, return_inverse=True)
-    of, own = np.unique(values, return_inverse=True)
-    if len(of) != len(kinds):
-        return False
-    pairs = np.zeros(len(of), int)
-    pairs[own] = codes
-    if (pairs[own] != codes).any() or len(np.unique(pairs)) != len(kinds):
-        return False
-    return not ordered or bool((np.diff(pairs) > 0).all() or (np.diff(pairs) < 0).all())
+def _rows(known: np.ndarray) -> str:
+    """The rows that were compared, in words."""
+    return f"{int(known.sum()):,} rows looked at" + ("" if known.all() else " where it is known")
 
 
 def _leading(sample: _Sample) -> list[str]:
@@ -176,11 +140,11 @@ def _leading(sample: _Sample) -> list[str]:
     now = np.flatnonzero(sample.followed)
     first = np.append(True, ~sample.followed[:-1])
     out = []
-    if len(now) < _LEAST:
+    if len(now) < LEAST:
         return out
     names = list(sample.columns)
     # Columns that agree on a few rows are compared on all, so that many columns take little time.
-    few = now[np.linspace(0, len(now) - 1, min(_FEW, len(now))).astype(int)]
+    few = now[np.linspace(0, len(now) - 1, min(FEW, len(now))).astype(int)]
     table = np.stack([sample.columns[name] for name in names], 1)
     pairs = np.argwhere((table[few][:, :, None] == table[few + 1][:, None, :]).all(0))
     for i, j in pairs.tolist():
@@ -191,8 +155,11 @@ def _leading(sample: _Sample) -> list[str]:
         shares = np.unique(behind[changes + 1], return_counts=True)[1] / max(len(changes), 1)
         if len(changes) * math.log(max(float((shares**2).sum()), 1e-300)) > math.log(LEVEL / len(names) ** 2):
             continue
-        start = behind[first]
-        if len(np.unique(start)) < 2 or (start == ahead[first]).all():
+        start = behind[first & sample.known[names[j]]]
+        filled = len(start) == 0 or (len(np.unique(start)) < 2 and start[0] in _FILLS)
+        # A column of later values, and no column of earlier ones, is empty in last rows and nowhere else.
+        ends_empty = (sample.known[names[i]] == sample.followed).all() and not sample.followed.all()
+        if (filled and not ends_empty) or (behind[first] == ahead[first]).all():
             continue  # `behind` is filled up at first rows: it holds earlier values of `ahead`, which is no leak
         text = f"column {names[i]} equals the next row's {names[j]} in all {len(now):,} rows that another one follows"
         out.append(f"{text}; unless {names[j]} is the earlier value of {names[i]}, leave {names[i]} out (--ignore)")
@@ -206,7 +173,7 @@ def _unmoved(log: Dataset, sample: _Sample) -> list[str]:
     if not by and log.successors is None:
         return []
     rows = np.flatnonzero(log.usable & ~np.asarray(log.terminals))
-    if len(rows) < _LEAST:
+    if len(rows) < LEAST:
         return []
     here = np.asarray(log.observations)[rows].reshape(len(rows), -1)
     there = log.next_observations_at(rows).reshape(len(rows), -1)
@@ -223,7 +190,7 @@ def _unmoved(log: Dataset, sample: _Sample) -> list[str]:
 def _unmoved_columns(log: Dataset, sample: _Sample, by: dict[str | None, str]) -> list[str]:
     """Single next observations that repeat their observation although the following row has another value."""
     rows = np.flatnonzero(sample.followed & log.usable)
-    if len(rows) < _LEAST:
+    if len(rows) < LEAST:
         return []
     flat = np.asarray(log.observations).reshape(len(log), -1)
     there = log.next_observations_at(rows).reshape(len(rows), -1)

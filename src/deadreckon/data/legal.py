@@ -39,8 +39,7 @@ def joined_masks(
         return given, space
     if isinstance(space, Box):
         raise UserError(f"{log}: legal says which discrete actions could be taken, but actions are continuous ({space})")
-    observations = np.asarray(columns["observations"])
-    observations = observations[:, None] if observations.ndim == 1 else observations
+    observations = _numbers(log, "observations", columns["observations"])
     if callable(function := columns["legal"]):
         asked = {key: columns.get(key.replace("legal", "observations")) for key in ("next_legal", "final_legal")}
         told = {key: _told(log, function, np.asarray(seen)) for key, seen in asked.items() if seen is not None}
@@ -48,11 +47,11 @@ def joined_masks(
     masks = {key: _mask(log, key, columns[key]) for key in MASKS if key in columns}
     legal = _some_legal(log, "legal", masks["legal"], np.zeros(1, bool))
     rows, size = legal.shape
-    terminals = np.asarray(columns["terminals"], bool).reshape(-1) if "terminals" in columns else np.zeros(rows, bool)
     if observations.ndim != 2:
         raise UserError(f"{log}: legal needs flat observations (rows, numbers), got shape {observations.shape}")
     if len(observations) != rows:
         raise UserError(f"{log}: column legal has {rows} rows, observations have {len(observations)}")
+    terminals = _flags(log, "terminals", columns.get("terminals", np.zeros(rows)), rows)
     if space is not None and space.n != size:
         raise UserError(f"{log}: legal has a column for each of {size} actions, the action space has {space.n}")
     for key in ("next_legal", "final_legal"):
@@ -60,17 +59,19 @@ def joined_masks(
         if key in masks and (wanted not in columns or masks[key].shape != (len(columns[wanted]), size)):
             raise UserError(f"{log}: {key} needs {wanted} beside it, and {size} truth values for each of them")
     if (following := columns.get("next_observations")) is not None:
-        following = np.asarray(following).reshape(observations.shape)
+        following = _numbers(log, "next_observations", following)
+        if following.shape != observations.shape:
+            raise UserError(f"{log}: next_observations have shape {following.shape}, observations {observations.shape}")
         if (mask := masks.get("next_legal")) is None:
             mask, ends = _following_masks(log, columns, terminals, observations, following, legal)
             given |= ends
         mask = _some_legal(log, "next_legal", mask, terminals)
         given["next_observations"] = _beside(following, mask)
     elif (final := columns.get("final_observations")) is not None:
-        final = np.asarray(final).reshape(len(final), -1)
+        final = _numbers(log, "final_observations", final).reshape(len(final), -1)
         if (mask := masks.get("final_legal")) is None:
             mask = np.zeros((len(final), size), bool)
-        known = np.asarray(columns.get("final_known", np.ones(len(final))), bool)
+        known = _flags(log, "final_known", columns.get("final_known", np.ones(len(final))), len(final))
         given["final_known"], mask = known & mask.any(1), mask | ~mask.any(1, keepdims=True)
         given["final_observations"] = _beside(final, mask)
     return given | {"observations": _beside(observations, legal)}, Discrete(size, masked=True)
@@ -84,12 +85,13 @@ def _following_masks(
     rows = len(legal)
     continues = np.append((observations[1:] == following[:-1]).all(1), False)
     if "timeouts" in columns:
-        timeouts = np.array(columns["timeouts"], bool).reshape(rows)
+        timeouts = _flags(log, "timeouts", columns["timeouts"], rows)
     else:
         timeouts = ~continues & ~terminals
     timeouts[-1] |= not terminals[-1]
     ends = terminals | timeouts
-    known = np.asarray(columns.get("final_known", np.ones(int(ends.sum()))), bool)
+    episodes = int(ends.sum())
+    known = _flags(log, "final_known", columns.get("final_known", np.ones(episodes)), episodes)
     if (lost := ~continues & ~ends).any():
         row = int(np.argmax(lost))
         text = f"the next observation of row {row} is not the following row's, so what is legal there is not known"
@@ -97,6 +99,22 @@ def _following_masks(
     mask = np.ones_like(legal)
     mask[:-1][~ends[:-1]] = legal[1:][~ends[:-1]]
     return mask, {"timeouts": timeouts, "final_known": known & terminals[ends]}
+
+
+def _numbers(log: str, key: str, column: Any) -> np.ndarray:
+    """(rows, ...) observations, a vector as one column."""
+    column = np.asarray(column)
+    if column.dtype.kind not in "fiub":
+        raise UserError(f"{log}: column {key} holds {column.dtype}, numbers are needed")
+    return column[:, None] if column.ndim == 1 else column
+
+
+def _flags(log: str, key: str, column: Any, rows: int) -> np.ndarray:
+    """(rows,) bool, a copy."""
+    column = np.array(column, bool).reshape(-1)
+    if len(column) != rows:
+        raise UserError(f"{log}: column {key} has {len(column)} values, {rows} are needed")
+    return column
 
 
 def _told(log: str, function: Callable[[np.ndarray], Any], observations: np.ndarray) -> np.ndarray:
@@ -110,7 +128,10 @@ def _told(log: str, function: Callable[[np.ndarray], Any], observations: np.ndar
 
 def _mask(log: str, key: str, column: Any) -> np.ndarray:
     """(rows, n) bool of a mask as it was given."""
-    mask = np.asarray(column)
+    try:
+        mask = np.asarray(column)
+    except ValueError as error:  # rows of several lengths
+        raise UserError(f"{log}: {key} must be truth values of shape (rows, actions), its rows differ in length") from error
     if mask.ndim != 2 or mask.shape[1] < 2:
         raise UserError(f"{log}: {key} must be truth values of shape (rows, actions), got shape {mask.shape}")
     if mask.dtype != bool and (wrong := ~np.isin(mask, (0, 1)).all(1)).any():

@@ -98,12 +98,40 @@ def _cells(name: str, table: pa.Table, column: str) -> list[list[str] | None]:
         raise UserError(f"{name}: {text}, or a 0/1 column for each action with of = ACTION")
     gone = is_missing(values)
     cells = decoded(values).to_pylist()
+    texts: dict[str, Any] = {}
+    if is_text(values.type):  # few different ones, which are looked at once
+        texts = {cell: _unwrapped(cell) for cell, missing in zip(cells, gone) if not missing}
+    for row, cell in enumerate(cells):
+        found = texts.get(cell) if isinstance(cell, str) else cell
+        if isinstance(found, list) and None in found:
+            raise UserError(f"{name}: column {column} lists an empty action in row {row}; leave such entries out of the list")
     if not is_text(values.type):
         return [None if missing else [_text(each) for each in cell] for cell, missing in zip(cells, gone)]
-    texts = ["" if missing else re.sub(r"""[\[\](){}'"]""", "", cell).strip() for cell, missing in zip(cells, gone)]
-    separator = next((each for each in _SEPARATORS if any(each in text for text in texts)), None)
-    parts = [[part.strip() for part in text.split(separator)] if text else [] for text in texts]
-    return [None if missing else [_text(_number(part)) for part in row if part] for row, missing in zip(parts, gone)]
+    plain = [text for text in texts.values() if isinstance(text, str)]
+    separator = next((each for each in _SEPARATORS if any(each in text for text in plain)), None)
+    parts = {cell: _parts(text, separator) if isinstance(text, str) else text for cell, text in texts.items()}
+    listed = {cell: [_text(each) for each in part] for cell, part in parts.items()}
+    return [None if missing else listed[cell] for cell, missing in zip(cells, gone)]
+
+
+def _unwrapped(cell: str) -> str | list[Any]:
+    """The actions of a cell that is a list in JSON; of another one the text within its brackets."""
+    text = cell.strip()
+    if text.startswith("["):
+        try:
+            return json.loads(text)
+        except json.JSONDecodeError:
+            pass
+    inner = text[1:-1]
+    wrapped = text[:1] + text[-1:] in ("[]", "()", "{}") and not set(inner) & {text[0], text[-1]}
+    return inner if wrapped else text
+
+
+def _parts(text: str, separator: str | None) -> list[Any]:
+    """The actions that a text lists, without the quotes around each."""
+    parts = [part.strip() for part in text.split(separator)]
+    bare = [part[1:-1] if len(part) > 1 and part[0] == part[-1] and part[0] in "'\"" else part for part in parts]
+    return [_number(part) for part in bare if part]
 
 
 def _number(text: str) -> Any:

@@ -18,6 +18,7 @@ _ONE = (
 )
 # In which a column may be written.
 _FORMS = tuple(rf"^[+\-−]?(?:\d+{mark}?\d*|{mark}\d+)(?:[eE][+-]?\d+)?$" for mark in ("[.]", ","))
+_MARKS = ("%", "$", "€", "£")
 _DATE = r"^(?:\d{1,4}[./-]\d{1,2}[./-]\d{1,4})(?:[ T].*)?$"
 MOSTLY = 0.9  # share of numbers among a column's cells from which a text is taken for a mistake
 FEW = 20  # different numbers up to which they may be levels, such as those of a storey or a grade, and actions discrete
@@ -101,12 +102,14 @@ def refuse_mistaken(name: str, column: str, values: Any) -> None:
     found = likeness(values)
     if found.mistaken and found.numbers:
         beside = f", beside {found.first!r}" if found.first != found.odd.strip() else ""
+        mark = next((mark for mark in _MARKS if mark in found.odd), "")
+        how = f"write its cells as plain numbers without {mark}" if mark else "write all cells as plain numbers"
         raise UserError(
             f"{name}: column {column} holds texts that look like numbers and cannot be read as such: {found.odd[:40]!r} in row "
-            f"{found.row}{beside}; write all cells as plain numbers, give their levels in a schema, or ignore the column"
+            f"{found.row}{beside}; {how}, give their levels in a schema, or ignore the column (--ignore {column})"
         )
     if found.mistaken:
         raise UserError(
             f"{name}: column {column} holds a text in row {found.row}, {found.odd[:40]!r}, among {found.alike} numbers such as "
-            f"{found.first!r}; mend that cell (an empty one is missing), or ignore the column"
+            f"{found.first!r}; mend that cell (an empty one is missing), or ignore the column (--ignore {column})"
         )

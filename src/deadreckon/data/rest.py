@@ -3,13 +3,33 @@
 import re
 from typing import Any, NamedTuple
 
+import pyarrow as pa
+
 from deadreckon.data import roles
-from deadreckon.data.arrow import as_dates, decoded, distinct, is_text, levels_of_whole_numbers, says_numbers
+from deadreckon.data.arrow import (
+    as_dates,
+    compute,
+    decoded,
+    distinct,
+    is_missing,
+    is_text,
+    levels_of_whole_numbers,
+    says_numbers,
+)
 from deadreckon.data.likeness import FEW, likeness
 from deadreckon.data.schema import Kind, Role
 
 FREE_TEXT = 50  # different texts beyond which a column may be comments or identifiers: if there are fewer than ten rows of each
+_COUNTED = 20  # rows from which a column of consecutive numbers is taken to count them
 _CODED = re.compile(r"(code|type|class|kind|category|cat|group|region|zone|zip|postcode|status)$", re.IGNORECASE)
+
+
+def _counts(values: Any) -> bool:
+    """Whether a column numbers its rows, from any number on and in any order."""
+    if not pa.types.is_integer(values.type) or len(values) < _COUNTED or is_missing(values).any():
+        return False
+    low, high = compute.min_max(values).as_py().values()
+    return high - low == len(values) - 1 and distinct(values) == len(values)
 
 
 class Rest(NamedTuple):
@@ -29,7 +49,7 @@ def rest(column: str, values: Any, kind: Kind | None) -> Rest:
         kind: that was asked for, or None.
     """
     rows = len(values)
-    if values.null_count == rows:
+    if is_missing(values).all():
         return Rest("ignore", "empty", "is empty and is left out of the observations")
     if kind is None and is_text(values.type) and as_dates(values) is not None:
         how = f"--time {column} orders rows by it"
@@ -46,6 +66,9 @@ def rest(column: str, values: Any, kind: Kind | None) -> Rest:
         doubt = f"{text}: --time {column} orders rows by it, --ignore {column} leaves it out"
     elif roles.IDENTITY.search(column.lower()):
         text = "looks like a name of someone or something, and is read as an observation"
+        doubt = f"{text}: --keep {column} keeps it beside the log, --ignore {column} leaves it out"
+    elif kind is None and _counts(values):
+        text = "has whole numbers without gaps, each once, as numbers of rows or orders are, and is read as an observation"
         doubt = f"{text}: --keep {column} keeps it beside the log, --ignore {column} leaves it out"
     elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values, True) or ()) <= FEW:
         doubt = f"holds whole numbers that may be codes, and is read as a number (--kinds {column}=category)"

@@ -19,7 +19,10 @@ NAMES = {
     "next_legal": re.compile(r"next_((legal|valid|available|allowed|feasible|possible)(_?actions?)?|action_?masks?)"),
 }
 DONE = re.compile(r"dones?|is_done|ended|end_of_episode|is_last|is_first|last_step")  # says that, and not why, an episode ended
-IDENTITY = re.compile(r"(^|_)(u?u?id|user|customer|patient|session|site)(_?id)?$")
+IDENTITY = re.compile(
+    r"(^|_)(u?u?id|user|customer|patient|session|site)(_?(id|no|nr|num|number))?$"
+    r"|(^|_)(account|client|invoice|member|order)_?(no|nr|num|number)$"
+)
 # How the name of a next observation is made of that of the observation.
 _NEXT = (
     (r"^next_(.+)$", r"\1"), (r"^(.+)_next$", r"\1"), (r"^new_(.+)$", r"\1"), (r"^(.+)_prime$", r"\1"), (r"^(.+)'$", r"\1"),

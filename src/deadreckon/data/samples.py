@@ -59,11 +59,13 @@ def get_sample(
         The file.
 
     Raises:
-        UserError: no such table, the file exists, or what went wrong with which address.
+        UserError: no such table, the file exists or is a folder, or what went wrong with which address.
     """
     if name not in SAMPLES:
         raise unknown("table", name, SAMPLES)
     path = Path(f"{name}.csv" if out is None else out)
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; name the file to write, such as {path / f'{name}.csv'}")
     if path.exists() and not force:
         raise UserError(f"{path} exists already; --force replaces it")
     if not path.parent.is_dir():

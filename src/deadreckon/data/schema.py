@@ -79,13 +79,19 @@ class Column:
                 raise UserError(f"{where}: {key} must be a finite number, got {value!r}")
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise UserError(f"{where}: low must be smaller than high, got {self.low:g} and {self.high:g}")
+        if self.role == "action" and self.kind == "number" and (self.low is None) != (self.high is None):
+            raise UserError(f"{where}: a continuous action needs both of low and high, or neither (the range of the table)")
         if self.levels is not None:
             if not isinstance(self.levels, list | tuple) or not self.levels:
                 raise UserError(f"{where}: levels must be a list of the values that the column may have, got {self.levels!r}")
             if wrong := [level for level in self.levels if not isinstance(level, str | int | float | bool)]:
                 raise UserError(f"{where}: levels are texts, numbers or truth values, got {wrong[0]!r}")
-            if len(set(map(repr, self.levels))) < len(self.levels):
+            # 1 and 1.0 are one level, as are true and the text that truth values become; true and 1 are two.
+            if len({str(each).lower() if isinstance(each, bool) else each for each in self.levels}) < len(self.levels):
                 raise UserError(f"{where}: a level is listed twice: {', '.join(map(str, self.levels))}")
+            if self.kind != "category" and (self.role != "action" or self.kind == "number"):
+                which = "a discrete action (kind integer, category or flag)" if self.role == "action" else "kind category"
+                raise UserError(f"{where}: levels go with {which}, not with kind {self.kind}")
             object.__setattr__(self, "levels", tuple(self.levels))
         for key in ("marked", "keep"):
             if not isinstance(getattr(self, key), bool | None):
@@ -98,7 +104,8 @@ class Column:
         """What is said of the column, as JSON values, without its name, reason and doubt and what has its default."""
         silent = ("name", "reason", "doubt")
         given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in silent}
-        given = {key: value for key, value in given.items() if key in ("role", "kind") or value not in (None, False, "")}
+        # By identity: a range that begins at 0, or a fill of 0, is equal to False.
+        given = {key: value for key, value in given.items() if not (value is None or value is False or value == "")}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
 
 

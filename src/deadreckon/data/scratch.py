@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-BLOCK = 262_144  # rows that are moved together
+BLOCK = 262_144  # rows that are moved or looked at together, so that no memory-mapped column is loaded whole
 
 
 class Scratch:

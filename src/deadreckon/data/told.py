@@ -29,6 +29,7 @@ class Told:
         missing: cells without a value in the table, or None where nobody counted them.
         becomes: what the log makes of it.
         dimensions: indices of the (flattened) observation, or of the action, that it is; empty for other roles.
+        marked: whether the last of these says where cells are missing.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Told:
     missing: int | None
     becomes: str
     dimensions: tuple[int, ...] = ()
+    marked: bool = False
 
 
 def observation_names(log: Dataset) -> list[str]:
@@ -83,7 +85,8 @@ def columns_of(log: Dataset) -> tuple[Told, ...]:
         elif column.role == "action":
             at, acted = (acted,), acted + 1
         holds, missing, becomes = _holds(column, seen), seen.get("missing"), _becomes(log, column, seen, at)
-        out.append(Told(column.name, column.role, column.kind, holds, missing, becomes, at))
+        marked = bool(column.marked and column.role == "observation")
+        out.append(Told(column.name, column.role, column.kind, holds, missing, becomes, at, marked))
     known = {column.name for column in schema.columns}
     for name, seen in held.items():
         if name not in known:

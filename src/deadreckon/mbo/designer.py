@@ -20,6 +20,7 @@ from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
+from deadreckon.provided import Shown
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.hyperparameters import check_fields, described, on_device
@@ -31,7 +32,7 @@ AROUND = 0.3  # deviation of further starts around a design, in standardised coo
 
 
 @dataclass(frozen=True)
-class Proposals:
+class Proposals(Shown):
     """Designs that a method proposes.
 
     Attributes:

@@ -19,10 +19,11 @@ from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, variable_of
+from deadreckon.provided import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class Designs:
+class Designs(Shown):
     """Immutable designs and their scores.
 
     Attributes:
@@ -61,6 +62,10 @@ class Designs:
 
     def __len__(self) -> int:
         return len(self.y)
+
+    def __repr__(self) -> str:
+        how = "least" if self.minimise else "greatest"
+        return f"Designs({self.name}: {len(self):,} designs, {len(self.variables):,} variables, {how} {self.target} sought)"
 
     @classmethod
     def from_arrays(

@@ -1,5 +1,6 @@
 """Experience that an agent makes for itself: its policy acts in copies of a task, by turns with its updates."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key, PRNGKeyArray
+from jaxtyping import Array, Float, Key, PRNGKeyArray, Shaped
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import BatchSpec
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
-from deadreckon.data.spec import Discrete, Spec
+from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.online.rows import row_columns, row_width, unpacked
@@ -75,8 +76,8 @@ class Online:
 @eqx.filter_jit
 def _act(
     learner: Any, states: Any, seen: Float[Array, "l n o"], carry: Any, roots: Key[Array, "l"], t: Array
-) -> tuple[Float[Array, "l n a"], Any]:
-    """Actions in [-1, 1], and what the policies carry to the next step."""
+) -> tuple[Shaped[Array, "l n *a"], Any]:
+    """Actions in [-1, 1] or numbers of discrete ones, and what the policies carry to the next step."""
 
     def one(learner: Any, state: Any, seen: Array, carry: Any, root: PRNGKeyArray) -> tuple[Array, Any]:
         step = Step(seen, jnp.zeros(len(seen)), jnp.zeros(len(seen), bool))
@@ -91,8 +92,10 @@ def _act(
 
 
 @eqx.filter_jit
-def _explore(roots: Key[Array, "l"], t: Array, shape: tuple[int, ...]) -> Float[Array, "l n a"]:
-    """Uniform actions in [-1, 1]."""
+def _explore(roots: Key[Array, "l"], t: Array, shape: tuple[int, int], discrete: bool) -> Shaped[Array, "l n *a"]:
+    """Uniform actions of so many copies: of so many numbers in [-1, 1], or one of so many discrete ones."""
+    if discrete:
+        return jax.vmap(lambda root: jax.random.randint(_key(root, t), shape[:1], 0, shape[1]))(roots)
     return jax.vmap(lambda root: jax.random.uniform(_key(root, t), shape, minval=-1.0, maxval=1.0))(roots)
 
 
@@ -132,16 +135,18 @@ class Exploration:
         paths: Sequence[Path] = (),
         threads: int | None = None,
     ):
-        if isinstance(task.action_space, Discrete) or len(task.observation_shape) != 1:
-            raise UserError(f"{task.name}: online learning needs flat observations and continuous actions")
+        if len(task.observation_shape) != 1:
+            raise UserError(f"{task.name}: online learning needs flat observations, it has shape {task.observation_shape}")
         self.task, self.settings, self.seeds, self.paths = task, settings, list(seeds), list(paths)
         self.learns = type(agent).__name__
         self.spec = self._spec()
         self.needs = needs = agent.needs(self.spec)
-        shape, size = task.observation_shape, task.action_space.size
+        shape = task.observation_shape
         self.columns = row_columns(task)
         fields = {name: shape for name, shape in self.columns.items() if name != "timeout"} | self._further(needs)
-        self.fields = {name: (shape, np.dtype(np.float32)) for name, shape in fields.items()}
+        # All columns are float32 in the file, which holds the numbers of discrete actions exactly.
+        kinds = {"action": np.dtype(np.int32)} if self.spec.discrete else {}
+        self.fields = {name: (shape, kinds.get(name, np.dtype(np.float32))) for name, shape in fields.items()}
         plain = needs.n_step == 1 and not (needs.window or needs.initial)
         if set(needs.columns) - set(fields) or not plain or not self._fits(agent):
             raise UserError(f"{type(agent).__name__} does not {self._learning}")
@@ -153,7 +158,7 @@ class Exploration:
         self._shape = len(seeds), self.copies
         self.metrics: dict[str, np.ndarray] = {}
         self.seen = self.simulator.reset().reshape(*self._shape, *shape)
-        self._action = slice(shape[0], shape[0] + size)
+        self._action = slice(shape[0], shape[0] + int(np.prod(self.columns["action"])))
         # What policies remember, of those that do, and begin an episode with.
         begin = lambda: agent.policy(agent.init(self.spec, jax.random.key(0))).start(self.copies)  # noqa: E731
         remembers = jax.tree.leaves(eqx.filter_eval_shape(begin))
@@ -233,23 +238,30 @@ class Exploration:
         """One step of every copy as rows; `at` are the steps that a lane has taken before."""
         turn = jnp.int32(at // self.copies)
         if at < self.settings.explore:
-            unit = _explore(roots, turn, (self.copies, self.task.action_space.size))
+            unit = _explore(roots, turn, (self.copies, self.spec.action_size), self.spec.discrete)
         else:
             seen = jnp.asarray(self.view.observe(self.seen))
             unit, self.carry = _act(learner, states, seen, self.carry, roots, turn)
         unit = np.asarray(unit)
         actions = np.asarray(self.view.from_unit(unit), np.float32)
-        seen, reward, terminal, timeout = self.simulator.step(actions.reshape(-1, actions.shape[-1]))
+        actions = actions.reshape(-1, *self.columns["action"])
+        seen, reward, terminal, timeout = self.simulator.step(actions)
         flat = (self.seen.reshape(seen.shape), actions.reshape(len(seen), -1), reward[:, None], seen,
                 terminal[:, None], timeout[:, None])  # fmt: skip
         rows = np.concatenate([np.asarray(part, np.float32) for part in flat], 1)
         over = np.flatnonzero(terminal | timeout)
-        if len(over):
-            seen[over] = self.simulator.reset(over)
-            begins = np.isin(np.arange(len(seen)), over).reshape(self._shape)
-            self.carry = jax.tree.map(lambda now, fresh: _where(begins, fresh, now), self.carry, self._fresh)
         self.seen = seen.reshape(self.seen.shape)
+        if len(over):
+            self._begin_episodes(over)
         return rows.reshape(*self._shape, -1)
+
+    def _begin_episodes(self, over: np.ndarray) -> None:
+        """Begins an episode in these copies, counted through all lanes."""
+        seen = self.seen.reshape(-1, *self.seen.shape[2:])
+        seen[over] = self.simulator.reset(over)
+        begins = np.isin(np.arange(len(seen)), over).reshape(self._shape)
+        self.carry = jax.tree.map(lambda now, fresh: _where(begins, fresh, now), self.carry, self._fresh)
+        self.seen = seen.reshape(self.seen.shape)
 
     def flush(self) -> None:
         """See `Experience`."""
@@ -261,10 +273,15 @@ class Exploration:
 
     def restore(self, state: dict[str, Any]) -> None:
         """See `Experience`."""
-        self.simulator.restore(state)
-        self.seen = np.asarray(state["seen"])
+        lost = self.simulator.restore(state)
+        self.seen = np.array(state["seen"])
         self.carry = jax.device_put(state["carry"])
         self.replay.restore(int(state["count"]))
+        if lost is not None:
+            # Between two blocks of rows, so that no row has a successor of another episode.
+            told = "when seed and actions are repeated it shows something else, so it draws from elsewhere"
+            warnings.warn(f"{self.task.name}: {told}; {len(lost)} episodes begin anew", stacklevel=2)
+            self._begin_episodes(lost)
 
 
 def _where(which: np.ndarray, fresh: Array, now: Array) -> Array:

@@ -46,7 +46,8 @@ class MixedReplay(Exploration):
         self, task: Task, agent: Agent, seeds: Sequence[int], updates: int, settings: Online, paths: Sequence[Path] = (),
         threads: int | None = None, *, log: Dataset, share: float = 0.5,
     ):  # fmt: skip
-        check_log(log, task)
+        check_sizes(log, task)
+        check_bounds(log, task)
         self.log, self.share = log, share
         super().__init__(task, agent, seeds, updates, settings, paths, threads)
 
@@ -170,17 +171,30 @@ def check_agent(agent: Agent) -> None:
         raise UserError(f"{type(agent).__name__} does not learn online with a log in its replay; these agents do: {able}")
 
 
-def check_log(log: Dataset, task: Task) -> None:
+def check_sizes(log: Dataset, task: Task) -> None:
     """Refuses a log that cannot stand beside experience in a task.
 
     Raises:
-        UserError: its observations or actions have other sizes, or its actions wider bounds, than the task.
+        UserError: its observations or actions have other sizes than those of the task.
     """
     space = task.action_space
+    if not isinstance(space, Box) or not isinstance(log.action_space, Box):
+        raise UserError(f"{task.name}: going on from a log needs continuous actions, of the task and of the log {log.name}")
     asked, found = (task.observation_shape, space.size), (log.spec.observation_shape, log.spec.action_size)
-    if not isinstance(space, Box) or not isinstance(log.action_space, Box) or asked != found:
+    if asked != found:
         sizes = f"{found[0]} and {found[1]} actions, {task.name} has {asked[0]} and {asked[1]}"
         raise UserError(f"{log.name} has observations {sizes}")
+
+
+def check_bounds(log: Dataset, task: Task) -> None:
+    """Refuses a log whose coordinates of actions, which the policy has too, reach beyond those of a task of the same sizes.
+
+    Raises:
+        UserError: its actions have wider bounds.
+    """
+    space = task.action_space
+    assert isinstance(space, Box)
+    assert isinstance(log.action_space, Box)
     low, high = np.subtract(log.action_space.low, space.low), np.subtract(space.high, log.action_space.high)
     if min(low.min(), high.min()) < -1e-6:
         raise UserError(f"{log.name}: actions have the bounds {log.action_space}, beyond those of {task.name}, {space}")

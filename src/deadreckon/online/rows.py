@@ -7,6 +7,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
+from deadreckon.data.spec import Discrete
 from deadreckon.tasks.task import Task
 from deadreckon.training.replay import read_rows
 
@@ -20,8 +21,9 @@ def unpacked(rows: Any, shapes: dict[str, tuple[int, ...]]) -> dict[str, Any]:
 
 def row_columns(task: Task) -> dict[str, tuple[int, ...]]:
     """What a row of a replay file holds, in this order."""
-    shape, size = task.observation_shape, task.action_space.size
-    return {"observation": shape, "action": (size,), "reward": (), "next_observation": shape, "terminal": (), "timeout": ()}
+    shape = task.observation_shape
+    action = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
+    return {"observation": shape, "action": action, "reward": (), "next_observation": shape, "terminal": (), "timeout": ()}
 
 
 def row_width(task: Task) -> int:

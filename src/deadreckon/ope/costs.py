@@ -10,6 +10,7 @@ beside the chance alpha / 2 of deploying one that is no gain.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,19 +36,26 @@ class Cost(NamedTuple):
         limit: that it must not exceed; None: there is none.
         ends: (policies, 3) totals with lower and upper ends, of the behaviour policy last.
         warnings: of the estimate, one line each.
+        discount: of each further step, as of the value; 1 where episodes have one step.
     """
 
     column: str
     limit: float | None
     ends: np.ndarray
     warnings: tuple[str, ...]
+    discount: float = 1.0
+
+    @property
+    def told(self) -> str:
+        """The column, and how it is summed up."""
+        return self.column if self.discount == 1 else f"{self.column}, discounted by {self.discount:g} a step,"
 
     def words(self, which: int, level: float) -> str:
         """The total of a policy, beside that of the behaviour policy, in a line."""
         (value, low, high), logged = self.ends[which], self.ends[-1][0]
         within = "" if self.limit is None else f", limit {self.limit:g}"
         between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)}, for all policies at once{within})"
-        return f"its {self.column} is {between}; that of the behaviour policy is {logged:.4g}"
+        return f"its {self.told} is {between}; that of the behaviour policy is {logged:.4g}"
 
     def objection(self, which: int, level: float) -> str | None:
         """Why a policy may cost too much; None where it does not, or there is no limit."""
@@ -55,9 +63,9 @@ class Cost(NamedTuple):
         if self.limit is None or high <= self.limit:
             return None
         if not np.isfinite(high):
-            return f"nobody knows whether its {self.column} stays within {self.limit:g}"
+            return f"nobody knows whether its {self.told} stays within {self.limit:g}"
         between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)})"
-        return f"its {self.column} is {between}, which is not surely within {self.limit:g}"
+        return f"its {self.told} is {between}, which may be above its limit of {self.limit:g}"
 
 
 def cost_columns(log: Dataset) -> tuple[str, ...]:
@@ -71,18 +79,19 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
     """{column: limit, or None} of all costs of a log.
 
     Args:
-        given: one limit, where there is one cost; {column: limit}; or texts such as energy=25, or 25 alone.
+        given: one limit, where there is one cost; {column: limit}; or one or several texts such as energy=25, or 25 alone.
         log: whose costs are meant.
 
     Raises:
         UserError: a column that is no cost, or a limit that is no number.
     """
     columns = cost_columns(log)
+    given = [given] if isinstance(given, str) else given
     found: dict[str, float | None] = dict.fromkeys(columns)
     pairs: list[tuple[str, Any]] = []
     if isinstance(given, Mapping):
         pairs = list(given.items())
-    elif isinstance(given, str | int | float):
+    elif isinstance(given, int | float | Real):  # NumPy's numbers are Real
         pairs = [("", given)]
     elif given is not None:
         pairs = [(column, limit) for column, _, limit in (str(each).rpartition("=") for each in given)]
@@ -90,12 +99,15 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
         if not columns:
             text = "a cost limit needs a column of costs, which the log does not have; name it when it is read (--cost COLUMN)"
             raise UserError(f"{log.name}: {text}")
-        first = next(iter(columns))
+        if not column and limit in columns:
+            raise UserError(f"--cost-limit {limit}: a cost needs its limit beside it, such as {limit}=25")
         if not column and len(columns) > 1:
-            raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {first}={limit}")
-        column = column or first
+            raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {columns[0]}={limit}")
+        column = column or next(iter(columns))
         if column not in found:
             raise UserError(f"{log.name}: {unknown('cost', column, columns)}")
+        if found[column] is not None:
+            raise UserError(f"--cost-limit {column}={limit}: {column} has the limit {found[column]:g} already; give one")
         try:
             number = float(limit)
         except (TypeError, ValueError):
@@ -122,7 +134,8 @@ def costs_of(
     for column, limit in limits.items():
         told = estimator.on(_with_cost(case, column))
         ends = totals(told, alpha / len(limits), supported(told, support))
-        found.append(Cost(column, limit, ends, told.warnings))
+        discount = case.estimand.discount if case.given.lengths.max() > 1 and case.estimand.horizon != 1 else 1.0
+        found.append(Cost(column, limit, ends, told.warnings, discount))
     return found
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deadreckon.ope.estimand import Estimand
+from deadreckon.provided import Shown
 from deadreckon.stats import inference
 from deadreckon.stats.interval import PERCENT, decimals
 
@@ -16,7 +17,7 @@ LOGGED = "behaviour policy"  # the name of the policy that made the log
 
 
 @dataclass(frozen=True)
-class Estimates:
+class Estimates(Shown):
     """What an estimator says about each policy.
 
     Attributes:

@@ -14,6 +14,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
+from deadreckon.provided import Shown
 from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
 from deadreckon.stats.interval import ALPHA, decimals, level_in_words
@@ -32,7 +33,7 @@ ALARMING = 0.1  # of an interval, which that change must not exceed without a wa
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Shown):
     """A decision card.
 
     Attributes:

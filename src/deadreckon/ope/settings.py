@@ -56,7 +56,7 @@ class EvidenceSettings(Settings):
 
     accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
     cost_limit: float | Mapping[str, float] | Sequence[str] | None = None
-    """largest total cost of a policy, a number or COLUMN=NUMBER for each; deploy only if its interval is within"""
+    """largest cost of an episode, discounted as the value is; a number or COLUMN=NUMBER; the interval must be within"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -153,7 +153,7 @@ class GreedyQ(NormalizedPolicy):
         samples, size = self.noise.shape
         if greedy:
             noise = self.noise.reshape(samples, *[1] * (len(count) + 1), size)
-            pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, len(observation), size)))
+            pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, observation.shape[0], size)))
         else:
             pre = self.actor.drawn(observation, key, (samples, *count))
         critics = jax.tree.map(lambda w: w[None], self.critic)

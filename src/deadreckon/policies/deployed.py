@@ -14,9 +14,11 @@ from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP
 from deadreckon.policies.candidates import GreedyActions
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian
 from deadreckon.policies.policy import NormalizedPolicy
+from deadreckon.policies.portable import check_size
 from deadreckon.randomness import keys
 
 
@@ -99,7 +101,8 @@ class EnvPolicy(eqx.Module):
             legal: (actions,) or (n, actions) truth values, which are legal: the end of the observations, where these lack it.
 
         Raises:
-            UserError: the policy acts on the last steps of an episode, of which one observation does not tell.
+            UserError: the policy acts on the last steps of an episode, of which one observation does not tell; observations of
+                another size, such as without the legal actions; or no action is legal.
         """
         if (steps := history_of(self)) > 1:
             raise UserError(
@@ -108,7 +111,14 @@ class EnvPolicy(eqx.Module):
         x = np.asarray(observations, np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         single = x.ndim == 1
-        actions = first_actions(self, jnp.asarray(x[None] if single else x), jax.random.key(0), True)
+        x = x[None] if single else x
+        net = getattr(self.inner, "net", getattr(self.inner, "critic", None))
+        if isinstance(self.inner, Categorical | GreedyActions) and isinstance(net, MLP):
+            try:
+                check_size(x, net.weights[0].shape[-2], net.mask)
+            except ValueError as error:
+                raise UserError(str(error)) from error
+        actions = first_actions(self, jnp.asarray(x), jax.random.key(0), True)
         return np.asarray(actions[0] if single else actions)
 
 

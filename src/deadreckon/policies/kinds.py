@@ -34,7 +34,7 @@ class Sampler(NormalizedPolicy):
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
         if greedy:
-            return self.from_noise(observation, jnp.zeros((*count, len(observation), self.noise_size)))
+            return self.from_noise(observation, jnp.zeros((*count, observation.shape[0], self.noise_size)))
         return self.drawn(observation, key, count)
 
     @property
@@ -48,7 +48,7 @@ class Sampler(NormalizedPolicy):
 
     def drawn(self, observation: Float[Array, "n o"], key: PRNGKeyArray, count: tuple[int, ...]) -> Float[Array, "*c n a"]:
         """`count` draws before the tanh at every observation."""
-        return self.from_noise(observation, jax.random.normal(key, (*count, len(observation), self.noise_size)))
+        return self.from_noise(observation, jax.random.normal(key, (*count, observation.shape[0], self.noise_size)))
 
 
 class TanhGaussian(Sampler):

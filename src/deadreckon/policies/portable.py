@@ -2,12 +2,16 @@
 
 A file is an npz archive of float32 or float16 arrays and one JSON text, `policy.json`. Nothing is pickled. The JSON is a tree:
 `{"kind": "EnvPolicy", "inner": {...}, "mean": array, ...}`, where an array is the string `"@name"` of an archive member.
-`deadreckon.policies.save` writes it, `deadreckon.policies.load` reads it back into the package.
 
     play = load("policy.npz")
     action = play(observation)
+
+With the files `table_*.py` beside this one, which need numpy alone too, rows of the log's table can be given:
+
+    play.predict({"temp": 20.1, "mode": "auto"})
 """
 
+import importlib
 import json
 import zipfile
 
@@ -32,25 +36,29 @@ RENAMED = {
     "Supported": ("ThresholdedPolicy", {"share": "threshold"}),
 }
 _EDGE = 1.0 - 1e-6
+_CHOOSING = ("Categorical", "GreedyActions", "ThresholdedPolicy")  # among discrete actions
+_SAMPLERS = ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep")
+_KINDS = (*_CHOOSING, *_SAMPLERS, "Deterministic", "GreedyQ", "Gaussian", "ClippedGaussian", "TanhMeanGaussian")
 
 
 def read(path):
     """The JSON tree and the arrays of a policy file; ValueError in one line if it is none."""
     try:
         with open(path, "rb") as file:
-            archive = file.read(4) == b"PK\x03\x04"
+            if file.read(4) != b"PK\x03\x04":
+                raise ValueError(f"{path} is not a policy file (.npz)")
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    if not archive:
-        raise ValueError(f"{path} is not a policy file (.npz)")
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: _single(file[name]) for name in file.files}
+            arrays = {name: file[name] for name in file.files}
         if "policy.json" not in arrays:
             raise ValueError("no policy.json in it")
         tree = json.loads(arrays.pop("policy.json").tobytes())
         if tree["format"] != FORMAT:
             raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
+        # Weights may be stored as float16; one acts with float32.
+        arrays = {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
         return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is not a whole policy file: {error}") from error
@@ -88,26 +96,33 @@ def _noise_size(actor, arrays):
     return arrays[net["biases"][-1][1:]].shape[-1] // 2
 
 
-def _single(array):
-    """Weights may be stored as float16; one acts with float32."""
-    return array.astype(np.float32) if array.dtype == np.float16 else array
-
-
 def load(path):
-    """A `NumpyPolicy` from a file."""
+    """A `NumpyPolicy` from a file; ValueError in one line if it is none, or of a kind that numpy alone does not play."""
     tree, arrays = read(path)
+    if (kind := unknown_kind(tree["policy"])) is not None:
+        raise ValueError(f"{path} is of the kind {kind}, which numpy alone does not play")
     return NumpyPolicy(tree, arrays)
 
 
+def unknown_kind(policy):
+    """The first kind of policy in a file's tree that is not played here, or None."""
+    inner = policy["inner"]
+    parts = inner.get("members", [inner["member"]] if inner["kind"] == "History" else [])
+    unknown = [] if parts or inner["kind"] in _KINDS else [inner["kind"]]
+    return next(iter([*unknown, *filter(None, map(unknown_kind, parts))]), None)
+
+
 class NumpyPolicy:
-    """Acts by numpy alone. `policy(observations)` gives greedy actions for one observation or a batch."""
+    """Acts by numpy alone: `policy(observations)` gives greedy actions, and `policy.predict(rows)` takes rows of a table."""
 
     def __init__(self, tree, arrays):
-        self.tree, self.arrays = tree["policy"], arrays
+        self.tree, self.arrays, self.log = tree["policy"], arrays, tree.get("meta", {}).get("log", {})
+        self._predictor = None
         inner = self.tree["inner"]
-        several, self.past = inner["kind"] == "Mixture", None  # of a history: (n, numbers) without the next observation
+        self.past = None  # of a history: (n, numbers) without the next observation
         self.member = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "History" else None
-        self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner["members"]] if several else []
+        self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner.get("members", [])]
+        self.steps, self.action_size = (inner["steps"], inner["action_size"]) if self.member else (1, 0)
         self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
 
     def __call__(self, observations, rng=None, greedy=True, first=None, legal=None):
@@ -125,25 +140,18 @@ class NumpyPolicy:
             return self._on_history(self.member, x, rng, greedy, first)
         if self.members:
             return self._mixed(x, rng, greedy, first)
-        rng = rng or np.random.default_rng(0)
-        batch = x if x.ndim > 1 else x[None]
-        get = self._array
-        if self.tree["mean"] is not None:
-            batch = (batch - get(self.tree["mean"])) / get(self.tree["std"])
-        if self.tree["inner"]["kind"] in ("Categorical", "GreedyActions", "ThresholdedPolicy"):
+        rng, kind = rng or np.random.default_rng(0), self.tree["inner"]["kind"]
+        batch, get = self._observed(x if x.ndim > 1 else x[None]), self._array
+        if kind in _CHOOSING:
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy)
-        kind = self.tree["inner"]["kind"]
-        if kind in ("ClippedGaussian", "TanhMeanGaussian"):
-            action = np.clip(action, -1.0, 1.0)
-        elif kind != "Gaussian":
-            action = np.tanh(action)
+        if kind != "Gaussian":
+            action = np.clip(action, -1.0, 1.0) if kind in ("ClippedGaussian", "TanhMeanGaussian") else np.tanh(action)
         if self.tree["low"] is not None:
             low, high = get(self.tree["low"]), get(self.tree["high"])
             action = low + 0.5 * (action + 1.0) * (high - low)
-        action = action.astype(np.float32)
-        return action if x.ndim > 1 else action[0]
+        return action.astype(np.float32) if x.ndim > 1 else action[0].astype(np.float32)
 
     def _mixed(self, x, rng, greedy, first):
         """Actions of the members whose turn it is."""
@@ -172,20 +180,47 @@ class NumpyPolicy:
         start = np.concatenate([batch, none] * (inner["steps"] - 1), 1)
         history = np.concatenate([np.where(begins[:, None], start, self.past), batch], 1)
         actions = member(history, rng, greedy)
-        low = member.tree["low"]
-        if low is None:
-            done = np.eye(inner["action_size"], dtype=np.float32)[np.asarray(actions)]
-        else:
-            low, high = self._array(low), self._array(member.tree["high"])
-            done = np.clip(2.0 * (actions - low) / (high - low) - 1.0, -_EDGE, _EDGE)
-        self.past = np.concatenate([history, done], 1)[:, batch.shape[1] + none.shape[1] :].astype(np.float32)
+        self.past = np.concatenate([history, self.done(actions)], 1)[:, batch.shape[1] + none.shape[1] :].astype(np.float32)
         return actions if x.ndim > 1 else actions[0]
+
+    def done(self, actions):
+        """Actions as a history has them: (n, action_size) float32 in [-1, 1], or one-hot."""
+        of = self.tree["inner"]["member"]
+        if of["low"] is None:
+            return np.eye(self.action_size, dtype=np.float32)[np.asarray(actions)]
+        low, high = self._array(of["low"]), self._array(of["high"])
+        return np.clip(2.0 * (np.asarray(actions, np.float32) - low) / (high - low) - 1.0, -_EDGE, _EDGE).astype(np.float32)
+
+    act = __call__  # as `table_predict` calls it, of a policy without memory
+
+    def predict(self, rows, **options):
+        """Actions by name in rows of a table; see `table_predict.Predictor.predict`, whose options it takes."""
+        if self._predictor is None:
+            module = importlib.import_module(f"{__package__}.table_predict" if __package__ else "table_predict")
+            self._predictor = module.Predictor(self, self.log)
+        return self._predictor.predict(rows, **options)
+
+    def probs(self, observations):
+        """(n, actions) probabilities of discrete actions at a batch of observations; None of continuous ones."""
+        if (node := self.tree["inner"])["kind"] not in _CHOOSING:
+            return None
+        scores = self._scores(node, self._observed(observations))
+        if node["kind"] != "Categorical":
+            return np.eye(scores.shape[-1], dtype=np.float32)[scores.argmax(-1)]
+        likely = np.exp(scores - scores.max(-1, keepdims=True))
+        return likely / likely.sum(-1, keepdims=True)
+
+    def _observed(self, x):
+        """A batch of observations in the coordinates of the networks."""
+        mean, std = self.tree["mean"], self.tree["std"]
+        return x if mean is None else (x - self._array(mean)) / self._array(std)
 
     def _array(self, reference):
         return self.arrays[reference[1:]]
 
     def _net(self, net, x):
         seen, last, mask = x, len(net["weights"]) - 1, net.get("mask", 0)
+        check_size(x, self._array(net["weights"][0]).shape[-2], mask)
         for i, (w, b) in enumerate(zip(net["weights"], net["biases"])):
             x = x @ self._array(w) + self._array(b)
             if i < last:
@@ -197,16 +232,18 @@ class NumpyPolicy:
 
     def _chosen(self, node, x, rng, greedy):
         """Indices of discrete actions, (n,)."""
-        if node["kind"] == "ThresholdedPolicy":
-            likely = self._net(node["behavior"]["net"], x)
-            enough = likely >= likely.max(-1, keepdims=True) + np.log(self._array(node["threshold"]))
-            scores = np.where(enough, self._net(node["critic"], x), -np.inf)
-        elif node["kind"] == "GreedyActions":
-            scores = self._net(node["critic"], x)
-        else:
-            scores = self._net(node["net"], x)
-            scores = scores if greedy else scores + rng.gumbel(size=scores.shape)
+        scores = self._scores(node, x)
+        if node["kind"] == "Categorical" and not greedy:
+            scores = scores + rng.gumbel(size=scores.shape)
         return scores.argmax(-1).astype(np.int32)
+
+    def _scores(self, node, x):
+        """(n, actions) logits, or values; minus infinity of actions that are not likely enough."""
+        if node["kind"] != "ThresholdedPolicy":
+            return self._net(node["critic" if node["kind"] == "GreedyActions" else "net"], x)
+        likely = self._net(node["behavior"]["net"], x)
+        enough = likely >= likely.max(-1, keepdims=True) + np.log(self._array(node["threshold"]))
+        return np.where(enough, self._net(node["critic"], x), -np.inf)
 
     def _pre(self, node, x, rng, greedy):
         """Actions before the tanh, (n, size)."""
@@ -215,10 +252,8 @@ class NumpyPolicy:
             return self._net(node["net"], x)
         if kind == "GreedyQ":
             actor, noise = node["actor"], self._array(node["noise"])
-            if greedy:
-                noise = noise[:, None]
-            else:
-                noise = rng.standard_normal((len(noise), len(x), noise.shape[-1]), np.float32)
+            drawn = (len(noise), len(x), noise.shape[-1])
+            noise = noise[:, None] if greedy else rng.standard_normal(drawn, np.float32)
             pre = self._from_noise(actor, x, noise)
             q = self._net(node["critic"], _beside(x, np.tanh(pre)))[..., 0]
             return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
@@ -228,11 +263,10 @@ class NumpyPolicy:
             else:
                 mean, log_std = np.split(self._net(node["net"], x), 2, -1)
             return mean if greedy else mean + np.exp(log_std) * rng.standard_normal(mean.shape, np.float32)
-        if kind not in ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep"):
+        if kind not in _SAMPLERS:
             raise ValueError(f"unknown kind of policy {kind!r}")
         shape = len(x), _noise_size(node, self.arrays)
-        noise = np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32)
-        return self._from_noise(node, x, noise)
+        return self._from_noise(node, x, np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32))
 
     def _from_noise(self, node, x, noise):
         """Actions before the tanh from standard normal noise, (*count, n or 1, z)."""
@@ -249,6 +283,15 @@ class NumpyPolicy:
         if kind == "OneStep":
             return np.arctanh(np.clip(self._net(node["net"], _beside(x, noise)), -_EDGE, _EDGE))
         raise ValueError(f"unknown kind of policy {kind!r} among candidates")
+
+
+def check_size(x, size, mask):
+    """ValueError where rows are not of `size` numbers, the last `mask` of which say which actions are legal."""
+    parts = f", {size - mask} and which of the {mask} actions are legal (legal=)" if mask else ""
+    if x.shape[-1] != size:
+        raise ValueError(f"an observation has {x.shape[-1]} numbers, {size} are needed{parts}")
+    if mask and not (some := (x[..., -mask:] > 0.5).any(-1)).all():
+        raise ValueError(f"no action is legal in row {int(np.argmin(some))}; at least one must be")
 
 
 def _beside(x, many):

@@ -60,12 +60,10 @@ def short(value: float) -> str:
 
 def cut(name: str) -> str:
     """A name that is short enough to stand beside a line."""
-    """A name that is short enough to stand beside a line."""
     return name if len(name) <= LETTERS else f"{name[: LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
 def path(x: np.ndarray, y: np.ndarray, closed: bool = False) -> str:
-    """The way through points, as SVG has it."""
     """The way through points, as SVG has it."""
     out, pen = [], False
     for a, b in zip(x, y):

@@ -11,18 +11,21 @@ from deadreckon.report.text import number
 _BINS = 24
 _CELLS = 44, 28  # of a density, across and up
 _NAME = 17  # letters of a bar's name
+_LARGEST = 8e307  # of both signs, whose difference is a number too; larger ones are drawn there
 _MOST = 12  # bars; those that are left become one
 
 
 def histogram(values: np.ndarray, title: str, unit: str = "rows") -> Markup:
     """How often values of (rows,) numbers occur; few different ones have a bar each. `unit` is what is counted."""
     values = np.asarray(values, np.float64)
-    values = values[np.isfinite(values)]
+    values = np.clip(values[np.isfinite(values)], -_LARGEST, _LARGEST)
     if not len(values):
         return tag("p", "no values", class_="empty")
     kinds, counts = np.unique(values, return_counts=True)
-    if len(kinds) <= _MOST:
-        return shares([f"{kind:.6g}" for kind in kinds.tolist()], counts, title, unit)
+    narrow = kinds[-1] - kinds[0] < 2 * _BINS * np.spacing(np.abs(kinds).max())  # no number lies between the ends of a bin
+    if len(kinds) <= _MOST or narrow:
+        short_names, long_names = ([f"{kind:.{digits}g}" for kind in kinds.tolist()] for digits in (6, 17))
+        return shares(short_names if len(set(short_names)) == len(kinds) else long_names, counts, title, unit)
     counts, edges = np.histogram(values, _BINS)
     width, height, left, right, top, bottom = 300, 170, 38, 292, 22, 140
     x, y = Axis(float(edges[0]), float(edges[-1]), left, right), Axis(0.0, float(counts.max()), bottom, top, most=3)

@@ -1,6 +1,7 @@
 """The card: what `ope.select` decided from the log alone. There is no other verdict on a page."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from deadreckon.ope.estimates import LOGGED
@@ -59,6 +60,21 @@ def card(page: Page) -> Markup | None:
         tag("div", _against(told, chosen), after, class_="split lower"),
         class_=f"card {kind}",
     )  # fmt: skip
+
+
+def brief(choice: Mapping[str, Any], gain: Markup | None = None) -> Markup:
+    """The card where nothing but the choice itself is known: with its reason, its gain, and what was found."""
+    words, kind = ("Deploy", "yes") if choice["deploy"] else ("Do not deploy", "no")
+    which = tag("span", choice["name"], class_="which" if choice["deploy"] else "which lesser") if choice["name"] else None
+    more = [tag("li", line) for line in (*choice["evidence"], *choice["warnings"])]
+    return tag(
+        "div",
+        tag("p", tag("strong", words, class_=f"stamp {kind}"), which),
+        tag("p", f"{choice['reason']}.", class_="because"),
+        tag("div", gain, class_="tiles") if gain else None,
+        tag("ul", more, class_="caveats") if more else None,
+        class_=f"card {kind}",
+    )
 
 
 def _tiles(told: dict[str, Any], chosen: int) -> list[Markup]:

@@ -41,7 +41,7 @@ def write_log(log: Dataset, out: Path | str, info: Info, warnings: Sequence[str]
     sampled = f"Charts of rows show {len(rows):,} of {info.rows:,} rows, at regular distances." if len(rows) < len(log) else ""
     sections: list[tuple[str, str, Markup | None]] = [
         ("warnings", "Warnings", tag("ul", [tag("li", line) for line in warnings], class_="caveats") if warnings else None),
-        ("columns", "Columns", _table(columns)),
+        ("columns", "Columns", columns_table(columns)),
         ("values", "Values of the columns", _pictures(log, columns, rows)),
         ("returns", "Returns and lengths of episodes", _returns(log)),
         ("actions", "Actions over time", _over_time(log, rows)),
@@ -66,9 +66,10 @@ def _facts(info: Info) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def _table(columns: Sequence[Told]) -> Markup:
+def columns_table(columns: Sequence[Told], most: int = _LISTED) -> Markup:
+    """A row for each column of a log, `most` of them."""
     rows = []
-    for each in columns[:_LISTED]:
+    for each in columns[:most]:
         missing = "not counted" if each.missing is None else f"{each.missing:,}"
         cells = [tag("td", text, class_="text") for text in (each.role, each.kind, each.holds)]
         cells += [tag("td", missing), tag("td", each.becomes, class_="text")]

@@ -10,7 +10,7 @@ from typing import Any
 
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.report import curves, decision, provenance, simulated
+from deadreckon.report import curves, decision, explained, provenance, simulated
 from deadreckon.report import estimates as estimated
 from deadreckon.report.entries import Page, read
 from deadreckon.report.markup import Markup, join, tag
@@ -66,6 +66,7 @@ def render(page: Page, title: str | None = None) -> str:
         ("scores", "Scores" if found else "Runs", scores(page)),
         ("learning", "Learning curves", curves.learning(page)),
         ("values", "Estimated and realised return", curves.values(page)),
+        ("explained", "What the policy does", explained.section(page)),
         ("distance", "Distance to the log", curves.distance(page)),
         ("training", "Training", curves.training(page)),
         ("mazes", "Trajectories", curves.trajectories(page)),
@@ -107,11 +108,12 @@ def document(
         tag("main", [tag("section", tag("h2", heading), body, id=name) for name, heading, body in shown]),
         tag("footer", "Made by deadreckon; the file holds everything it shows and loads nothing."),
     )
-    parts = {"title": tag("title", title), "body": body, "css": _asset("page.css"), "js": _asset("page.js")}
-    return Template(_asset("page.html")).substitute(parts)
+    parts = {"title": tag("title", title), "body": body, "css": asset("page.css"), "js": asset("page.js")}
+    return Template(asset("page.html")).substitute(parts)
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """The text of a file that pages are made of."""
     return resources.files("deadreckon.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 

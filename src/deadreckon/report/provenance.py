@@ -150,7 +150,7 @@ def _begun(entry: Entry) -> list[tuple[str, Any]]:
         if "return" in entry.evaluations:
             facts.append(("course", str(course(config, entry.evaluations))))
     if log := config.get("log"):
-        held = f", of which {log['holdout']['held']:,} held out" if log["holdout"] else ""
+        held = f"; {log['holdout']['held']:,} episodes are held out" if log["holdout"] else ""
         facts.append(("log in the replay", f"{log['name']}, {log['rows']:,} rows, {log['share']:.0%} of each batch{held}"))
     return facts
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, replacing
-from deadreckon.report import page
+from deadreckon.report import decision, page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import note
 from deadreckon.runs import recommend as recommending
@@ -37,25 +37,11 @@ def write(out: Path | str, quick: bool = False) -> Path:
     facts = [("log", told["log"]), ("budget", in_words(tried["budget"])), ("took", in_words(tried["seconds"]))]
     if tried["rows"] is not None:
         facts.append(("rows", f"{tried['rows']:,}"))
-    sections = [("decision", "Decision", _card(told)), ("tried", "What was tried", _tried(told))]
+    sections = [("decision", "Decision", decision.brief(told["choice"])), ("tried", "What was tried", _tried(told))]
     text = page.document(f"Offline policies for {told['log']}", f"{words}: {choice['reason']}.", facts, sections)
     with replacing(out / PAGE) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return out / PAGE
-
-
-def _card(told: dict) -> Markup:
-    choice = told["choice"]
-    words, kind = ("Deploy", "yes") if choice["deploy"] else ("Do not deploy", "no")
-    which = tag("span", choice["name"], class_="which") if choice["name"] else None
-    more = [tag("li", line) for line in (*choice["evidence"], *choice["warnings"])]
-    return tag(
-        "div",
-        tag("p", tag("strong", words, class_=f"stamp {kind}"), which),
-        tag("p", f"{choice['reason']}.", class_="because"),
-        tag("ul", more, class_="caveats") if more else None,
-        class_=f"card {kind}",
-    )
 
 
 def _tried(told: dict) -> Markup | None:

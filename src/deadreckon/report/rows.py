@@ -77,10 +77,10 @@ class Difference:
 
 
 def to_score(task: Task | None, returns: Interval) -> Interval | None:
-    """Returns as scores; None where the task's references are not known here."""
-    if task is None:
+    """Returns as scores; None where the task's references are not known here, or where it has none."""
+    if task is None or (reference := task.reference) is None:
         return None
-    return Interval(*(float(task.reference.normalise(v)) for v in (returns.value, returns.low, returns.high)))
+    return Interval(*(float(reference.normalise(v)) for v in (returns.value, returns.low, returns.high)))
 
 
 def behavior(entry: Entry) -> Interval | None:

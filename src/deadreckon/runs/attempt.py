@@ -28,6 +28,8 @@ from deadreckon.data import catalogue
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
+from deadreckon.data.info import warnings_for
+from deadreckon.data.leaks import leaks
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
@@ -38,9 +40,9 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
+from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, too_few, usual
-from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.together import judge_of
 from deadreckon.runs.train import Run, train
@@ -104,6 +106,7 @@ LEAST = 0.3  # of the time left after the pilots is for learning, however long j
 EPISODES, FEW = 20, 5  # in the simulator, where there is one; with fewer than the latter nothing is checked
 BLOCK = 1024  # rows by which it is measured how long linear critics take
 FEWEST_FITS, MOST_FITS = 1_000, 20_000  # updates of FQE, where model-based estimates decide
+DESCRIBED = 2_000_000  # rows of a log up to which it is described, which takes a second or two
 FAULT = "fault.txt"  # where an error of ours is told in full
 MEMBERS = 5  # critics a policy in FQE, whose spread is the interval
 
@@ -208,7 +211,17 @@ class Attempt:
         by = {"random": "at random", "time": "the latest"}.get(holdout.by, f"by {holdout.by}")
         share = f"{held:,} of them ({100 * held / log.episodes:.0f} %)"  # of whole clusters seldom what was asked for
         self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
+        self._warn(log)
         return log, judge_in, holdout
+
+    def _warn(self, log: Dataset) -> None:
+        """Tells what `data info` warns of: suspected leaks, which speak against any policy, on the card, the rest as lines."""
+        self.send("state", {"leaks": leaks(log)})
+        short = len(log) <= DESCRIBED
+        for line in warnings_for(log) if short else log.warnings:
+            self.send("line", f"! {line}")
+        if not short:
+            self.send("line", "! the log is long; `deadreckon data info` checks its rewards, observations and episodes too")
 
     # ---- pilots -------------------------------------------------------------------------------------------------------
 
@@ -305,7 +318,8 @@ class Attempt:
         self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
         if steps < FEWEST:
             # Whoever has hardly begun to learn would be judged to be no better, which is another thing than not knowing.
-            raise self._short(f"it would do for {steps} updates of each candidate, {FEWEST} are the fewest")
+            text = f"it would do for {steps} updates of each candidate, {FEWEST} are the fewest"
+            raise self._short(f"{text}; reading, compiling and pilots took {spent:.0f} s")
         for told in self.told:
             told["planned"] = steps
         self._tell()

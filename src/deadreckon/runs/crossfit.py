@@ -29,7 +29,6 @@ from deadreckon.runs.reading import noted
 from deadreckon.runs.seen import seen
 from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.runs.train import Run, load, train
-from deadreckon.tasks.task import Task
 from deadreckon.versions import differences
 
 Deliver = Literal["mixture", "refit"]
@@ -99,7 +98,7 @@ def cross_fit(
     deliver: Deliver = "mixture",
     steps: int = 100_000,
     seeds: int = 1,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> CrossFit:
     """Trains an agent once for each fold of a log, from the other folds, and makes what is to be deployed.
@@ -166,7 +165,7 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], sha
         picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
         mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
-        meta = {"agent": config["agent"], "members": config["members"], "log": noted(log.provenance)}
+        meta = {"agent": config["agent"], "members": config["members"], "log": noted(log)}
         store.save(path / MIXTURE, mixture, meta, taught=log.episode_ids, held=np.zeros(0, np.uint64))
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)

@@ -47,21 +47,21 @@ class Evaluation:
     trajectories: np.ndarray | None = field(default=None, repr=False)
 
     @property
-    def scores(self) -> np.ndarray:
-        """(policies, episodes) on the scale where random is 0 and the expert 100."""
-        return self.task.reference.normalise(self.returns)
+    def scores(self) -> np.ndarray | None:
+        """(policies, episodes) on the scale where random is 0 and the expert 100; None where the task has no such scale."""
+        return self.task.scores(self.returns)
 
-    def score(self, policy: int | None = None) -> Interval:
-        """Normalised score of one policy, or of all of them together, with its interval."""
-        return mean_interval(self.scores if policy is None else self.scores[policy])
+    def score(self, policy: int | None = None) -> Interval | None:
+        """Normalised score of one policy, or of all of them together, with its interval; None where there are no scores."""
+        scores = self.scores
+        return None if scores is None else mean_interval(scores if policy is None else scores[policy])
 
     def __str__(self) -> str:
         lines = [f"{self.task.name}: {self.returns.shape[1]} episodes per policy, {PERCENT} intervals"]
         width = max(map(len, self.names))
-        for i, name in enumerate(self.names):
-            lines.append(f"  {name:<{width}}  return {mean_interval(self.returns[i]):.1f}   score {self.score(i):.1f}")
-        if len(self.names) > 1:
-            lines.append(f"  {'all':<{width}}  return {mean_interval(self.returns):.1f}   score {self.score():.1f}")
+        for i, name in (*enumerate(self.names), *([(None, "all")] if len(self.names) > 1 else [])):
+            returns, score = mean_interval(self.returns if i is None else self.returns[i]), self.score(i)
+            lines.append(f"  {name:<{width}}  return {returns:.1f}" + ("" if score is None else f"   score {score:.1f}"))
         return "\n".join(lines)
 
 
@@ -124,7 +124,7 @@ class _Actors:
 
 def evaluate(
     policies: Any,
-    task: Task | str,
+    task: Any,
     *,
     episodes: int = 100,
     seed: int = 0,
@@ -136,7 +136,7 @@ def evaluate(
 
     Args:
         policies: a `Policy`, a policy file, a Run, or a sequence of these.
-        task: or its name.
+        task: a task, its name, or a Gymnasium environment, its id, or what makes one; see `tasks.registry.task`.
         episodes: for each policy; all policies get the same starts.
         seed: of starts and draws.
         names: shown for the policies.
@@ -149,7 +149,7 @@ def evaluate(
     settings = ReturnSettings.of(options)
     settings.check_values()
     check_seed(seed)
-    task = find_task(task) if isinstance(task, str) else task
+    task = find_task(task)
     if episodes < 1:
         raise UserError(f"episodes must be >= 1, got {episodes}")
     found = policies_of(policies)

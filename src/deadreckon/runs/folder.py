@@ -17,6 +17,7 @@ checkpoints together: beside them, not in them.
 import contextlib
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -176,3 +177,23 @@ class Folder:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
             write_json(self.config, before | {"steps": config["steps"]})
+
+
+def policy_seed(name: str, seeds: Sequence[int], failures: Sequence[Any], seed: int | None) -> int:
+    """The seed of a run whose policy is used: the one that is asked for, else the first that has not failed.
+
+    Args:
+        name: of the run, for errors.
+        seeds: its seeds.
+        failures: of each, None where it has not failed.
+        seed: that is asked for.
+
+    Raises:
+        UserError: the run has no such seed, or all have failed.
+    """
+    if seed is not None and seed not in seeds:
+        raise UserError(f"{name} has no policy of seed {seed}; its seeds are {', '.join(map(str, seeds))}")
+    healthy = [each for each, failure in zip(seeds, failures) if failure is None]
+    if seed is None and not healthy:
+        raise UserError(f"all seeds of {name} have failed; name one, whose last good policy is used")
+    return healthy[0] if seed is None else seed

@@ -21,6 +21,7 @@ from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
+from deadreckon.provided import provided
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
@@ -45,13 +46,16 @@ class Judged(NamedTuple):
     choice: Choice
     results: dict[str, Any]
 
+    def _repr_html_(self) -> str | None:
+        return provided("notebook")(self)
+
 
 def judge(
     policies: Any,
     data: Dataset | str | Path,
     estimators: Sequence[Any] | str = "auto",
     *,
-    task: Task | str | None = None,
+    task: Any = None,
     **options: Unpack[JudgeOptions],
 ) -> Judged:
     """Estimates policies from a log, decides which to deploy, if any, and then looks into the simulator whether that was right.
@@ -63,7 +67,7 @@ def judge(
         policies: the policies, or where they are, one or several; see `gather`.
         data: a log, the name of a known one, or a file: what they learned from, with the episodes that were held out, or new.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
-        task: simulator in which the estimates are checked; None checks nothing.
+        task: simulator in which the estimates are checked, as `tasks.registry.task` takes it; None checks nothing.
         **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `cost_limit`,
             `guarantee`, `return_range`, `confounding`, `tail`, `by_group`, `model`; on which episodes: `cluster`, `unseen`,
             `counted`; and `seed`, `episodes` (of a policy in the simulator), `out` and `watch`. See
@@ -86,13 +90,13 @@ def judge(
 
 
 def judge_alone(
-    policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Task | str | None, settings: JudgeSettings
+    policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Any, settings: JudgeSettings
 ) -> Judged:
     """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
     check_encodings(candidates, data)
-    task = find_task(task) if isinstance(task, str) else task
+    task = None if task is None else find_task(task)
     if task is not None:
         _check_spaces(task, data)
     episodes = fresh(candidates, data, settings.unseen)

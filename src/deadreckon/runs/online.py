@@ -25,7 +25,10 @@ from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.recorder import Recorder, follow
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
 from deadreckon.runs.started import Beside, Start, beside, start_of
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
+from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -35,7 +38,7 @@ from deadreckon.versions import versions
 
 def train_online(
     agent: Agent | str | Sequence[Agent] | None = None,
-    task: Task | str | None = None,
+    task: Any = None,
     *,
     steps: int = 1_000_000,
     seeds: int | None = None,
@@ -52,13 +55,14 @@ def train_online(
     Args:
         agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only; None: that of
             `start`, from which it may differ in its settings but not in its networks.
-        task: the simulator to learn and to be judged in, or its name; None: the one that `start` was judged in.
+        task: the simulator to learn and to be judged in, its name, or a Gymnasium environment, its id, or what makes one
+            (see `tasks.registry.task`); None: the one that `start` was judged in.
         steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`; None: 1, or those of `start`.
         seed: the first random seed.
         out: run folder; None is `runs/AGENT-TASK-online`, or `runs/AGENT-TASK-fine-tuned` with `start`.
         **settings: `start`, `data`, `log_share`, `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`,
-            `threads`, `demonstrations` and `watch`; see `runs.settings.OnlineSettings`.
+            `threads`, `demonstrations`, `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
@@ -77,10 +81,11 @@ def train_online(
     if start is not None and agent_name(lanes[0]) != agent_name(start.agents[0]):
         learned, other = agent_name(start.agents[0]), agent_name(lanes[0])
         raise UserError(f"{start.run.path} is a run of {learned}, {other} cannot go on from it")
-    task = task if task is not None or start is None else start.run.config["task"]
+    if task is None and start is not None and start.run.config["task"] is not None:
+        task = of_run(start.run.config["task"])
     if task is None:
         raise UserError("train_online needs a task, the simulator to learn in")
-    task = find_task(task) if isinstance(task, str) else task
+    task = find_task(task)
     kind = "online" if start is None else "fine-tuned"
     folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-{kind}"))
     with folder.alone():
@@ -93,6 +98,7 @@ def _train_online(
 ) -> Run:  # fmt: skip
     """The run in `folder`, of one agent a seed."""
     turns = asked.settings or turns_of(type(lanes[0]), task.name, start is not None)
+    trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)
     name = agent_name(lanes[0])
     every = max(1, round((asked.evaluate_every or max(steps // 50, 1)) * turns.updates_per_step))
@@ -114,7 +120,7 @@ def _train_online(
         "seeds": numbers,
         "steps": updates,
         "evaluation": {"every": job.stops, "episodes": asked.episodes},
-        "versions": versions() | {"lanes": len(numbers)},
+        "versions": versions() | {"lanes": len(numbers), **task.versions},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
     if shown is not None:
@@ -141,11 +147,13 @@ def _train_online(
     learned = None if log is None else log.log
     recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, held if log is not None else None)
     try:
-        if job.step == 0:
-            recorder.judge_now(0)  # the policy before it acts: of random networks, which some logs are made with, or of `start`
-        else:
-            recorder.catch_up()
-        follow(job, [recorder], asked.watch)
+        with tracked([folder], trackers) as tracking:
+            if job.step == 0:
+                # The policy before it acts: of random networks, which some logs are made with, or of `start`.
+                recorder.judge_now(0)
+            else:
+                recorder.catch_up()
+            follow(job, [recorder], asked, tracking)
     finally:
         recorder.close()
     return load(folder.path)
@@ -189,7 +197,7 @@ def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
     lanes = agents_of(config)
     every = config["evaluation"]["every"]
     settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
-    task, log = find_task(config["task"]), None
+    task, log = of_run(config["task"]), None
     if told := config.get("log"):
         log = beside(data, told, task, told["share"])
         settings = dataclasses.replace(settings, log_share=told["share"])

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.provenance import Provenance
+from deadreckon.data.held import HELD
+from deadreckon.data.spec import action_space_to_json
 from deadreckon.errors import UserError
 
 HORIZON = "horizon"  # in `Provenance.extra`: steps after which episodes were cut when a file was read
@@ -43,12 +44,20 @@ class Read(NamedTuple):
         return cls(provenance.get("extra"), provenance.get("path"), known)
 
 
-def noted(provenance: Provenance) -> dict[str, Any]:
-    """What a policy file notes of the log: its schema, and no path, since such files are passed on."""
-    extra = {key: value for key, value in provenance.extra.items() if key in (*ENCODED, HORIZON)}
-    if (schema := provenance.extra.get("schema")) is not None:
-        extra["schema"] = {"columns": schema["columns"]}
-    return json.loads(json.dumps({"extra": extra}, default=str))
+def noted(log: Dataset) -> dict[str, Any]:
+    """What a policy file notes of its log, by which `policies.table_encoder` encodes further rows alike.
+
+    Its schema, what the columns that are observed or act held, and the shapes; no path, since such files are passed on.
+    """
+    told = log.provenance.extra
+    extra = {key: value for key, value in told.items() if key in (*ENCODED, HORIZON)}
+    if (schema := told.get("schema")) is not None:
+        table = {key: value for key, value in schema.get("table", {}).items() if key != "path"}
+        extra["schema"] = {"columns": schema["columns"]} | ({"table": table} if table else {})
+        used = [name for name, column in schema["columns"].items() if column["role"] in ("observation", "action")]
+        extra[HELD] = {name: held for name, held in (told.get(HELD) or {}).items() if name in used}
+    spaces = {"observation_shape": log.observations.shape[1:], "action_space": action_space_to_json(log.action_space)}
+    return json.loads(json.dumps({"extra": extra, **spaces}, default=str))
 
 
 def check_encoding(name: str, read: Read, data: Dataset) -> None:

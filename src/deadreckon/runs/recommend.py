@@ -22,6 +22,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
+from deadreckon.provided import Shown
 from deadreckon.runs.attempt import Job
 from deadreckon.runs.clock import Clock
 from deadreckon.runs.durations import in_words
@@ -37,7 +38,7 @@ MANY_DIGITS = 10  # columns of a number
 
 
 @dataclass(frozen=True)
-class Recommendation:
+class Recommendation(Shown):
     """What came of it.
 
     Attributes:
@@ -171,6 +172,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
         told = _unjudged(out, log, again, found, clock)
     elif found.fault is not None:
         told["choice"]["warnings"].append(f"what follows judging was not done: {found.fault}")
+    told["choice"]["warnings"] += state.get("leaks", [])
     told["recommend"] = mine
     write_json(path, told)
     return told

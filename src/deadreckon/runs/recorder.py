@@ -8,6 +8,8 @@ from typing import Any
 
 import jax
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from deadreckon.agents import agent_name
 from deadreckon.data.dataset import Dataset
@@ -15,21 +17,19 @@ from deadreckon.data.history import beginning, stacked
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, History, memoryless
+from deadreckon.runs.callback import StopTraining, TrainingProgress, ends
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.reading import noted
-from deadreckon.runs.settings import ChunkWatcher
+from deadreckon.runs.settings import RunSettings
+from deadreckon.runs.trackers.feed import Tracking
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 from deadreckon.training.part import Part
 
 RECORDED = 8  # episodes per policy whose observations are kept for pictures
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
-
-
-class StopTraining(Exception):
-    """Raised by a watcher: the run ends with this chunk, as if no more had been asked for. It may be resumed with more."""
 
 
 def _beside_training() -> contextlib.AbstractContextManager[Any]:
@@ -71,7 +71,7 @@ class Recorder:
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
         self.every, self.episodes, self.taught, self.held = every, episodes, taught, held
-        self.read = {} if log is None else {"log": noted(log.provenance)}
+        self.read = {} if log is None else {"log": noted(log)}
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.history, self.spec = history, job.each[0].spec if log is None else log.spec
         self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to stay near to
@@ -120,6 +120,26 @@ class Recorder:
     def _share(self, run: int, each: int = 1) -> slice:
         """A run's part of columns that have `each` rows per lane."""
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
+
+    def seen(self, progress: Chunk) -> list[TrainingProgress]:
+        """What a callback sees of each run."""
+        every = []
+        for run, folder in enumerate(self.folders):
+            own, metrics = self._share(run), {name: values[self._share(run)] for name, values in progress.metrics.items()}
+            every.append(
+                TrainingProgress(
+                    folder.path, progress.step, self.job.steps, list(self.job.seeds[own]), metrics, progress.failures[own],
+                    lambda folder=folder: self._judged(folder, progress.step), lambda own=own: self.policies()[own],
+                )
+            )  # fmt: skip
+        return every
+
+    def _judged(self, folder: Folder, step: int) -> pa.Table:
+        """All evaluations of a run up to a step, those included that are not done yet, for which it waits."""
+        for future in self.pending:
+            future.result()
+        table = folder.table("evaluations")
+        return table if not table.num_rows else table.filter(pc.field("step") <= step)
 
     def record(self, progress: Chunk) -> None:
         """Called after every chunk, before its checkpoint is written."""
@@ -186,10 +206,10 @@ class Recorder:
             result = evaluate(
                 policies, self.judge, episodes=count, discount=self.discounts, record=min(RECORDED, count) if last else 0
             )
-            columns |= {
-                "return": result.returns.ravel(), "score": result.scores.ravel(), "length": result.lengths.ravel(),
-                "discounted_return": result.discounted.ravel(),
-            }  # fmt: skip
+            columns |= {"return": result.returns.ravel(), "length": result.lengths.ravel()}
+            columns |= {"discounted_return": result.discounted.ravel()}
+            if (scores := result.scores) is not None:
+                columns["score"] = scores.ravel()
             if all("estimated_values" in meta for meta in metas):
                 columns["estimated_value"] = np.concatenate([meta["estimated_values"] for meta in metas])
             if result.trajectories is not None:
@@ -226,19 +246,29 @@ class Recorder:
         self.pool.shutdown(wait=True, cancel_futures=True)
 
 
-def follow(job: Fit, recorders: Sequence[Recorder], watch: ChunkWatcher) -> None:
-    """Walks a fit to its end: every chunk is recorded, then passed to `watch`, which may raise `StopTraining`.
+def follow(job: Fit, recorders: Sequence[Recorder], settings: RunSettings, tracking: Sequence[Tracking] = ()) -> None:
+    """Walks a fit to its end: every chunk is recorded, then told to trackers, watcher and callback, which may end all its runs.
 
     Args:
         job: the fit.
         recorders: of the fit, or of parts of it.
-        watch: called after every chunk.
+        settings: `watch` is called once a chunk, `callback` for every run.
+        tracking: of the runs that have trackers.
     """
+    for each in tracking:
+        each.start()
     for progress in job.chunks():
-        for recorder in recorders:
-            recorder.record(recorder.job.of(progress) if isinstance(recorder.job, Part) else progress)
+        parts = [recorder.job.of(progress) if isinstance(recorder.job, Part) else progress for recorder in recorders]
+        for recorder, part in zip(recorders, parts):
+            recorder.record(part)
+        for each in tracking:
+            each.told(progress.step)
         try:
-            watch(progress, job.steps)
+            settings.watch(progress, job.steps)
+            if settings.callback is not None:
+                seen = [each for recorder, part in zip(recorders, parts) for each in recorder.seen(part)]
+                if any([ends(settings.callback, each) for each in seen]):
+                    raise StopTraining
         except StopTraining:
             job.steps = progress.step
             for recorder in recorders:

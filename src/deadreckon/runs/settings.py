@@ -18,6 +18,7 @@ from deadreckon.online import Online
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings, EstimateOptions, EstimateSettings, EvidenceSettings
 from deadreckon.progress import unwatched
+from deadreckon.runs.callback import Callback
 from deadreckon.settings import Settings
 from deadreckon.training.hyperparameters import check_fields
 
@@ -43,7 +44,11 @@ class RunSettings(Settings):
     episodes: int = 20  # number of episodes per evaluation
     chunk: int = 1000  # updates between checkpoints, the most that an interruption can lose
     resume: bool = False  # continue the run in the output folder; a finished run is extended if --steps is larger
-    watch: ChunkWatcher = unwatched  # called after every chunk; ends the run there by raising `runs.recorder.StopTraining`
+    watch: ChunkWatcher = unwatched  # called after every chunk; ends the run there by raising `StopTraining`
+    callback: Callback | None = None
+    """called after every chunk with a `runs.callback.TrainingProgress`; ends the run there by returning True"""
+    track: Any = None
+    """trackers that show the run: tensorboard, wandb, mlflow, a `runs.trackers.Tracker`, or several of these"""
 
     def check(self, seed: int, **counts: int) -> None:
         """Refuses what no run can be made of.
@@ -171,6 +176,8 @@ class _Options(TypedDict, total=False):
     chunk: int
     resume: bool
     watch: ChunkWatcher
+    callback: Callback | None
+    track: Any
 
 
 class TrainOptions(_Options, total=False):

@@ -10,7 +10,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.online.mixed import check_log
+from deadreckon.online.mixed import check_bounds, check_sizes
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import agents_of
@@ -129,15 +129,16 @@ def beside(given: Dataset | str | Path | None, before: dict[str, Any] | None, ta
     known = before or {"task": task.name, "holdout": None}
     source = given if given is not None else known["path"] or known["name"]
     log = source if isinstance(source, Dataset) else catalogue.load(source)
+    check_sizes(log, task)
     bounds = known["task"]
     judge = None if bounds is None else task if bounds == task.name else find_task(bounds)
-    if judge is not None and not log.spec.discrete:
+    if judge is not None:
         log = log.with_action_space(judge.action_space)
     if log.fingerprint != known.get("fingerprint", log.fingerprint):
         learned = f"{known['name']} ({known['fingerprint']}), which was learned from"
         raise UserError(f"{log.name} is another log ({log.fingerprint}) than {learned}; give that one as data")
     part = divided(log, None, judge, {"data": known})
-    check_log(part.learning, task)
+    check_bounds(part.learning, task)
     told = {
         "name": log.name, "fingerprint": log.fingerprint, "rows": len(part.learning), "episodes": part.learning.episodes,
         "path": log.provenance.path, "task": bounds, "holdout": part.told, "share": share,

@@ -5,7 +5,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
@@ -19,6 +19,8 @@ from deadreckon.runs.holdout import Divided, divided
 from deadreckon.runs.lanes import fields_of
 from deadreckon.runs.recorder import Recorder, follow
 from deadreckon.runs.settings import TrainSettings
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -44,7 +46,7 @@ def train_lanes(
     out: Path,
     steps: int,
     seed: int,
-    task: Task | str | Literal[False] | None,
+    task: Any,
     settings: TrainSettings,
 ) -> None:
     """Trains runs to their end, all lanes as one program.
@@ -54,13 +56,14 @@ def train_lanes(
         out: where checkpoints lie: the run's folder, or what is above those of several runs.
         steps: updates of each run.
         seed: the first random seed of each run.
-        task: the simulator to evaluate in; None takes that of a known log; False: none.
+        task: the simulator to evaluate in, see `train`; None takes that of a known log; False: none.
         settings: how runs are evaluated and kept.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
     """
     resume, logs, grouped = settings.resume, {}, {}
+    trackers = trackers_of(settings.track, len(asked))
     for path, (log, own) in asked.items():
         key = log.name, log.fingerprint
         logs[key] = log
@@ -90,14 +93,13 @@ def train_lanes(
         "seeds": numbers,
         "steps": steps,
         "evaluation": {"every": every, "episodes": settings.episodes},
-        "versions": versions() | {"lanes": len(lanes)},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
     if settings.history > 1:
         common["history"] = settings.history
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
-    configs = [config | common for one in learned for config in _configs(one, seeds)]
+    configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
     configs = [json.loads(json.dumps(config, default=str)) for config in configs]
     kept = Folder(out).checkpoints
     if out != folders[0].path and kept.exists() and not all(folder.config.exists() for folder in folders):
@@ -127,17 +129,18 @@ def train_lanes(
                     settings.episodes, one.part.taught, one.part.held, settings.history,
                 )
             )  # fmt: skip
-        for one, recorder in zip(learned, recorders):
-            recorder.picture(one.part.learning)
-            recorder.catch_up()
-        follow(job, recorders, settings.watch)
+        with tracked(folders, trackers) as tracking:
+            for one, recorder in zip(learned, recorders):
+                recorder.picture(one.part.learning)
+                recorder.catch_up()
+            follow(job, recorders, settings, tracking)
     finally:
         for recorder in recorders:
             recorder.close()
 
 
-def _configs(one: _Learned, seeds: int) -> list[dict[str, Any]]:
-    """What `run.json` says of each run on a log."""
+def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:
+    """What `run.json` says of each run on a log, which has `seeds` of the `lanes` of the program."""
     log, judge, part = one.log, one.judge, one.part
     own = {
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
@@ -145,12 +148,13 @@ def _configs(one: _Learned, seeds: int) -> list[dict[str, Any]]:
                  "behavior": None if judge is None else logged_value(log, judge),
                  "provenance": dataclasses.asdict(log.provenance)},
         "task": None if judge is None else judge.name,
+        "versions": versions() | {"lanes": lanes, **({} if judge is None else judge.versions)},
     }  # fmt: skip
     runs = [one.lanes[start : start + seeds] for start in range(0, len(one.lanes), seeds)]
-    return [{"agent": {"name": agent_name(lanes[0]), "fields": fields_of(lanes)}, **own} for lanes in runs]
+    return [{"agent": {"name": agent_name(agents[0]), "fields": fields_of(agents)}, **own} for agents in runs]
 
 
-def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | None:
+def judge_of(log: Dataset, task: Any) -> Task | None:
     """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
 
     Raises:
@@ -158,7 +162,7 @@ def judge_of(log: Dataset, task: Task | str | Literal[False] | None) -> Task | N
     """
     if task is False:
         return None
-    judge = task if isinstance(task, Task) else find_task(task) if task is not None else of_log(log.name)
+    judge = of_log(log.name) if task is None else find_task(task)
     if judge is not None and judge.observation_shape != log.spec.observation_shape:
         raise UserError(
             f"{judge.name} shows observations of shape {judge.observation_shape}, "

@@ -1,75 +1,21 @@
 """From a log to policies in a run folder: the one place where an agent meets its judge."""
 
 import contextlib
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Unpack
-
-import numpy as np
-import pyarrow as pa
+from typing import Any, Unpack
 
 from deadreckon.agents import short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.files import file_part, read_json, safe_name
-from deadreckon.policies import store
-from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.files import file_part, safe_name
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
+from deadreckon.runs.run import Run, load
 from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.runs.together import train_lanes
-from deadreckon.tasks.task import Task
-from deadreckon.training.fit import Failure
-
-
-@dataclasses.dataclass
-class Run:
-    """A finished (or failed) run: its folder, and what it learned.
-
-    Attributes:
-        path: the run folder.
-        config: what was asked for.
-        seeds: one per lane.
-        policies: one per seed; of a failed lane, the last good one.
-        failures: per seed None, or the metric and step at which it diverged.
-    """
-
-    path: Path
-    config: dict[str, Any]
-    seeds: list[int]
-    policies: list[EnvPolicy]
-    failures: list[Failure | None]
-
-    @property
-    def policy(self) -> EnvPolicy:
-        """The first seed's policy."""
-        return self.policies[0]
-
-    @property
-    def metrics(self) -> pa.Table:
-        """step, seed and one column a metric, a row per chunk and seed."""
-        return Folder(self.path).table("metrics")
-
-    @property
-    def evaluations(self) -> pa.Table:
-        """One row an episode of every periodic evaluation."""
-        return Folder(self.path).table("evaluations")
-
-    @property
-    def taught(self) -> np.ndarray | None:
-        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None for folders from before it was noted."""
-        return Folder(self.path).episodes("taught")
-
-    @property
-    def held(self) -> np.ndarray | None:
-        """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
-        return Folder(self.path).episodes("held")
-
-    def __repr__(self) -> str:
-        return f"Run({self.path}, {self.config['agent']['name']}, seeds {self.seeds})"
 
 
 def train(
@@ -79,7 +25,7 @@ def train(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     out: Path | str | None = None,
     **settings: Unpack[TrainOptions],
 ) -> Run:
@@ -91,10 +37,11 @@ def train(
         steps: number of updates.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
-        task: the simulator to evaluate in; None takes that of a known log, and none for others; False: none.
+        task: the simulator to evaluate in, a task, its name, or a Gymnasium environment (see `tasks.registry.task`); None takes
+            that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
-        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history` and `watch`;
-            see `runs.settings.TrainSettings`.
+        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `callback`,
+            `track` and `watch`; see `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.
@@ -117,7 +64,7 @@ def train_together(
     steps: int = 100_000,
     seeds: int = 1,
     seed: int = 0,
-    task: Task | str | Literal[False] | None = None,
+    task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> dict[str, Run]:
     """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
@@ -156,27 +103,3 @@ def train_together(
             locks.enter_context(Folder(path).alone())
         train_lanes(lanes, out, steps, seed, task, asked)
         return {name: load(out / name) for name in agents}
-
-
-def load(path: Path | str) -> Run:
-    """A run from its folder.
-
-    Raises:
-        UserError: the folder holds no run, or one that is not finished.
-    """
-    folder = Folder(Path(path))
-    if not folder.config.exists():
-        raise UserError(f"{path} holds no run (no run.json)")
-    config = folder.read_config()
-    if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
-        raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
-    missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
-    if missing:
-        again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
-        raise UserError(f"{path} is not finished; `{again}` goes on with it")
-    status = read_json(folder.path / "status.json")
-    if not isinstance(status, dict) or "failures" not in status:
-        raise UserError(f"{folder.path / 'status.json'} is not a run's: it misses failures")
-    policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
-    failures = [None if f is None else Failure(*f) for f in status["failures"]]
-    return Run(folder.path, config, config["seeds"], policies, failures)

@@ -1,4 +1,8 @@
-"""The tasks by name. Importing this loads neither MuJoCo nor Gymnasium."""
+"""The tasks by name, and Gymnasium environments as tasks. Importing this loads neither MuJoCo nor Gymnasium."""
+
+import importlib
+import sys
+from typing import Any
 
 from deadreckon.data import terminations
 from deadreckon.data.catalogue import ENTRIES
@@ -9,16 +13,43 @@ from deadreckon.tasks.task import Task
 _TASKS: dict[str, Task] = {}
 
 
-def task(name: str) -> Task:
-    """The task of that name, such as `maze2d-umaze`.
+def task(given: Any, horizon: int | None = None) -> Task:
+    """The task that is meant.
+
+    Args:
+        given: a task or its name, such as `maze2d-umaze`; a Gymnasium environment, its id, such as `Pendulum-v1` or
+            `gymnasium:Pendulum-v1`, or what makes one: a function, or the name `module:Class` of one. See
+            `tasks.gymnasium_task`.
+        horizon: of an environment, steps after which an episode times out; None: its own limit.
 
     Raises:
-        UserError: there is none; the message names the nearest.
+        UserError: there is none of this name, in which case the message names the nearest; or it is no environment that can be
+            a task.
     """
-    try:
-        return _TASKS[name]
-    except KeyError:
-        raise unknown("task", name, _TASKS) from None
+    known = given if isinstance(given, Task) else _TASKS.get(given) if isinstance(given, str) else None
+    if known is not None and horizon is not None:
+        raise UserError(f"{known.name} has a horizon of its own, {known.horizon} steps; leave the other out")
+    if known is not None:
+        return known
+    environments = importlib.import_module("deadreckon.tasks.gymnasium_task")  # which loads Gymnasium
+    if not isinstance(given, str):
+        return environments.of(given, horizon)
+    if (found := environments.named(given, horizon)) is None:
+        raise UserError(f"{unknown('task', given, _TASKS)}; a Gymnasium environment is named gymnasium:ID")
+    return found
+
+
+def of_run(name: str) -> Task:
+    """The task that a run's folder names.
+
+    Raises:
+        UserError: it is of a module that has not been imported: a folder from elsewhere must not name code that runs.
+    """
+    path = name.partition("?")[0].removeprefix("gymnasium:")
+    module = path.partition(":")[0]
+    if name not in _TASKS and ":" in path and module not in sys.modules:
+        raise UserError(f"the run's task is {name}, not one of deadreckon's: name it with --task, or import {module} first")
+    return task(name)
 
 
 def of_log(name: str) -> Task | None:

@@ -1,7 +1,7 @@
 """What a judge is: a simulator, a horizon and reference scores. Nothing here knows of methods."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
@@ -53,8 +53,12 @@ class Simulator(Protocol):
         """Everything that the future depends on, as arrays of fixed shapes; `restore` takes it."""
         ...
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on where `state` was taken, in any simulator of the same task and number of copies."""
+    def restore(self, state: dict[str, np.ndarray]) -> np.ndarray | None:
+        """Goes on where `state` was taken, in any simulator of the same task and number of copies.
+
+        Returns:
+            Copies (indices) whose episode could not be taken up again, which need a `reset`; None: all go on.
+        """
         ...
 
 
@@ -141,7 +145,8 @@ class Task:
         observation_shape: of one observation.
         action_space: bounds of the environment.
         gym_id: the Gymnasium id of the same environment.
-        reference: for normalised scores: measured on this simulator, or the benchmark's where its scale is everybody's.
+        reference: for normalised scores: measured on this simulator, or the benchmark's where its scale is everybody's. None
+            where none is known: then there are raw returns, and no scores.
         published: the original benchmark's reference scores, where they exist.
         split: "training" (settings may be tuned here) or "evaluation", thesis Table D.3.
         summary: one line on what is to be done.
@@ -157,7 +162,7 @@ class Task:
     observation_shape: tuple[int, ...]
     action_space: Box | Discrete
     gym_id: str
-    reference: Reference
+    reference: Reference | None
     published: Reference | None = None
     split: str = "training"
     summary: str = ""
@@ -174,6 +179,20 @@ class Task:
             threads: to step with; all cores if None. Results do not depend on it.
         """
         raise NotImplementedError
+
+    def scores(self, returns: np.ndarray | float) -> np.ndarray | None:
+        """Returns on the scale of the reference; None where no reference is known."""
+        return None if self.reference is None else self.reference.normalise(returns)
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What logs of it say of the environment, as JSON values: see `data.environments`, which knows the package's tasks."""
+        return {}
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Of packages that results depend on beside those that are noted anyway (`versions.versions`)."""
+        return {}
 
     def shown(self, simulator: Simulator, observations: np.ndarray, which: np.ndarray) -> np.ndarray:
         """(which, *any) what pictures of these copies are drawn from, NaN where there is nothing: observations, or more.

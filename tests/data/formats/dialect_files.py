@@ -76,7 +76,7 @@ READ = {
     "codes of digits": (
         "zip,id,x\n01067,12345678901234567890,0\n80331,5,0.5\n,,1\n", {},
         {"zip": [1067, 80331, None], "id": [1.2345678901234567e19, 5.0, None], "x": [0.0, 0.5, 1.0]},
-        ["column zip: '01067' is read as the number 1067", "column id: '12345678901234567890' is rounded"],
+        ["column id: '12345678901234567890' is rounded", "column zip: '01067' is read as the number 1067 (row 0)"],
     ),
     "many columns of texts that look like numbers": (
         ",".join(f"c{index}" for index in range(12)) + "\n" + ",".join(["5%"] * 12) + "\n", {},

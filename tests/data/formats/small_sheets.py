@@ -16,8 +16,10 @@ _STYLES = f"""<styleSheet xmlns="{_MAIN}"><numFmts count="1"><numFmt numFmtId="1
 </styleSheet>"""
 
 
-def write_xlsx(path: Path, sheets: dict[str, list[list]], hidden: tuple[str, ...] = (), first: str = "A1") -> Path:
-    """Writes sheets {name: rows}, None for an empty cell; `first` is the cell of the first value."""
+def write_xlsx(
+    path: Path, sheets: dict[str, list[list]], hidden: tuple[str, ...] = (), first: str = "A1", merged: tuple[str, ...] = ()
+) -> Path:
+    """Writes sheets {name: rows}, None for an empty cell; `first` is the cell of the first value, `merged` has ranges."""
     names = list(sheets)
     kinds = [
         f'<Override PartName="/xl/worksheets/sheet{i}.xml" ContentType="application/vnd.openxmlformats-officedocument.'
@@ -46,7 +48,7 @@ def write_xlsx(path: Path, sheets: dict[str, list[list]], hidden: tuple[str, ...
         "xl/styles.xml": _STYLES,
     }
     for i, rows in enumerate(sheets.values(), 1):
-        parts[f"xl/worksheets/sheet{i}.xml"] = _sheet(rows, first)
+        parts[f"xl/worksheets/sheet{i}.xml"] = _sheet(rows, first, merged)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, text in parts.items():
             archive.writestr(name, '<?xml version="1.0" encoding="UTF-8"?>' + text)
@@ -79,7 +81,7 @@ def write_ods(path: Path, rows: list[list]) -> Path:
     return path
 
 
-def _sheet(rows: list[list], first: str) -> str:
+def _sheet(rows: list[list], first: str, merged: tuple[str, ...]) -> str:
     left, top = ord(first[0]) - ord("A"), int(first[1:])
     lines = []
     for row, values in enumerate(rows):
@@ -87,7 +89,9 @@ def _sheet(rows: list[list], first: str) -> str:
             _cell(f"{letters_of(left + column)}{top + row}", value) for column, value in enumerate(values) if value is not None
         )
         lines.append(f'<row r="{top + row}">{cells}</row>')
-    return f'<worksheet xmlns="{_MAIN}"><sheetData>{"".join(lines)}</sheetData></worksheet>'
+    ranges = "".join(f'<mergeCell ref="{each}"/>' for each in merged)
+    ranges = f'<mergeCells count="{len(merged)}">{ranges}</mergeCells>' if merged else ""
+    return f'<worksheet xmlns="{_MAIN}"><sheetData>{"".join(lines)}</sheetData>{ranges}</worksheet>'
 
 
 def _cell(place: str, value) -> str:

@@ -49,6 +49,17 @@ def test_the_table_may_stand_anywhere(tmp_path):
     assert told == ["empty rows are left out: 1"]
 
 
+def test_merged_cells_below_the_names_are_told(tmp_path):
+    rows = [["site", "x", "reward"], ["a", 1, 2], [None, 2, 3], ["b", 3, 4], [None, 4, 5]]
+    path = write_xlsx(tmp_path / "log.xlsx", {"Log": rows}, first="A2", merged=("A1:C1", "A2:A2"))
+    assert read_table(path)[2] == []
+    path = write_xlsx(tmp_path / "log.xlsx", {"Log": rows}, first="A2", merged=("A1:C1", "A5:A6", "A3:A4"))
+    table, _, told = read_table(path)
+    assert table["site"].to_pylist() == ["a", None, "b", None]
+    assert len(told) == 1
+    assert told[0].startswith("2 ranges of cells are merged, such as A3:A4, and only the first cell of each has its value; ")
+
+
 def test_which_sheet(tmp_path):
     sheets = {"Notes": [["a", "b"], [1, 2]], "Log": [["a", "b"], [3, 4]], "2024": [["a", "b"], [5, 6]]}
     path = write_xlsx(tmp_path / "log.xlsx", sheets)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_logs import images, same
 
-from deadreckon.data.formats import io
+from deadreckon.data.formats import io, kind
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.formats.io import convert, read
@@ -117,6 +117,15 @@ def test_tables_that_begin_as_other_formats_do(tmp_path):
     for name in ("(dose)", "(load)", "(index)"):
         path.write_text(f"{name},action,reward\n1.5,0,1\n2.5,1,2\n")
         assert read(path).provenance.extra["observation_names"] == [name]
+
+
+def test_a_table_is_sniffed_once(tmp_path, monkeypatch):
+    path, asked = tmp_path / "log.csv", []
+    path.write_text("x,action,reward\n1.5,0,1\n2.5,1,2\n")
+    known = kind.is_table
+    monkeypatch.setattr(kind, "is_table", lambda *given: asked.append(given) or known(*given))
+    assert len(read(path)) == 2
+    assert len(asked) == 1
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))

@@ -61,6 +61,44 @@ def test_types_are_those_of_the_whole_file(tmp_path, monkeypatch, name):
     assert kind is None or table.schema.field("x").type == kind
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_zeros_in_front_are_told_wherever_they_are(tmp_path, monkeypatch, encoding):
+    lines = [f"{10_000 + row},{row % 3},0{row % 10},{row / 7:.2f}" for row in range(2_500)]
+    for row, cell in ((2_300, " 00123"), (2_301, "00124"), (2_400, "x")):
+        first, second, third, last = lines[row].split(",")
+        lines[row] = f'"{cell}",{second},{third},0{last}' if cell != "x" else f"{first},{second},{cell},{last}"
+    (tmp_path / "log.csv").write_text("zip, n,text,x\n" + "\n".join(lines) + "\n", encoding=encoding)
+    table = agree(tmp_path / "log.csv", tmp_path, monkeypatch)
+    assert table.column("zip")[2_300].as_py() == 123
+    told = [line for line in read_delimited(tmp_path / "log.csv", Dialect())[2] if "letter before" in line]
+    # Not of what is no number: `text` has a letter after so many rows, and `x` has decimals.
+    assert told == ["column zip: '00123' is read as the number 123 (row 2300); put a letter before codes"]
+
+
+@pytest.mark.parametrize("place", range(8, 14))
+def test_zeros_at_the_edge_of_what_is_read_at_once_are_told(tmp_path, monkeypatch, place):
+    name = "n" * place
+    path = tmp_path / "log.csv"
+    path.write_text(f"{name},x\n007,1\n" + "1,2\n" * 9)
+    monkeypatch.setattr(delimited, "_BLOCK", 16)
+    found = []
+    with open(path, "rb") as file:
+        found.append(delimited._may_have_zeros(file, Dialect(",", ".", "", "utf-8", '"')))
+    path.write_text(f"{name},x\n7.007,1e-05\n" + "100,2\n" * 9)
+    with open(path, "rb") as file:
+        found.append(delimited._may_have_zeros(file, Dialect(",", ".", "", "utf-8", '"')))
+    assert found == [True, False]
+
+
+def test_a_total_in_the_last_row_is_told(tmp_path, monkeypatch):
+    source = tmp_path / "log.csv"
+    source.write_text("day,x,a,r\n" + "".join(f"d{row % 3},{row}.5,{row % 2},1\n" for row in range(90)) + "Total,9,1,90\n")
+    monkeypatch.setattr(stream, "_LARGE", 100)
+    told = convert(source, tmp_path / "log", action="a", reward="r")
+    assert told.warnings == read(source, action="a", reward="r").warnings
+    assert any(line.startswith("the last row, 90, looks like a total (column day has 'Total')") for line in told.warnings)
+
+
 def german(rows=400):
     rng = np.random.default_rng(0)
     lines = ["Tag;Fall;Menge;an;Art;Lohn"]

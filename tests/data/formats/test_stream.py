@@ -82,6 +82,24 @@ def test_partitioned_folder_and_arrow(tmp_path):
     same(read_folder(tmp_path / "b"), Dataset.from_frame(table, **asked))
 
 
+def test_files_with_other_columns_and_types(tmp_path):
+    (tmp_path / "parts").mkdir()
+    first = the_table(90).set_column(2, "x", pa.array(np.arange(90)))
+    late = the_table(60, seed=1).append_column("late", pa.array(np.arange(60.0))).drop_columns(["kind"])
+    parquet.write_table(first, tmp_path / "parts" / "0.parquet", row_group_size=40)
+    parquet.write_table(late, tmp_path / "parts" / "1.parquet", row_group_size=40)
+    asked = ASKED["bandit"] | {"observations": ("x", "y", "kind", "late")}
+    told = convert(tmp_path / "parts", tmp_path / "log", **asked)
+    whole = pa.concat_tables([first, late], promote_options="permissive")
+    same(read_folder(tmp_path / "log"), Dataset.from_frame(whole, **asked))
+    for name, file in (("late", "0"), ("kind", "1")):
+        line = f"column {name} is missing in 1 of 2 files, such as {file}.parquet, and its cells are empty there"
+        assert line in told.warnings
+    parquet.write_table(late.set_column(2, "x", pa.array(["a"] * 60)), tmp_path / "parts" / "1.parquet")
+    with pytest.raises(UserError, match="its files hold different types in a column .*x"):
+        convert(tmp_path / "parts", tmp_path / "no", **asked)
+
+
 def test_a_table_of_our_names(tmp_path):
     rng = np.random.default_rng(0)
     table = pa.table({"observation_0": rng.normal(size=200), "observation_1": rng.normal(size=200),
@@ -163,6 +181,9 @@ def test_tables_that_are_large_for_the_memory_are_told(tmp_path, monkeypatch, ca
     assert main(words) == 0
     told = f"! {tmp_path / 'log.parquet'} holds 0.0 GB, more than 0% of the memory: `deadreckon data convert"
     assert told in capsys.readouterr().err
+    parquet.write_table(the_table(), tmp_path / "a log.parquet")
+    line = stream.advice(tmp_path / "a log.parquet")
+    assert f"`deadreckon data convert '{tmp_path / 'a log.parquet'}' FOLDER`" in str(line)
     convert(tmp_path / "log.parquet", tmp_path / "log", action="a", reward="r")
     assert main(["data", "info", str(tmp_path / "log")]) == 0
     assert "data convert" not in capsys.readouterr().err

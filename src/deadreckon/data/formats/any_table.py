@@ -1,12 +1,16 @@
 """Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
 from deadreckon.data.formats.dialect import Dialect
-from deadreckon.data.formats.kind import no_options, sniff
+from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError, reading
 
 
@@ -42,25 +46,45 @@ def read_table(
     Raises:
         UserError: one line with the file; the file is no table, is damaged, or takes no such option.
     """
-    given: dict[str, Any] = {
+    ways = {
         "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
         "sheet": sheet, "query": query, "table": table,
     }  # fmt: skip
-    kind = sniff(path, separator)
-    no_options(path, kind, given)
+    return table_of_kind(path, sniff(path, separator), ways)
+
+
+def table_of_kind(
+    path: Path | str, kind: str, ways: Mapping[str, Any], known: Known = NOTHING
+) -> tuple[pa.Table, Dialect | None, list[str]]:
+    """See `read_table`.
+
+    Args:
+        path: of the file.
+        kind: its format, as `kind.sniff` tells it.
+        ways: {keyword of `read_table`: its value}; those that are absent are found.
+        known: what some columns hold, whatever their cells suggest.
+    """
+    no_options(path, kind, dict(ways))
+    separator, decimal, thousands, encoding, dates, sheet, query, table = map(ways.get, READING)
     asked = Dialect.asked(separator, decimal, thousands, encoding, dates)
     from deadreckon.data.formats.totals import of_totals
 
     if kind == "csv":
         from deadreckon.data.formats.delimited import read_delimited
 
-        found, dialect, told = read_delimited(path, asked)
+        found, dialect, told = read_delimited(path, asked, known=known)
         return found, dialect, told + of_totals(found)
     if kind == "parquet":
         from pyarrow import parquet
 
+        from deadreckon.data.text_dates import with_dates
+
         with reading(path, "Parquet", pa.ArrowException):
-            return parquet.read_table(path), None, []
+            stored = parquet.read_table(path)
+        found, order, told = with_dates(stored, asked.dates)
+        for index, name in enumerate(found.column_names):
+            found = found.set_column(index, name, stored[name]) if name in known.texts else found
+        return found, None if order is None else Dialect(dates=order), told
     if kind == "excel":
         from deadreckon.data.formats.excel import read_excel
 
@@ -71,9 +95,37 @@ def read_table(
         found, told = read_database(path, kind, query, table)
     else:
         raise UserError(f"{path}: this is {kind}, a log with columns of its own, and no table")
-    from dataclasses import replace
-
-    from deadreckon.data.formats.cells import PLAIN, converted
-
-    found, order, lines = converted(found, replace(PLAIN, dates=dates))
+    found, order, lines = converted(found, replace(PLAIN, dates=dates), known=known)
     return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)
+
+
+def read_rows(path: Path | str, schema: Schema, **ways: Any) -> tuple[pa.Table, list[str]]:
+    """A file of further rows of a table, whose columns are read as its schema has them.
+
+    A column of texts stays one though its cells may all look like numbers or truth values here, and so does one of flags though
+    one word alone may occur.
+
+    Args:
+        path: of the file, in any format of tables.
+        schema: of the log, as it was resolved.
+        **ways: how the file is to be read; see `read_table`. What is not given is as the schema has it, and found else.
+
+    Returns:
+        The table, and one line for each thing that may be read otherwise than it was meant.
+
+    Raises:
+        UserError: see `read_table`.
+    """
+    used = schema.having("observation", "action", "legal")
+    texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(_is_word, each.levels)))}
+    known = Known(frozenset(texts), frozenset(each.name for each in used if each.kind == "flag"))
+    given = {key: value for key, value in ways.items() if value is not None}
+    kind = sniff(path, given.get("separator", schema.options().get("separator")))
+    own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
+    table, _, told = table_of_kind(path, kind, {**own, **given}, known)
+    return table, told
+
+
+def _is_word(level: Any) -> bool:
+    """Whether a level is a text that stays one: true and false are what columns of yes and no become."""
+    return isinstance(level, str) and level not in ("true", "false")

@@ -124,7 +124,11 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     roles, names, further = _roles(layout, parts, extra)
     for key in ("observations", "actions", "rewards"):
         if key not in roles:
-            raise UserError(f"no {key} among the columns {', '.join(sorted(parts.arrays))} of {layout.library}'s layout")
+            other = next((name for name, role in layout.names.items() if role == key and name in parts.other), None)
+            if other is not None:
+                raise UserError(f"column {other} is no array of numbers in which every row has the same shape")
+            found = ", ".join(sorted(parts.arrays.keys() - {"cut"}))
+            raise UserError(f"no {key} among the columns {found} of {layout.library}'s layout")
     rows = len(roles["actions"])
     order, change = in_episodes(roles.get("episode"), roles.get("time"))
     if order is not None:

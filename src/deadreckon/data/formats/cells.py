@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
@@ -25,8 +25,23 @@ _THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}
 _SHOWN = 10  # lines on columns that stay texts
 
 
+class Known(NamedTuple):
+    """What columns hold whatever their cells suggest, because a schema says it.
+
+    Attributes:
+        texts: names of columns that stay texts.
+        flags: of columns of truth values.
+    """
+
+    texts: frozenset[str] = frozenset()
+    flags: frozenset[str] = frozenset()
+
+
+NOTHING = Known()
+
+
 def converted(
-    table: pa.Table, dialect: Dialect = PLAIN, spool: Spool | None = None
+    table: pa.Table, dialect: Dialect = PLAIN, spool: Spool | None = None, known: Known = NOTHING
 ) -> tuple[pa.Table, str | None, list[str]]:
     """The table, where each column of texts that all stand for numbers, flags or dates holds those.
 
@@ -37,6 +52,7 @@ def converted(
         table: of any columns; those that hold no texts stay as they are.
         dialect: marks of numbers, and the order of dates where it is told.
         spool: where columns are kept; None: in memory.
+        known: what some columns hold.
 
     Returns:
         The table, the order of dates that was taken (None: there was none to take), and what to tell.
@@ -48,16 +64,16 @@ def converted(
     flags: list[str] = []
     grouped: list[str] = []
     for name, values in zip(table.column_names, table.columns, strict=True):
-        if not is_string(values.type):
+        if not is_string(values.type) or name in known.texts:
             continue
         trimmed = _compute.utf8_trim_whitespace(values)
-        present = _without(trimmed, MISSING)
+        present = without(trimmed, MISSING)
         if present.null_count == len(present):
             continue
-        if (found := _flags(present)) is not None:
+        if (found := _flags(present, name in known.flags)) is not None:
             done[name], words = keep(found[0]), found[1]
-            flags += [f"{name} ({words})"] if words else []
-        elif (number := _numbers(_without(trimmed, (*MISSING, DASH)), dialect)) is not None:
+            flags += [f"{name} ({words})"] if words and name not in known.flags else []
+        elif (number := _numbers(without(trimmed, (*MISSING, DASH)), dialect)) is not None:
             done[name], lines, marked = keep(number[0]), *number[1:]
             told += [f"column {name}: {line}" for line in lines]
             grouped += [name] if marked else []
@@ -78,8 +94,8 @@ def converted(
         if name in done:
             values = done[name]
         elif is_string(values.type):
-            values = keep(_without(values, ("",)))
-            lines += _of_texts(f"column {name}", values)
+            values = keep(without(values, ("",)))
+            lines += [] if name in known.texts else _of_texts(f"column {name}", values)
         columns.append(values)
     told += lines[:_SHOWN]
     if len(lines) > _SHOWN:
@@ -92,20 +108,23 @@ def with_dates(dialect: Dialect, order: str | None) -> Dialect:
     return dialect if order is None else replace(dialect, dates=order)
 
 
-def _without(values: Any, words: tuple[str, ...]) -> Any:
+def without(values: Any, words: tuple[str, ...]) -> Any:
     """The texts, without those of `words`, which are missing."""
     gone = _compute.is_in(values, value_set=pa.array(words, values.type))
     return _compute.if_else(gone, pa.scalar(None, values.type), values)
 
 
-def _flags(texts: Any) -> tuple[Any, str] | None:
-    """(rows,) truth values and the pair that stands for them, nothing for true and false, if the texts are all of one pair."""
+def _flags(texts: Any, known: bool) -> tuple[Any, str] | None:
+    """(rows,) truth values and the pair that stands for them, nothing for true and false, if the texts are all of one pair.
+
+    One text alone is enough where it is a whole word, or where it is `known` that these are flags.
+    """
     for some in (texts[:SAMPLE], texts):
         words = {text.lower() for text in _compute.unique(some).to_pylist()[:9] if text is not None}
         if len(words) > 2:
             return None
     for yes, no in _PAIRS:
-        if words == {yes, no} or (len(words) == 1 and words <= {yes, no} and words <= set(_LONE)):
+        if words == {yes, no} or (len(words) == 1 and words <= {yes, no} and (known or words <= set(_LONE))):
             values = _compute.equal(_compute.utf8_lower(texts), yes)
             return values, "" if yes == "true" else f"{yes}/{no}"
     return None
@@ -155,7 +174,7 @@ def _of_texts(called: str, values: Any) -> list[str]:
     if count := _compute.sum(gone).as_py():
         word = values.filter(gone)[0].as_py()
         told.append(f"{called}: {word!r} is a text like others in {_rows(count)}; empty such cells if they are missing")
-    found = likeness(_without(values, (*MISSING, DASH)))
+    found = likeness(without(values, (*MISSING, DASH)))
     if found.alike and (found.row < 0 or found.numbers):
         where = f"; row {found.row} has {found.odd[:40]!r}" if found.numbers and found.odd != found.first else ""
         told.append(f"{called} is read as texts, though {found.first!r} looks like a number or a date{where}")

@@ -1,27 +1,34 @@
 """Text files of tables (CSV and its dialects, plain or gzipped) as pyarrow tables."""
 
+import codecs
 import csv
 import io
 import zlib
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow
 
 from deadreckon.data.arrow import compute as _compute
-from deadreckon.data.formats.cells import MISSING, converted, with_dates
+from deadreckon.data.formats.cells import MISSING, NOTHING, Known, converted, with_dates
 from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
+from deadreckon.data.formats.marks import LARGEST, of_large
 from deadreckon.data.formats.spool import Spool
 from deadreckon.errors import UserError, reading
 from deadreckon.files import unpacked
 
 _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
+_SEEN = 2_000  # rows of the head, whose cells are looked at as they stand
 _NULLS = (*MISSING, "-nan", "-NaN", "#N/A N/A", "1.#QNAN", "-1.#IND")
 
 
-def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None) -> tuple[pa.Table, Dialect, list[str]]:
+def read_delimited(
+    path: Path | str, asked: Dialect, spool: Spool | None = None, known: Known = NOTHING
+) -> tuple[pa.Table, Dialect, list[str]]:
     """A text file as a table.
 
     Types are those that fit all cells of a column: integers, numbers, truth values, dates, else texts.
@@ -30,6 +37,7 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         path: of the file, plain or gzipped.
         asked: what is known of its dialect.
         spool: where columns are kept; None: in memory.
+        known: what some columns hold.
 
     Returns:
         The table, the dialect in which it was read, and one line for each thing that is not plain or is open.
@@ -42,7 +50,8 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         head, whole = _head(source)
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
-        table = _parsed(path, source, dialect, spool)
+        table = _parsed(path, source, dialect, spool, known)
+        told += _of_zeros(source, table, dialect, spool) + _of_large(source, table, dialect)
         told += _of_names(path, table.column_names)
         table = _named(path, table)
         table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
@@ -53,7 +62,7 @@ def read_delimited(path: Path | str, asked: Dialect, spool: Spool | None = None)
         told += _of_quotes(path, table, dialect)
         if not table.num_rows:
             raise UserError(f"{path}: the log has no rows, only a line of names")
-    table, order, lines = converted(table, dialect, spool)
+    table, order, lines = converted(table, dialect, spool, known)
     return table, with_dates(dialect, order), told + lines
 
 
@@ -68,11 +77,17 @@ def _head(source: BinaryIO) -> tuple[bytes, bool]:
     return head, not source.read(1)
 
 
-def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None) -> pa.Table:
+def _options(dialect: Dialect) -> tuple[arrow.ReadOptions, arrow.ParseOptions]:
+    """How pyarrow reads and splits a file."""
     read = arrow.ReadOptions(encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK)
     # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
-    parse = arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
+    return read, arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
+
+
+def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None, known: Known) -> pa.Table:
+    read, parse = _options(dialect)
     convert: dict[str, Any] = {"decimal_point": dialect.decimal, "null_values": _NULLS}
+    convert |= {"column_types": dict.fromkeys(known.texts, pa.string())} if known.texts else {}
     try:
         if spool is not None:
             return spool.read(source, read, parse, convert)
@@ -83,6 +98,31 @@ def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool |
         if "Empty CSV" in text:
             raise UserError(f"{path}: the log has no rows, only a line of names") from error
         raise UserError(f"{path}: cannot be read as CSV, it is damaged or cut short ({text[:200]})") from error
+
+
+def _of_large(source: BinaryIO, table: pa.Table, dialect: Dialect) -> list[str]:
+    """What to tell of columns of whole numbers of which the first one beyond all integers stands behind the head.
+
+    They became columns of floats; only those are read again, as they stand.
+    """
+    names = []
+    for name, values in () if table.num_rows <= _SEEN else zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_floating(values.type) and table.column_names.count(name) == 1:
+            high, head = _compute.max(values).as_py(), values[:_SEEN].drop_null()
+            whole = len(head) and _compute.all(_compute.equal(head, _compute.floor(head))).as_py()
+            names += [name] if high is not None and high >= LARGEST and whole else []
+    if not names:
+        return []
+    source.seek(0)
+    convert = arrow.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.string()))
+    found: dict[str, str] = {}
+    for batch in arrow.open_csv(source, *_options(dialect), convert):
+        for name in names:
+            cells = _compute.utf8_trim_whitespace(batch.column(name))
+            cells = cells.filter(_compute.match_substring_regex(cells, r"^\d{19,}$")).to_pylist()
+            odd = next((cell for cell in cells if int(cell) >= LARGEST), None)
+            found |= {name: odd} if odd is not None and name not in found else {}
+    return [of_large(_clean(name), cell) for name, cell in found.items()]
 
 
 def _diagnose(path: Path | str, dialect: Dialect) -> None:
@@ -119,6 +159,54 @@ def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) ->
         else:
             text = f"a text in quotes does not end at a separator ({error})"
         raise UserError(f"{path}: in line {line} {text}; a quote within a text is written twice") from error
+
+
+def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool | None) -> list[str]:
+    """What to tell of columns of whole numbers of which some are written with zeros in front, as codes are.
+
+    Numbers no longer show it, so the columns are read once more, as they stand.
+    """
+    names = [name for name in table.column_names if table.column_names.count(name) == 1]
+    names = [name for name in names if pa.types.is_integer(table.schema.field(name).type)]
+    found: dict[str, str] = {}
+    if not names or not _may_have_zeros(source, dialect):
+        return []
+    if spool is not None:
+        batches: Iterable[pa.RecordBatch] = spool.cells.select(names).to_batches()
+    else:
+        source.seek(0)
+        texts = dict.fromkeys(names, pa.binary())
+        convert = arrow.ConvertOptions(column_types=texts, include_columns=names)
+        batches = arrow.open_csv(source, *_options(dialect), convert)
+    row = 0
+    for batch in batches:
+        for name in (name for name in names if name not in found):
+            cells = batch.column(name)
+            at = _compute.index(_compute.match_substring_regex(cells, r"^\s*0\d"), pa.scalar(True)).as_py()
+            if at >= 0:
+                cell = cells[at].as_py().decode().strip()
+                text = f"{cell!r} is read as the number {int(cell)} (row {row + at}); put a letter before codes"
+                found[name] = f"column {_clean(name)}: {text}"
+        row += batch.num_rows
+    return list(found.values())
+
+
+def _may_have_zeros(source: BinaryIO, dialect: Dialect) -> bool:
+    """Whether a cell may begin with a zero and another digit, by a look at the bytes that takes a fraction of the parsing."""
+    if codecs.lookup(dialect.encoding or "utf-8").name not in ("utf-8", "cp1252", "iso8859-1", "ascii"):
+        return True
+    before = np.zeros(256, bool)
+    before[list(f"{dialect.separator}{dialect.quote}\r\n\t ".encode())] = True
+    source.seek(0)
+    last = b"\n"
+    while block := source.read(_BLOCK):
+        seen = np.frombuffer(last + block, np.uint8)
+        zeros = np.flatnonzero(seen[1:-1] == ord("0")) + 1
+        following = seen[zeros + 1]
+        if (before[seen[zeros - 1]] & (following >= ord("0")) & (following <= ord("9"))).any():
+            return True
+        last = seen[-2:].tobytes()
+    return False
 
 
 def _of_names(path: Path | str, names: list[str]) -> list[str]:

@@ -41,11 +41,22 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
             found = book.get_sheet_by_name(_chosen(path, sheet, book.sheet_names, shown))
             cells = found.to_python(skip_empty_area=False)  # from A1 on, so that cells can be named
             rows = [(line, row) for line, row in enumerate(cells, 1) if any(cell != "" for cell in row)]
+            merged = sorted(getattr(found, "merged_cell_ranges", None) or ())
     if len(rows) < 2:
         raise UserError(f"{path}: sheet {found.name!r} has no rows below a row of names")
     table, told = _table(path, rows)
     gaps = rows[-1][0] - rows[0][0] + 1 - len(rows)
+    told += _of_merged([ends for ends in merged if ends[1][0] >= rows[0][0]])
     return table, [*([f"empty rows are left out: {gaps}"] if gaps else []), *told]
+
+
+def _of_merged(ranges: list[tuple[tuple[int, int], tuple[int, int]]]) -> list[str]:
+    """What to tell of merged cells below the line of names: (row, column) of the first and the last cell of each range."""
+    if not ranges:
+        return []
+    shown = ":".join(f"{letters_of(column)}{row + 1}" for row, column in ranges[0])
+    text = f"{len(ranges)} ranges of cells are merged, such as {shown}, and only the first cell of each has its value"
+    return [f"{text}; unmerge them and fill the others, or they are missing"]
 
 
 def _chosen(path: Path | str, sheet: str | int | None, names: list[str], shown: list[str]) -> str:

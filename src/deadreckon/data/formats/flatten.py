@@ -10,8 +10,8 @@ import numpy as np
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
-_MOST_ACTIONS = 10_000  # combinations of joined actions
-_MOST_NUMBERS = 100_000  # in one flattened observation
+MOST_ACTIONS = 10_000  # combinations of joined actions
+MOST_NUMBERS = 100_000  # in one flattened observation
 
 
 def flatten_space(space: Any, values: Any, name: str = "") -> tuple[np.ndarray, list[str]]:
@@ -74,8 +74,8 @@ def one_hot(column: np.ndarray, count: int, start: int, name: str) -> tuple[np.n
     if wrong.any():
         row = int(np.argmax(wrong))
         raise UserError(f"{name} has {column[row]} in row {row}, {start} .. {start + count - 1} is needed")
-    if count > _MOST_NUMBERS:
-        raise UserError(f"{name} has {count} values, at most {_MOST_NUMBERS} are read as one-hot numbers")
+    if count > MOST_NUMBERS:
+        raise UserError(f"{name} has {count} values, at most {MOST_NUMBERS} are read as one-hot numbers")
     out = np.zeros((len(column), count), np.float32)
     out[np.arange(len(column)), index] = 1
     return out, [f"{name}={start + level}" for level in range(count)]
@@ -94,9 +94,9 @@ def join_actions(space: Any, values: np.ndarray) -> tuple[np.ndarray, Discrete, 
     counts = np.ravel(getattr(space, "nvec", np.full(space.shape, 2)))
     starts = np.ravel(getattr(space, "start", np.zeros(space.shape, int)))
     combinations = math.prod(counts.tolist())
-    if combinations > _MOST_ACTIONS:
+    if combinations > MOST_ACTIONS:
         kind = f"actions are {type(space).__name__} with {combinations:,} combinations"
-        raise UserError(f"{kind}; at most {_MOST_ACTIONS:,} are joined into one discrete action")
+        raise UserError(f"{kind}; at most {MOST_ACTIONS:,} are joined into one discrete action")
     flat = np.asarray(values).reshape(len(values), -1)
     index = flat.astype(np.int64) - starts
     wrong = ((index < 0) | (index >= counts) | (flat != np.floor(flat))).any(1)
@@ -124,8 +124,8 @@ def _numbers(column: np.ndarray, name: str) -> tuple[np.ndarray, list[str]]:
     shape = column.shape[1:]
     if column.dtype == np.uint8 and len(shape) >= 2:
         raise UserError(f"{name} is a picture of shape {shape} beside other observations; a picture alone is read, or numbers")
-    if math.prod(shape) > _MOST_NUMBERS:
-        raise UserError(f"{name} has {math.prod(shape)} numbers, at most {_MOST_NUMBERS} are read")
+    if math.prod(shape) > MOST_NUMBERS:
+        raise UserError(f"{name} has {math.prod(shape)} numbers, at most {MOST_NUMBERS} are read")
     return column.reshape(len(column), -1).astype(np.float32), _cells(name, shape)
 
 

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari as minaris
 from deadreckon.data.formats.build import refuse_mmap
 from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, sniff
+from deadreckon.data.formats.minari_ids import PREFIX
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.schema import Schema, as_schema
 from deadreckon.errors import UserError
@@ -105,7 +107,9 @@ def _reader(kind: str) -> Callable[..., Dataset]:
     elif kind == "vw":
         from deadreckon.data.formats.vw import read_vw as reader
     else:
-        from deadreckon.data.formats.tables import read_tabular as reader
+        from deadreckon.data.formats.tables import read_tabular
+
+        return partial(read_tabular, kind=kind)
     return reader
 
 
@@ -138,15 +142,15 @@ def convert(
     """
     write = _writer(target)
     place = Path(target)
-    exists = not str(target).startswith(minaris.PREFIX) and place.exists()
+    exists = not str(target).startswith(PREFIX) and place.exists()
     if exists and not force:
         raise UserError(f"{target} exists already; --force replaces it")
     if exists and place.is_dir() and not (place / folders.HEADER).is_file():
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
     if exists and Path(source).exists() and place.samefile(source):
         raise UserError(f"{target} is the source itself; choose another name")
-    in_folder = str(target).endswith("/") or not (place.suffix or str(target).startswith(minaris.PREFIX))
-    if in_folder and not str(source).startswith(minaris.PREFIX):
+    in_folder = str(target).endswith("/") or not (place.suffix or str(target).startswith(PREFIX))
+    if in_folder and not str(source).startswith(PREFIX):
         from deadreckon.data.formats.stream import convert_table, streamed_format
 
         if (table := streamed_format(source, mapping.get("separator"))) is not None:
@@ -166,7 +170,7 @@ def convert(
 
     # A file larger than memory can be converted: its columns go through copies on disk, beside the target because the
     # system's temporary folder may be in memory, and nobody sees them afterwards.
-    beside = None if str(target).startswith(minaris.PREFIX) else place.parent
+    beside = None if str(target).startswith(PREFIX) else place.parent
     try:
         if beside is not None:
             beside.mkdir(parents=True, exist_ok=True)
@@ -181,7 +185,7 @@ def convert(
 
 def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
     """What writes `target`, called with the log, the target and whether it may be replaced."""
-    if str(target).startswith(minaris.PREFIX):
+    if str(target).startswith(PREFIX):
         return lambda log, path, force: minaris.write_minari(log, str(path), force=force)
     ending = Path(target).suffix.lower()
     if str(target).endswith("/") or not ending:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.formats import folder as folders
-from deadreckon.data.formats import minari as minaris
+from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.dialect import is_table
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
@@ -23,7 +23,7 @@ TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # columns have names o
 # How a file is read, and the formats that can be read so.
 READING = {
     "separator": ("csv",), "decimal": ("csv",), "thousands": ("csv",), "encoding": ("csv",),
-    "dates": ("csv", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
+    "dates": ("csv", "parquet", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
 DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those which say how values are written
@@ -62,7 +62,7 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
                 file.seek(0)
                 head = gzip.GzipFile(fileobj=file).read(4096)
     except FileNotFoundError as error:
-        raise UserError(f"no file {path}") from error
+        raise UserError(minaris.missing(str(path)) if minaris.is_id(str(path)) else f"no file {path}") from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise UserError(f"{path}: cannot be unpacked, it is damaged or cut short ({error})") from error
     except OSError as error:
@@ -83,6 +83,9 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
     for kind, test in (("vw", is_vw), ("rllib", is_rllib)) if separator is None else ():
         if test(head):
             return kind
+    if re.match(rb"\s*\[\s*[{\[]", head):
+        how = f"in Python, Dataset.from_frame(pandas.read_json({path.name!r}))"
+        raise UserError(f"{path}: a list in JSON, which is not read; {how}")
     if is_table(head, separator):
         return "csv"
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")

@@ -106,6 +106,12 @@ def sb3(parts: Parts) -> None:
     if not len(order):
         raise UserError("the replay buffer is empty (pos is 0 and full is not set)")
     stacked = {key: column for key, column in parts.arrays.items() if column.shape[:2] == (steps, environments)}
+    for key in ("observations", "next_observations", "actions", "dones"):
+        if key in parts.arrays and key not in stacked:
+            raise UserError(
+                f"column {key} has shape {parts.arrays[key].shape}, rewards have {rewards.shape}; both are (steps, "
+                f"environments, ...) in a replay buffer; rewards of shape ({steps},) leave the environments out"
+            )
     parts.arrays = {
         key: np.swapaxes(column[order], 0, 1).reshape(environments * len(order), *column.shape[2:])
         for key, column in stacked.items()

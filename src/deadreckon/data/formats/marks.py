@@ -10,6 +10,7 @@ _GROUPED = re.compile(
     r"[+-]?[1-9]\d{0,2}(?P<mark>[.,'’ \u00a0\u202f])\d{3}(?P<more>(?:(?P=mark)\d{3})*)(?:(?P<decimal>[.,])\d+)?-?"
 )
 _DECIMAL = re.compile(r"[+-]?\d*(?P<decimal>[.,])\d+(?:[eE][+-]?\d+)?-?")
+LARGEST = 2**63  # from which on no integer of 64 bits is
 _MOST = 400_000  # cells that are looked at
 _SAME = {"’": "'", "\u00a0": " ", "\u202f": " "}
 WORDS = {".": "points", ",": "commas", " ": "spaces", "'": "apostrophes"}
@@ -127,7 +128,7 @@ class Marks:
 
 
 def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """What to tell of columns of digits that lose something as numbers: zeros in front, or places that no integer has.
+    """What to tell of columns of digits that lose something as numbers, because no integer has so many places.
 
     Args:
         names: of the columns.
@@ -138,11 +139,14 @@ def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
         found = [cell for cell in map(str.strip, cells) if cell]
         if not all(cell.isdecimal() for cell in found):
             continue
-        if zeros := [cell for cell in found if cell[0] == "0" and len(cell) > 1]:
-            told.append(f"column {name}: {zeros[0]!r} is read as the number {int(zeros[0])}; put a letter before codes")
-        if large := [cell for cell in found if int(cell) >= 2**63]:
-            told.append(f"column {name}: {large[0]!r} is rounded, as no integer is so large; put a letter before codes")
+        if large := [cell for cell in found if int(cell) >= LARGEST]:
+            told.append(of_large(name, large[0]))
     return told
+
+
+def of_large(name: str, cell: str) -> str:
+    """What to tell of a column that has a cell of digits beyond all integers, for which all its cells became floats."""
+    return f"column {name}: {cell!r} is rounded, as no integer is so large; put a letter before codes"
 
 
 def _any(cells: dict[int, str]) -> str:

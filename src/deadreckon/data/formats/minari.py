@@ -13,16 +13,16 @@ import numpy as np
 
 from deadreckon.data.columns import extra_name
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.environments import environment_of
 from deadreckon.data.formats.build import build
 from deadreckon.data.formats.flatten import bounds, flatten_space, join_actions
 from deadreckon.data.formats.header import Header
+from deadreckon.data.formats.minari_ids import METADATA, PREFIX, ROOT, checked_id, find, root
+from deadreckon.data.formats.minari_rows import buffers, spaces_of
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError, naming, reading, unknown
+from deadreckon.errors import UserError, naming, reading
 from deadreckon.files import read_json, safe_name
 
-PREFIX = "minari:"
-_METADATA = "metadata.json"
-_ROOT = "MINARI_DATASETS_PATH"
 _KEPT = ("dataset_id", "algorithm_name", "code_permalink", "ref_min_score", "ref_max_score", "minari_version")
 
 
@@ -44,9 +44,9 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
         UserError: one line with the folder, the episode and what is wrong.
     """
     folder = find(source)
-    metadata = read_json(folder / _METADATA)
+    metadata = read_json(folder / METADATA)
     if not isinstance(metadata, dict) or "data_format" not in metadata:
-        raise UserError(f"{folder / _METADATA}: no data_format; is this a Minari data set?")
+        raise UserError(f"{folder / METADATA}: no data_format; is this a Minari data set?")
     from minari.dataset.minari_storage import MinariStorage
 
     broken = (ValueError, KeyError, TypeError, RuntimeError, AssertionError, NotImplementedError)
@@ -62,7 +62,7 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
         columns = _joined(parts)
         space, lines = _actions(storage.action_space, columns, extra)
     about = metadata.get("deadreckon")
-    header = None if about is None else Header.from_json(folder / _METADATA, about)
+    header = None if about is None else Header.from_json(folder / METADATA, about)
     if name is None and header is None:
         name = str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
     return build(
@@ -72,6 +72,10 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
 
 def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     """Writes `log` as a local Minari data set and gives its folder. Extras become infos.
+
+    Where the log's environment is known (`data.environments`), the data set names it, so that Minari's `recover_environment`
+    opens it, and has its bounds of observations, widened where a row is beyond them. Actions that were joined or counted from 0
+    for the log are written as the environment takes them.
 
     Minari has no way to say that an episode's final observation is unknown: the last row of such an episode is left
     out, and its observation becomes the final one.
@@ -86,103 +90,59 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     """
     from minari import create_dataset_from_buffers
 
-    dataset_id = _checked_id(dataset_id.removeprefix(PREFIX))
+    dataset_id = checked_id(dataset_id.removeprefix(PREFIX))
     if log.successors is not None:
         raise UserError(f"{log.name}: its next observations are not the following rows; Minari cannot store it, write .hdf5")
     for key in log.extras:
         safe_name(key, f"{PREFIX}{dataset_id}: column")
-    target = _root() / dataset_id
+    target = root() / dataset_id
     if target.exists() and not force:
         raise UserError(f"{target} exists already; --force replaces it")
-    if target.exists() and not (target / "data" / _METADATA).is_file():
+    if target.exists() and not (target / "data" / METADATA).is_file():
         raise UserError(f"{target} is a folder that holds no Minari data set, so it is not replaced; choose another id")
-    observation_space, action_space = _spaces(log)
+    environment = environment_of(log)
+    observation_space, action_space = spaces_of(log, environment)
     try:
-        _root().mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".deadreckon.", dir=_root()) as scratch:
+        root().mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".deadreckon.", dir=root()) as scratch:
             with _root_is(scratch), warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that there is no author, code link, ...
                 made = create_dataset_from_buffers(
                     dataset_id,
-                    buffer=list(_buffers(log)),
+                    buffer=list(buffers(log)),
                     observation_space=observation_space,
                     action_space=action_space,
                     algorithm_name=log.provenance.recipe or log.provenance.source,
                     jpeg_encoding=False,
                 )
-                made.storage.update_metadata({"deadreckon": Header.of(log).to_json()})
+                known = {} if environment is None else {"env_spec": environment.spec}
+                made.storage.update_metadata({"deadreckon": Header.of(log).to_json(), **known})
             if target.exists():
                 shutil.rmtree(target)
             # Namespaces on the way have a description each, which Minari wants to see.
             for parent in Path(dataset_id).parents:
                 note = Path(scratch, parent, "namespace_metadata.json")
-                (_root() / parent).mkdir(parents=True, exist_ok=True)
-                if note.exists() and not (_root() / parent / note.name).exists():
-                    shutil.copy(note, _root() / parent / note.name)
+                (root() / parent).mkdir(parents=True, exist_ok=True)
+                if note.exists() and not (root() / parent / note.name).exists():
+                    shutil.copy(note, root() / parent / note.name)
             Path(scratch, dataset_id).rename(target)
     except (OSError, ValueError) as error:
         raise UserError(f"cannot write {target}: {' '.join(str(error).split())}") from error
     return target
 
 
-def find(source: Path | str) -> Path:
-    """The folder with `metadata.json` of a data set given by folder, or by `minari:` and an id.
-
-    Raises:
-        UserError: there is none, with the nearest ids that are there; or the id is not one.
-    """
-    text = str(source)
-    by_id = text.startswith(PREFIX)
-    folder = _root() / _checked_id(text.removeprefix(PREFIX)) if by_id else Path(text)
-    if not by_id and not folder.exists() and installed(text):
-        folder = _root() / text
-    for inner in (folder / "data", folder):
-        if (inner / _METADATA).is_file():
-            return inner
-    if not by_id:
-        raise UserError(f"{text}: no {_METADATA}; a Minari data set has one in its data folder ({PREFIX}ID names one by id)")
-    there = [str(file.parent.parent.relative_to(_root())) for file in _root().glob(f"**/data/{_METADATA}")]
-    if not there:
-        raise UserError(f"no Minari data set {text.removeprefix(PREFIX)!r}: {_root()} ({_ROOT}) holds none")
-    raise unknown("Minari data set", text.removeprefix(PREFIX), there)
-
-
-def installed(text: str) -> bool:
-    """Whether `text` is the id of a data set that is installed here; says so without loading Minari."""
-    inside = text and "\0" not in text and not text.startswith("/") and ".." not in text.split("/")
-    return bool(inside) and (_root() / text / "data" / _METADATA).is_file()
-
-
-def _checked_id(dataset_id: str) -> str:
-    """`dataset_id`, refused if it is none or would lead out of Minari's folder."""
-    from minari.dataset.minari_dataset import parse_dataset_id
-
-    try:
-        parse_dataset_id(dataset_id)
-        good = "\0" not in dataset_id and not dataset_id.startswith("/") and ".." not in dataset_id.split("/")
-    except (ValueError, TypeError):  # TypeError is what an id without a version makes of it
-        good = False
-    if not good:
-        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
-    return dataset_id
-
-
-def _root() -> Path:
-    return Path(os.environ.get(_ROOT) or Path.home() / ".minari" / "datasets")
-
-
 @contextlib.contextmanager
 def _root_is(folder: str) -> Iterator[None]:
     """Minari writes below `folder` meanwhile, so that a data set appears in its real root only when complete."""
-    before = os.environ.get(_ROOT)
-    os.environ[_ROOT] = folder
+    before = os.environ.get(ROOT)
+    os.environ[ROOT] = folder
     try:
         yield
     finally:
         if before is None:
-            del os.environ[_ROOT]
+            del os.environ[ROOT]
         else:
-            os.environ[_ROOT] = before
+            os.environ[ROOT] = before
 
 
 def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) -> tuple[Box | Discrete | None, list[str]]:
@@ -198,43 +158,6 @@ def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) 
     if not isinstance(space, spaces.Box):
         raise UserError(f"actions are {type(space).__name__}; Box, Discrete, MultiDiscrete or MultiBinary is needed")
     return bounds(space), []
-
-
-def _spaces(log: Dataset) -> tuple[Any, Any]:
-    from gymnasium import spaces
-
-    space, shape = log.action_space, log.observations.shape[1:]
-    if log.observations.dtype == np.uint8:
-        observations = spaces.Box(0, 255, shape, np.uint8)
-    else:
-        observations = spaces.Box(-np.inf, np.inf, shape, np.float32)
-    if isinstance(space, Discrete):
-        return observations, spaces.Discrete(space.n)
-    return observations, spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
-
-
-def _buffers(log: Dataset) -> Iterator[Any]:
-    from minari.data_collector import EpisodeBuffer
-
-    known = log.final_known | log.terminals[log.ends]
-    starts, ends = log.starts, log.ends
-    for index in range(log.episodes):
-        rows = slice(starts[index], ends[index] + (1 if known[index] else 0))
-        if rows.start == rows.stop:
-            continue
-        observations = log.observations[starts[index] : ends[index] + 1]
-        if known[index]:
-            observations = np.concatenate([observations, log.final_observations[index : index + 1]])
-        truncations = np.array(log.timeouts[rows])
-        truncations[-1] |= not log.terminals[rows.stop - 1]
-        yield EpisodeBuffer(
-            observations=observations,  # pyright: ignore[reportArgumentType]  # an array is stored as it is, and fast
-            actions=np.asarray(log.actions[rows]),  # pyright: ignore[reportArgumentType]
-            rewards=np.asarray(log.rewards[rows]),  # pyright: ignore[reportArgumentType]
-            terminations=np.asarray(log.terminals[rows]),  # pyright: ignore[reportArgumentType]
-            truncations=truncations,  # pyright: ignore[reportArgumentType]
-            infos={key: np.asarray(value[rows]) for key, value in log.extras.items()},
-        )
 
 
 def _observations(space: Any, values: Any, extra: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:

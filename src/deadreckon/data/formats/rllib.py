@@ -41,7 +41,10 @@ def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = Non
         whole[_EPISODE] = whole[_EPISODE].tolist()
     found = arranged(path, whole)
     if "layout" not in found.extra:
-        raise UserError(f"{path}: JSON lines are read in RLlib's layout: obs, actions, rewards, ...; found {', '.join(whole)}")
+        how = f"found {', '.join(whole)}" if whole else (
+            f"these are rows of a table; in Python, Dataset.from_frame(pandas.read_json({Path(path).name!r}, lines=True))"
+        )
+        raise UserError(f"{path}: JSON lines are read in RLlib's layout: obs, actions, rewards, ...; {how}")
     return build(
         path, found.columns, source="rllib-json", name=name or stem(path), action_space=found.space, extra=found.extra,
         strict=strict, horizon=horizon, warnings=found.told,

@@ -12,12 +12,12 @@ import pyarrow as pa
 from pyarrow import csv
 
 from deadreckon.data.arrow import compute as _compute
+from deadreckon.data.scratch import BLOCK
 from deadreckon.progress import Progress, unwatched
 
 # In the order in which pyarrow tries them ("Column type inference" in its documentation).
 _KINDS = (pa.null(), pa.int64(), pa.bool_(), pa.date32(), pa.time32("s"), pa.timestamp("s"), pa.timestamp("s", "UTC"),
           pa.timestamp("ns"), pa.timestamp("ns", "UTC"), pa.float64(), pa.string(), pa.binary())  # fmt: skip
-_ROWS = 262_144  # of a batch of a column
 
 
 class Spool:
@@ -26,7 +26,12 @@ class Spool:
     Args:
         folder: that takes the files.
         progress: called with the rows that are read, after some more of them.
+
+    Attributes:
+        cells: of the file that was read, as they stand in it.
     """
+
+    cells: pa.Table
 
     def __init__(self, folder: Path, progress: Progress = unwatched):
         self.folder, self.progress, self.count = folder, progress, 0
@@ -34,7 +39,7 @@ class Spool:
     def keep(self, values: Any) -> pa.ChunkedArray:
         """A column, mapped from a file."""
         values = values if isinstance(values, pa.ChunkedArray) else pa.chunked_array([values])
-        chunks = (chunk.slice(start, _ROWS) for chunk in values.chunks for start in range(0, len(chunk), _ROWS))
+        chunks = (chunk.slice(start, BLOCK) for chunk in values.chunks for start in range(0, len(chunk), BLOCK))
         return self._column(chunks, values.type)
 
     def read(self, source: Any, read: csv.ReadOptions, parse: csv.ParseOptions, convert: dict[str, Any]) -> pa.Table:
@@ -50,8 +55,8 @@ class Spool:
         source.seek(0)
         as_it_stands = csv.ConvertOptions(column_types=dict.fromkeys(names, pa.binary()))
         batches = csv.open_csv(source, read, parse, as_it_stands)
-        cells = self._mapped(self._watched(batches), batches.schema)
-        return pa.table([self._typed(column, convert) for column in cells.columns], names=names)
+        self.cells = self._mapped(self._watched(batches), batches.schema)
+        return pa.table([self._typed(column, convert) for column in self.cells.columns], names=names)
 
     def _watched(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         rows = 0

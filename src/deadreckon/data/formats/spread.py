@@ -14,7 +14,7 @@ from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import columns_of
 from deadreckon.data.formats.header import Header, damaged
-from deadreckon.data.frame import FrameColumns, frame_columns
+from deadreckon.data.frame import FrameColumns, table_columns
 from deadreckon.data.roles import numbered
 from deadreckon.data.scratch import Scratch
 from deadreckon.errors import UserError, unknown
@@ -102,7 +102,7 @@ def from_anybody(
         return FrameColumns(_named_ours(path, table, horizon, scratch), {}, [])
     if horizon is not None:
         raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
-    return frame_columns(table, name=str(path), scratch=scratch, **given)
+    return table_columns(table, given.pop("schema", None), str(path), scratch, **given)
 
 
 def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch: Scratch | None) -> dict[str, np.ndarray]:

@@ -5,7 +5,9 @@ that was killed goes on after the last finished part. The mapped table is then r
 that both give one log; what has as many rows as the table goes to files, but for the column at work.
 """
 
+import functools
 import os
+import shlex
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,8 +25,10 @@ from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.spread import from_anybody
+from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
+from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.progress import Progress, unwatched
@@ -78,7 +82,8 @@ def advice(source: Path | str, separator: str | None = None) -> str | None:
     if size <= SHARE * memory:
         return None
     told = f"{size / 1e9:.1f} GB, more than {SHARE:.0%} of the memory"
-    return f"{source} holds {told}: `deadreckon data convert {source} FOLDER` first, and give FOLDER, which is not read whole"
+    command = f"deadreckon data convert {shlex.quote(str(source))} FOLDER"
+    return f"{source} holds {told}: `{command}` first, and give FOLDER, which is not read whole"
 
 
 def convert_table(
@@ -109,7 +114,8 @@ def convert_table(
         **mapping: which column is what, as for `from_frame`, and how a text file is read, as for `read_table`.
 
     Returns:
-        The log, memory-mapped from `target`.
+        The log, as `target` holds it. Its columns are memory-mapped from files that are no longer in any folder, and take
+        room on the disk as long as it lives.
 
     Raises:
         UserError: one line with file, column and row. Nothing is left behind.
@@ -118,11 +124,14 @@ def convert_table(
     work = target.with_name(f".{target.name}.stream")
     with alone(work, what=str(target)):
         try:
-            told: list[str] = []
             if kind == "csv":
                 mapping, table, told = _of_text(source, work, mapping, progress)
             else:
-                table = _spooled(source, kind, work, progress)
+                schema = None if mapping.get("schema") is None else as_schema(mapping["schema"])
+                dates = Dialect.asked(dates=mapping.pop("dates", None)).dates or (schema.table.get("dates") if schema else None)
+                table, told = _spooled(source, kind, work, progress)
+                table, _, lines = with_dates(table, dates)
+                told += lines
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
             columns.mkdir()
@@ -155,14 +164,19 @@ def _of_text(
     shutil.rmtree(cells, ignore_errors=True)  # of a call that was killed
     cells.mkdir(parents=True)
     table, _, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress))
-    return mapping, table, [*known, *told]
+    return mapping, table, [*known, *told, *of_totals(table)]
 
 
-def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> pa.Table:
-    """The table, memory-mapped from parts below `work`, of which those that are there already are kept."""
+def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> tuple[pa.Table, list[str]]:
+    """The table, memory-mapped from parts below `work`, of which those that are there already are kept, and what to tell."""
     hive = dataset.HivePartitioning.discover(infer_dictionary=True)  # as pyarrow.parquet.read_table has it
     with reading(source, "a table", pa.ArrowException):
-        found: Any = dataset.dataset(source, format=kind, partitioning=hive if Path(source).is_dir() else None)
+        opened: Any = functools.partial(
+            dataset.dataset, source, format=kind, partitioning=hive if Path(source).is_dir() else None
+        )
+        found = opened()
+        schema, told = _all_columns(source, found)
+        found = found if schema is None else opened(schema=schema)
         groups = _groups(found, kind)
     rows = sum(count for _, count in groups)
     if not rows:
@@ -190,7 +204,29 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> p
         done += count
         if count < rows:  # of one part there is nothing to wait for
             progress(done, rows)
-    return pa.concat_tables(parts)
+    return pa.concat_tables(parts), told
+
+
+def _all_columns(source: Path | str, found: Any) -> tuple[pa.Schema | None, list[str]]:
+    """The columns of all files where these differ, of types that hold the values of all, and what to tell of those they lack.
+
+    Without this the first file would say which columns there are.
+    """
+    files = {fragment.path: fragment.physical_schema.remove_metadata() for fragment in found.get_fragments()}
+    first = next(iter(files.values()), None)
+    if first is None or all(schema.equals(first) for schema in files.values()):
+        return None, []
+    try:
+        schema = pa.unify_schemas([found.schema, *files.values()], promote_options="permissive")
+    except pa.ArrowException as error:
+        raise UserError(f"{source}: its files hold different types in a column ({' '.join(str(error).split())})") from error
+    told = []
+    for name in dict.fromkeys(name for each in files.values() for name in each.names):
+        lacking = [path for path, each in files.items() if name not in each.names]
+        if lacking:
+            where = f"{len(lacking)} of {len(files)} files, such as {Path(lacking[0]).name}"
+            told.append(f"column {name} is missing in {where}, and its cells are empty there")
+    return schema, told
 
 
 def _groups(found: Any, kind: str) -> list[tuple[Any, int]]:

@@ -7,7 +7,7 @@ from typing import Any
 from pyarrow import csv, parquet
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.any_table import read_table
+from deadreckon.data.formats.any_table import table_of_kind
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.kind import READING, sniff
@@ -20,7 +20,13 @@ _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header
 
 
 def read_tabular(
-    path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None, **mapping: Any
+    path: Path | str,
+    *,
+    kind: str | None = None,
+    strict: bool = False,
+    name: str | None = None,
+    horizon: int | None = None,
+    **mapping: Any,
 ) -> Dataset:
     """Reads a file of a table: CSV in any dialect, Parquet, a spreadsheet, SQLite or DuckDB.
 
@@ -28,6 +34,7 @@ def read_tabular(
 
     Args:
         path: of the file.
+        kind: its format, as `kind.sniff` tells it; None: it is found.
         strict: refuse actions out of bounds.
         name: of the log; the file's if absent.
         horizon: steps after which an episode is cut by a timeout, for files of our names that mark no time limits.
@@ -37,8 +44,8 @@ def read_tabular(
         UserError: one line with file, column and row or line.
     """
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
-    kind = sniff(path, ways.get("separator"))
-    table, _, told = read_table(path, **ways)
+    kind = kind or sniff(path, ways.get("separator"))
+    table, _, told = table_of_kind(path, kind, ways)
     text = (table.schema.metadata or {}).get(_HEADER) if kind == "parquet" else None
     if text is None or any(value is not None for value in mapping.values()):
         columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)

@@ -1,0 +1,120 @@
+"""False alarms and power of `deadreckon monitor`, on simulated logs whose truth is known.
+
+    python benchmarks/monitor.py --logs 200            # the tables of docs/use/monitor.md
+
+Each new log is looked at after every episode. Where nothing has changed, an alarm at any look is a false one, and the interval
+of the realised value misses if it ever leaves out the true mean. The estimate's lower end is that true mean itself: the worst
+case in which the policy still brings what was estimated.
+"""
+
+import argparse
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import deadreckon as dr
+from deadreckon.data.spec import Box
+from deadreckon.files import write_json
+from deadreckon.runs.monitor import monitor
+from deadreckon.runs.realised import Realised
+from deadreckon.stats.confidence_sequence import refuted_at
+
+TRUE = {"rows": 0.4, "episodes": 4.0}  # mean returns
+SIZES = {"rows": (500, 320), "episodes": (100, 160)}  # episodes of the reference and of the new log
+
+
+def rows(n, rng, shift=0.0, late=0.0, level=0.0, worse=0.0):
+    """Single decisions: three numbers, a flag, one of three actions, a reward of 0 or 1."""
+    x = rng.normal(size=(n, 3))
+    x[:, 0] += shift
+    x[n // 2 :, 1] += late
+    flag = rng.random(n) < 0.3 + level
+    return dr.Dataset.from_arrays(
+        observations=np.column_stack([x, flag]), actions=rng.integers(0, 3, n),
+        rewards=(rng.random(n) < TRUE["rows"] - worse).astype(float), terminals=np.ones(n, bool), name="rows",
+    )  # fmt: skip
+
+
+def episodes(n, rng, shift=0.0, late=0.0, level=0.0, worse=0.0):
+    """Episodes of 20 steps whose numbers hang together: AR(1) of 0.9 around a level of the episode's own."""
+    steps = 20
+    x = np.empty((n, steps, 4))
+    x[:, 0] = rng.normal(size=(n, 4))
+    for t in range(1, steps):
+        x[:, t] = 0.9 * x[:, t - 1] + np.sqrt(1 - 0.81) * rng.normal(size=(n, 4))
+    x += rng.normal(size=(n, 1, 4))
+    x[:, :, 0] += np.sqrt(2) * shift
+    x[n // 2 :, :, 1] += np.sqrt(2) * late
+    x[:, :, 3] = x[:, :, 3] + np.sqrt(2) * 3 * level > 0.7
+    reward = (TRUE["episodes"] - 10 * worse) / steps + 0.05 * x[:, :, 2]
+    ends = np.zeros((n, steps), bool)
+    ends[:, -1] = True
+    action = np.tanh(x[:, :, :2] + 0.5 * rng.normal(size=(n, steps, 2)))
+    return dr.Dataset.from_arrays(
+        observations=x.reshape(-1, 4), actions=action.reshape(-1, 2), rewards=reward.ravel(), terminals=ends.ravel(),
+        action_space=Box((-1.0, -1.0), (1.0, 1.0)), name="episodes",
+    )  # fmt: skip
+
+
+MAKE = {"rows": rows, "episodes": episodes}
+CHANGES = {
+    "nothing": {},
+    "one column by 0.3 SD": {"shift": 0.3},
+    "one column by 0.5 SD": {"shift": 0.5},
+    "one column by 1 SD, from the middle on": {"late": 1.0},
+    "a flag's share from 30 % to 50 %": {"level": 0.2},
+    "the mean return by a quarter": {"worse": 0.1},
+}
+
+
+def measure(kind, change, logs, folder):
+    """Shares of logs with an alarm (of any kind, drift, outside, value), and whose interval ever left out the true mean.
+
+    Whatever an earlier look finds the last one finds too (`tests/runs/test_monitor.py`), so the last one tells of all looks.
+    The interval is looked at after every episode.
+    """
+    run, counts = folder / kind, np.zeros(5)
+    old_size, new_size = SIZES[kind]
+    for number in range(logs):
+        rng = np.random.default_rng([number, 7])
+        old, new = MAKE[kind](old_size, rng), MAKE[kind](new_size, rng, **change)
+        seen = monitor(run, new, reference=old, estimates=folder / "estimates")
+        about = {each.about for each in seen.findings if each.alarm}
+        assert isinstance(seen.value, Realised)
+        x, (low, high), half = new.returns(), seen.value.range, seen.alpha / 2
+        missed = [refuted_at(x, (low, high), TRUE[kind], half), refuted_at(-x, (-high, -low), -TRUE[kind], half)]
+        counts += [bool(about), bool(about & {"observation", "action"}), "outside" in about, "value" in about, any(missed)]
+    return counts / logs
+
+
+def main():
+    """Prints the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--logs", type=int, default=200)
+    parser.add_argument("--kinds", nargs="*", default=list(MAKE))
+    parser.add_argument("--changes", nargs="*", default=list(CHANGES))
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    print("| logs | what has changed | any alarm | drift | outside the log | value below the estimate | interval misses |")
+    print("|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for kind in options.kinds:
+            log = MAKE[kind](64, np.random.default_rng(0))
+            dr.train(dr.agents.BC(hidden=(4,), batch_size=8), log, steps=1, task=False, out=folder / kind, holdout=0)
+            value = {"method": "truth", "value": [TRUE[kind]], "low": [TRUE[kind]], "high": [TRUE[kind]]}
+            told = {"estimand": {"discount": 1.0, "horizon": None, "greedy": True},
+                    "policies": [{"name": kind, "run": kind, "seed": 0}], "results": [value]}  # fmt: skip
+            write_json(folder / "estimates" / "estimates.json", told)
+            for change in options.changes:
+                begun = time.perf_counter()
+                found = measure(kind, CHANGES[change], options.logs, folder)
+                cells = " | ".join(f"{100 * share:.1f} %" for share in found)
+                print(f"| {kind} | {change} | {cells} |  <!-- {time.perf_counter() - begun:,.0f} s -->", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Settings that were tried, the choice among them, and how both are shown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from deadreckon.ope.metrics import Metrics
+from deadreckon.stats.means import student
+
+By = Literal["ope", "simulator"]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting.
+
+    Attributes:
+        fields: what differs from the agent's defaults.
+        scores: (logs, seeds) normalised scores in the simulators; NaN where there is none, or none may be used.
+        values: (seeds,) what its policies are estimated at from the log; empty where that was not asked for.
+        failure: why a seed diverged, or "": then it is not chosen.
+    """
+
+    fields: dict[str, Any]
+    scores: np.ndarray
+    values: np.ndarray
+    failure: str = ""
+
+    def __str__(self) -> str:
+        return named(self.fields)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a search found.
+
+    Attributes:
+        agent: its name.
+        by: what chose.
+        trials: all settings.
+        best: the chosen one among them.
+        truth: by estimates, and where a simulator can tell: how well estimates ranked the settings; else None.
+        lost: points of score that the choice has less than the best setting, where that is known.
+    """
+
+    agent: str
+    by: By
+    trials: tuple[Trial, ...]
+    best: Trial
+    truth: Metrics | None
+    lost: float | None
+
+    def __str__(self) -> str:
+        width = max(len(str(trial)) for trial in self.trials)
+        lines = []
+        for trial in sorted(self.trials, key=self._standing, reverse=True):
+            words = [f"{'*' if trial is self.best else ' '} {trial!s:<{width}}"]
+            if len(trial.values):
+                words.append(f"estimated {_interval(trial.values)}")
+            if np.isfinite(trial.scores).all():
+                words.append(f"score {_interval(trial.scores.mean(0))}")
+            words += [f"FAILED, not chosen: {trial.failure}"] if trial.failure else []
+            lines.append("  ".join(words))
+        if self.lost is not None:
+            spread = np.ptp([trial.scores.mean() for trial in self.trials])
+            share = f", {100 * self.lost / spread:.0f} % of the range of all" if spread > 0 else ""
+            chance = np.mean([max(t.scores.mean() for t in self.trials) - trial.scores.mean() for trial in self.trials])
+            lines.append(f"the choice loses {self.lost:.1f} points of score{share}; a choice by chance would lose {chance:.1f}")
+        if self.truth is not None:
+            lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation.value:.2f}")
+        return "\n".join(lines)
+
+    def _standing(self, trial: Trial) -> float:
+        return standing_of(trial, self.by)
+
+
+def named(fields: Mapping[str, Any]) -> str:
+    """Settings as a method's name."""
+    return ", ".join(f"{name} = {value}" for name, value in fields.items()) or "defaults"
+
+
+def standing_of(trial: Trial, by: By) -> float:
+    """What a setting is chosen by: the mean of its estimates, or of its scores."""
+    return -np.inf if trial.failure else float(np.mean(trial.values if by == "ope" else trial.scores))
+
+
+def _interval(values: np.ndarray) -> str:
+    if len(values) < 2:
+        return f"{values.mean():.1f}"
+    low, high = student(values)
+    return f"{values.mean():.1f} [{low:.1f}, {high:.1f}]"

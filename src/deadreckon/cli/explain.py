@@ -1,0 +1,30 @@
+"""`deadreckon explain`: what a policy does, as a small tree, and which columns it acts on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from deadreckon.cli.parse import parse
+
+
+@dataclass
+class Explain:
+    """Fit a small tree to what a policy does, say how well it imitates the policy on fresh rows, and which columns matter.
+
+    The result is kept in the run's folder, and `deadreckon report` draws it.
+    """
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]  # run or cross-fit folder, or policy file
+    log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
+    """log on whose rows the policy is explained; None: the one that it learned from"""
+    seed: int | None = None  # random seed whose policy is explained; None: the run's first
+
+
+def explain(args: Sequence[str]) -> None:
+    """Prints the tree and the columns."""
+    options = parse(Explain, args, "explain")
+    from deadreckon.runs.explain import explain as asked
+
+    print(asked(options.run, options.log, seed=options.seed))

@@ -1,0 +1,32 @@
+"""`deadreckon export`: a policy in a folder that other programs run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+from deadreckon.cli.parse import parse
+
+
+@dataclass
+class Export:
+    """Write a policy's deterministic actions for other programs, checked on rows of its log, with a model card."""
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]  # run or cross-fit folder, or policy file
+    format: Literal["onnx", "stablehlo", "numpy", "mlflow"]
+    """form of the export: an ONNX graph, a program of jax.export, files for numpy alone, or an MLflow model"""
+    out: str  # folder to write, which must not exist yet
+    log: str | None = None  # log on whose rows the export is checked; None: the one that the policy learned from
+    estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """folder of `deadreckon ope --out` or `recommend`, for the card; None: found in the run's folder or beside it"""
+    seed: int | None = None  # random seed whose policy is exported; None: the run's first
+
+
+def export(args: Sequence[str]) -> None:
+    """Writes the folder and prints its path."""
+    options = parse(Export, args, "export")
+    from deadreckon.runs.export import export as write
+
+    folder = write(options.run, options.format, options.out, log=options.log, estimates=options.estimates, seed=options.seed)
+    print(folder)

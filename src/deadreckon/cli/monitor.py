@@ -1,0 +1,51 @@
+"""`deadreckon monitor`: a new log against the one that a policy learned from, and its realised value against the estimate."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+from deadreckon.cli.parse import parse
+
+
+@dataclass
+class Monitor:
+    """Compare a new log with the one a policy learned from, and its realised value with the estimate.
+
+    Exit code 0: nothing was found; 1: something drifts, lies outside the log, or the value is below the estimate; 2: bad input.
+    """
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]  # run or cross-fit folder, or policy file
+    log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # new log, in the order of time
+    html: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # HTML page to write; an old one is replaced
+    reference: Annotated[str | None, tyro.conf.arg(metavar="LOG")] = None
+    """log to compare with, such as the policy's first weeks; None: the log that the policy learned from"""
+    made_by: Literal["policy", "reference"] | None = None
+    """maker of the new log: the run's policy, or whatever made the reference; None: policy, or reference with --reference"""
+    estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """folder of `deadreckon ope --out` or `recommend`; None: found in the run's folder or beside it"""
+    return_range: tuple[float, float] | None = None
+    """least and greatest return of an episode; None: the range in the reference, widened by half of it on each side"""
+    seed: int | None = None  # random seed whose policy is meant; None: the run's first
+    greedy: bool | None = None  # whether the policy acts deterministically (greedily) in use; None: as estimated, else yes
+    alpha: float = 0.05  # probability of a false alarm, over all looks together
+
+
+def monitor(args: Sequence[str]) -> int:
+    """Prints one line per finding; gives the exit code."""
+    options = parse(Monitor, args, "monitor")
+    from deadreckon.runs.monitor import monitor as compare
+
+    found = compare(
+        options.run, options.log, reference=options.reference, made_by=options.made_by, estimates=options.estimates,
+        return_range=options.return_range, seed=options.seed, greedy=options.greedy, alpha=options.alpha,
+    )  # fmt: skip
+    if options.html is not None:
+        from deadreckon.report.monitored import write_monitored
+
+        write_monitored(found, options.html)
+    print(found)
+    if options.html is not None:
+        print(f"page: {options.html}")
+    return 1 if found.alarm else 0

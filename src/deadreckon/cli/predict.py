@@ -1,0 +1,91 @@
+"""`deadreckon predict`: what a policy does in the rows of a new table."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from deadreckon.cli.data import Reading
+from deadreckon.cli.parse import parse
+from deadreckon.errors import UserError, unknown
+
+_ENDINGS = (".csv", ".parquet")
+
+
+@dataclass
+class Predict:
+    """Write the actions of a policy in the rows of a table, named as in the log that it learned from."""
+
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
+    policy file (.npz)"""
+    table: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
+    """table with the columns of the log's observations: CSV, Parquet, a spreadsheet or a database"""
+    out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
+    probabilities: bool = False  # whether to write the probability of every discrete action as well
+    sampled: bool = False  # whether to sample actions instead of taking the deterministic (greedy) ones
+    seed: int = 0  # random seed of sampled actions
+    outside: Literal["raise", "flag"] = "raise"
+    """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
+    outside_the_log, together with those beyond the ranges of the log"""
+    keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="COLUMN [COLUMN ...]")] = ()
+    """columns of the table to copy beside the actions, such as an id"""
+    policy_seed: int | None = None  # seed of the run whose policy is used; None: the first that has not failed
+    file: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)  # how the table's file is read
+
+
+def predict(args: Sequence[str]) -> None:
+    """Predicts and writes."""
+    options = parse(Predict, args, "predict")
+    out = Path(options.out)
+    if out.suffix.lower() not in _ENDINGS:
+        raise UserError(f"--out {out}: actions are written as .csv or .parquet")
+    if out.exists() and Path(options.table).exists() and out.samefile(options.table):
+        raise UserError(f"--out {out} is the table itself; choose another name")
+
+    from deadreckon.data.formats.any_table import read_rows
+    from deadreckon.data.schema import Schema
+    from deadreckon.runs.player import chosen, predictor
+
+    found = chosen(options.policy, options.policy_seed)
+    policy = predictor(found.file, options.table)
+    if policy.encoder.schema is None:
+        raise UserError(
+            f"{found.words} keeps no schema of its log, because it learned from arrays, online, or under an earlier version: "
+            "train it again from the table, or give arrays to its policy in Python"
+        )
+    ways = {key: value for key, value in vars(options.file).items() if value is not None}
+    table, told = read_rows(options.table, Schema.from_json(policy.encoder.schema, str(found.file)), **ways)
+    if found.sampled and not options.sampled:
+        told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled", *told]
+    for line in told:
+        print(f"! {line}", file=sys.stderr)
+    for column in options.keep:
+        if column not in table.column_names:
+            raise UserError(f"--keep: {unknown('column', column, table.column_names)}")
+    done = policy.predict(
+        table, probabilities=options.probabilities, greedy=not options.sampled, seed=options.seed, outside=options.outside
+    )
+    columns = policy.columns(done)
+    if twice := [column for column in options.keep if column in columns]:
+        raise UserError(f"--keep {twice[0]}: the actions are written under this name; leave it out")
+    _write(out, {**{column: table[column] for column in options.keep}, **columns})
+    rows, outside = table.num_rows, columns.get("outside_the_log")
+    note = "" if outside is None else f", {int(outside.sum()):,} of them outside the log"
+    print(f"{found.words}: actions in {rows:,} rows{note}, in {out}")
+    if units := policy.encoder.units:
+        print(f"units: {', '.join(f'{column} in {unit}' for column, unit in units.items())}")
+
+
+def _write(out: Path, columns: dict) -> None:
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    from deadreckon.files import replacing
+
+    table = pa.table(columns)
+    with replacing(out) as temporary:
+        (csv.write_csv if out.suffix.lower() == ".csv" else parquet.write_table)(table, temporary)

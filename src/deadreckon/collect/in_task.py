@@ -1,0 +1,84 @@
+"""A log of what a policy, or chance, does in any task."""
+
+import shutil
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from deadreckon._version import __version__
+from deadreckon.collect.rollouts import Segment, collect_rollouts
+from deadreckon.data.provenance import Provenance
+from deadreckon.errors import UserError
+from deadreckon.files import alone, file_part
+from deadreckon.policies.resolve import policies_of
+from deadreckon.progress import Progress
+from deadreckon.tasks.registry import task as find_task
+
+RANDOM = "random"  # uniform actions, in place of a policy
+
+
+def collect_in_task(
+    task: Any,
+    policy: Any = RANDOM,
+    *,
+    steps: int = 10_000,
+    seed: int = 0,
+    out: Path | str | None = None,
+    by: str | None = None,
+    threads: int | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Lets a policy act in a task and writes the log as an HDF5 file with D4RL's column names.
+
+    Actions are drawn, not greedy, and their log-probabilities are logged where the policy has any. After a kill the same
+    command goes on where it was: what is done so far lies in a hidden folder beside the file.
+
+    Args:
+        task: a task, its name, or a Gymnasium environment; see `tasks.registry.task`.
+        policy: "random", which draws actions uniformly; a policy, a policy file or a run of one seed.
+        steps: rows. The last episode is cut where they are full, by a timeout.
+        seed: random seed of starts and actions.
+        out: the file; None: one named after task and policy in the current folder.
+        by: what the policy is called in the log; None: the name of its kind.
+        threads: to simulate with; all cores if None. The log does not depend on it.
+        force: replace a file that is there.
+        progress: called now and then with the rows done and the rows in all.
+
+    Returns:
+        The file's path. It is written whole or not at all.
+
+    Raises:
+        UserError: an unknown task, no single policy, settings out of range, or a file `out` that is there already.
+    """
+    from deadreckon.data.formats.hdf5 import write_hdf5
+
+    task = find_task(task)
+    if steps < 1:
+        raise UserError(f"steps must be 1 or more, got {steps}")
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
+    chance = isinstance(policy, str) and policy == RANDOM
+    found = [None] if chance else policies_of(policy)
+    if len(found) != 1:
+        raise UserError(f"one policy makes a log, got {len(found)}; give one of them")
+    by = RANDOM if chance else by or type(getattr(found[0], "inner", found[0])).__name__
+    name = f"{task.name} {by}"
+    path = Path(out) if out is not None else Path(f"{file_part(name.replace(' ', '-').replace(':', '-'))}.hdf5")
+    if path.exists() and not force:
+        raise UserError(f"{path} is there already; --force (force=True) replaces it")
+    versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
+    extra = {"task": task.name, "policy": by, "actions": "drawn", "device": jax.devices()[0].platform}
+    extra |= task.described
+    provenance = Provenance("collected", None, seed, versions | task.versions, extra=extra)
+    scratch = path.parent / f".{path.name}.part"
+    with alone(path):
+        log = collect_rollouts(
+            task, [Segment(found[0], steps)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
+            progress=progress,
+        )  # fmt: skip
+        write_hdf5(log, path)
+        shutil.rmtree(scratch, ignore_errors=True)
+    return path

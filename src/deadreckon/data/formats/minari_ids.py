@@ -1,0 +1,69 @@
+"""Ids of Minari data sets: what looks like one, and where the data set lies, without loading Minari."""
+
+import os
+import re
+from pathlib import Path
+
+from deadreckon.errors import UserError, unknown
+
+PREFIX = "minari:"
+METADATA = "metadata.json"
+ROOT = "MINARI_DATASETS_PATH"  # environment variable
+
+
+def find(source: Path | str) -> Path:
+    """The folder with `metadata.json` of a data set given by folder, or by `minari:` and an id.
+
+    Raises:
+        UserError: there is none, with the nearest ids that are there; or the id is not one.
+    """
+    text = str(source)
+    by_id = text.startswith(PREFIX)
+    folder = root() / checked_id(text.removeprefix(PREFIX)) if by_id else Path(text)
+    if not by_id and not folder.exists() and installed(text):
+        folder = root() / text
+    for inner in (folder / "data", folder):
+        if (inner / METADATA).is_file():
+            return inner
+    if not by_id:
+        raise UserError(f"{text}: no {METADATA}; a Minari data set has one in its data folder ({PREFIX}ID names one by id)")
+    there = [str(file.parent.parent.relative_to(root())) for file in root().glob(f"**/data/{METADATA}")]
+    if not there:
+        raise UserError(f"no Minari data set {text.removeprefix(PREFIX)!r}: {root()} ({ROOT}) holds none")
+    raise unknown("Minari data set", text.removeprefix(PREFIX), there)
+
+
+def installed(text: str) -> bool:
+    """Whether `text` is the id of a data set that is installed here; says so without loading Minari."""
+    inside = text and "\0" not in text and not text.startswith("/") and ".." not in text.split("/")
+    return bool(inside) and (root() / text / "data" / METADATA).is_file()
+
+
+def is_id(text: str) -> bool:
+    """Whether `text` looks like a Minari id with a namespace, such as `mujoco/hopper/medium-v0`."""
+    return re.fullmatch(r"[\w-]+(/[\w.-]+)+-v\d+", text) is not None
+
+
+def missing(dataset_id: str) -> str:
+    """What is told of a data set that is not here."""
+    told = f"no file {dataset_id}, and no Minari data set of this id in {root()} ({ROOT})"
+    return f"{told}; `minari download {dataset_id}` fetches it"
+
+
+def checked_id(dataset_id: str) -> str:
+    """`dataset_id`, refused if it is none or would lead out of Minari's folder."""
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        parse_dataset_id(dataset_id)
+        good = "\0" not in dataset_id and not dataset_id.startswith("/") and ".." not in dataset_id.split("/")
+    except (ValueError, TypeError):  # TypeError is what an id without a version makes of it
+        good = False
+    if not good:
+        raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
+    return dataset_id
+
+
+def root() -> Path:
+    """The folder of the data sets that are installed here."""
+    return Path(os.environ.get(ROOT) or Path.home() / ".minari" / "datasets")

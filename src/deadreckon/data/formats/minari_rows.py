@@ -1,0 +1,69 @@
+"""What of a log stands in a Minari data set: spaces and episodes."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.environments import Environment
+from deadreckon.data.spec import Discrete
+
+
+def spaces_of(log: Dataset, environment: Environment | None) -> tuple[Any, Any]:
+    """Of observations and actions: the environment's as far as they are known, wide enough for all rows."""
+    from gymnasium import spaces
+
+    space, shape = log.action_space, log.observations.shape[1:]
+    if log.observations.dtype == np.uint8:
+        observations = spaces.Box(0, 255, shape, np.uint8)
+    elif environment is None:
+        observations = spaces.Box(-np.inf, np.inf, shape, np.float32)
+    else:
+        seen = log.spec.observation
+        low, high = np.minimum(environment.low, seen.min), np.maximum(environment.high, seen.max)
+        observations = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+    if isinstance(space, Discrete):
+        levels = _levels(log)
+        if levels is None:
+            return observations, spaces.Discrete(space.n)
+        low = levels.min(0)
+        if levels.shape[1] == 1:
+            return observations, spaces.Discrete(space.n, start=low[0])
+        return observations, spaces.MultiDiscrete(levels.max(0) - low + 1, start=low)
+    return observations, spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
+
+
+def _levels(log: Dataset) -> np.ndarray | None:
+    """(actions, integers) what the environment takes for each discrete action, where it is not the action's number."""
+    levels = np.asarray(log.provenance.extra.get("action_levels", ()))
+    return levels if isinstance(log.action_space, Discrete) and levels.shape[:1] == (log.action_space.n,) else None
+
+
+def buffers(log: Dataset) -> Iterator[Any]:
+    """The episodes of a log as Minari takes them."""
+    from minari.data_collector import EpisodeBuffer
+
+    known = log.final_known | log.terminals[log.ends]
+    starts, ends = log.starts, log.ends
+    levels = _levels(log)
+    for index in range(log.episodes):
+        rows = slice(starts[index], ends[index] + (1 if known[index] else 0))
+        if rows.start == rows.stop:
+            continue
+        observations = log.observations[starts[index] : ends[index] + 1]
+        if known[index]:
+            observations = np.concatenate([observations, log.final_observations[index : index + 1]])
+        truncations = np.array(log.timeouts[rows])
+        truncations[-1] |= not log.terminals[rows.stop - 1]
+        actions = np.asarray(log.actions[rows])
+        if levels is not None:
+            actions = levels[actions, 0] if levels.shape[1] == 1 else levels[actions]
+        yield EpisodeBuffer(
+            observations=observations,  # pyright: ignore[reportArgumentType]  # an array is stored as it is, and fast
+            actions=actions,  # pyright: ignore[reportArgumentType]
+            rewards=np.asarray(log.rewards[rows]),  # pyright: ignore[reportArgumentType]
+            terminations=np.asarray(log.terminals[rows]),  # pyright: ignore[reportArgumentType]
+            truncations=truncations,  # pyright: ignore[reportArgumentType]
+            infos={key: np.asarray(value[rows]) for key, value in log.extras.items()},
+        )

@@ -1,0 +1,75 @@
+"""What speaks against the order in which the rows of an episode are taken."""
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.arrow import as_dates, flat, is_missing, is_text, ordered_moments
+from deadreckon.data.schema import Schema
+
+_LEAST = 10  # falls below which nothing is told: by chance they have no rise among them with probability 2^-10
+
+
+def about_order(table: pa.Table, schema: Schema, codes: np.ndarray, order: np.ndarray | slice | None) -> list[str]:
+    """What to say of rows that may be in another order than they stand in.
+
+    Args:
+        table: (rows,) of each column.
+        schema: of it.
+        codes: (rows,) index of each row's episode.
+        order: in which the rows are taken; a slice where that is the table's.
+    """
+    if (time := schema.one("time")) is not None:
+        return _past_midnight(table, time.name, codes, order)
+    left_out = schema.named("ignore", "keep")
+    return [*_falling(table, left_out, codes), *_apart(table, [*schema.named("observation"), *left_out], codes)]
+
+
+def _past_midnight(table: pa.Table, time: str, codes: np.ndarray, order: np.ndarray | slice | None) -> list[str]:
+    """What to say of episodes that times of day, which have no date, put in another order than the table does."""
+    if not pa.types.is_time(table.column(time).type) or not isinstance(order, np.ndarray):
+        return []
+    own = codes[order]
+    changed = len(np.unique(own[1:][(own[1:] == own[:-1]) & (order[1:] < order[:-1])]))
+    text = f"{changed:,} of {int(codes.max()) + 1:,} episodes are put in another order than the table's by {time}"
+    how = f"give {time} with its date, or leave it out if the rows are in order"
+    return [f"{text}, which has times of day without a date, as where one passes midnight: {how}"] if changed else []
+
+
+def _apart(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:
+    """What to say of episodes whose rows do not stand together, and of a column that seems to count their steps."""
+    pieces, episodes = 1 + int((codes[1:] != codes[:-1]).sum()), int(codes.max()) + 1
+    if pieces == episodes:
+        return []
+    text = f"rows of an episode are not together ({episodes:,} episodes in {pieces:,} pieces)"
+    order = np.argsort(codes, kind="stable")
+    inside = np.diff(codes[order]) == 0
+    for name in columns:
+        values = flat(table, name)
+        if not pa.types.is_integer(values.type) or is_missing(values).any():
+            continue
+        steps = values.to_numpy(zero_copy_only=False)
+        falls = steps[order][1:] < steps[order][:-1]
+        ranked = steps[np.lexsort((steps, codes))]
+        if (falls & inside).any() and (ranked[1:] - ranked[:-1] == 1)[inside].all():
+            return [f"{text}, and column {name} counts their steps in another order: --time {name} puts them in order"]
+    return [f"{text}: they are taken in the table's order (--time COLUMN orders them)"]
+
+
+def _falling(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:
+    """What to say of dates that fall from row to row of an episode and never rise."""
+    told, found = [], {}
+    for name in columns:
+        kind = table.schema.field(name).type
+        dates = as_dates(flat(table, name)) if pa.types.is_temporal(kind) or is_text(kind) else None
+        if dates is not None and not is_missing(dates).any():
+            found[name] = dates
+    if not found:
+        return []
+    order = np.argsort(codes, kind="stable")
+    inside = np.diff(codes[order]) == 0
+    for name, dates in found.items():
+        steps = np.diff(ordered_moments(dates)[order])[inside]
+        if (falls := int((steps < 0).sum())) >= _LEAST and not (steps > 0).any():
+            text = f"column {name} falls in {falls:,} of {len(steps):,} steps within episodes and never rises"
+            told.append(f"{text}: rows are taken in the table's order, which may be the reverse (--time {name})")
+    return told

@@ -1,0 +1,39 @@
+"""Texts of dates as timestamps in tables whose columns have types (data frames, Parquet), read as they are in text files."""
+
+from typing import Any
+
+import pyarrow as pa
+
+from deadreckon.data.arrow import SAMPLE, all_match, compute, decoded, is_text
+from deadreckon.data.formats.cells import MISSING, without
+from deadreckon.data.formats.dates import dates_of
+
+# The forms whose texts are not in the order of time; those of ISO 8601 are, and are read where they are used.
+_WRITTEN = r"^(?:\d{1,2}[./-]\d{1,2}[./-]\d{4}|\d{4}[./]\d{1,2}[./]\d{1,2})(?:[ ,T].*)?$"
+
+
+def with_dates(table: pa.Table, asked: str | None = None) -> tuple[pa.Table, str | None, list[str]]:
+    """The table, where columns of texts or categories such as 03.04.2024 hold timestamps.
+
+    Args:
+        table: of any columns.
+        asked: `iso`, `day-first` or `month-first`, or None; see `dates_of`.
+
+    Returns:
+        The table, the order that was taken (None: there was none to take), and what to tell.
+    """
+    texts = {}
+    for name in (name for name, kind in zip(table.column_names, table.schema.types, strict=True) if is_text(kind)):
+        values = table.column(name)
+        if all_match(_texts(values[:SAMPLE]), _WRITTEN) and all_match(found := _texts(values), _WRITTEN):
+            texts[name] = found
+    done, order, told = dates_of(texts, asked, european=False)
+    for name, moments in done.items():
+        table = table.set_column(table.column_names.index(name), name, moments)
+    return table, order, told
+
+
+def _texts(values: pa.ChunkedArray) -> Any:
+    """(rows,) texts without blanks around them, and without the words for what is missing."""
+    plain = [decoded(chunk).cast(pa.string()) for chunk in values.chunks]
+    return without(compute.utf8_trim_whitespace(pa.chunked_array(plain, pa.string())), MISSING)

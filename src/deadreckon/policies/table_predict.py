@@ -1,0 +1,270 @@
+"""What a policy does in rows of a table: named actions, probabilities, and which rows lie outside its log.
+
+With the other modules called `table_` it needs numpy alone, so that they can be copied beside `portable.py`. What acts is
+`portable.NumpyPolicy` or, in JAX, `loaded.JaxPlayer`.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+if __package__:
+    from deadreckon.policies.table_encoder import Encoded, TableEncoder
+    from deadreckon.policies.table_rows import RowsError, is_missing
+else:  # copied beside `portable.py`
+    from table_encoder import Encoded, TableEncoder  # pyright: ignore[reportMissingImports]
+    from table_rows import RowsError, is_missing  # pyright: ignore[reportMissingImports]
+
+OUTSIDE = "outside_the_log"  # the column of a table of predictions
+
+
+class Player(Protocol):
+    """What acts on arrays.
+
+    Attributes:
+        members: of a mixture, one of which acts in an episode; else none.
+        member: of a policy on histories, what acts on them; else None.
+        steps: observations in a history.
+        action_size: numbers of an action in a history.
+    """
+
+    members: list[Any]
+    member: Any
+    steps: int
+    action_size: int
+
+    def act(self, observations: np.ndarray, rng: np.random.Generator, greedy: bool) -> np.ndarray:
+        """Actions (rows, size), or (rows,) codes, of a policy without memory."""
+        ...
+
+    def probs(self, observations: np.ndarray) -> np.ndarray | None:
+        """(rows, actions) probabilities; None of continuous actions."""
+        ...
+
+    def done(self, actions: np.ndarray) -> np.ndarray:
+        """Actions as a history has them: in [-1, 1], or one-hot."""
+        ...
+
+
+class Prediction(NamedTuple):
+    """What a policy does, and what is known of it.
+
+    Attributes:
+        actions: (rows,) names or numbers of one action column, {column: (rows,) numbers} of several; of one row, single values.
+        probabilities: {action: (rows,) probability} of discrete actions; None where it was not asked for.
+        outside: (rows,) bool, which rows are outside the log; None where it was not asked for.
+    """
+
+    actions: Any
+    probabilities: dict[Any, Any] | None = None
+    outside: Any = None
+
+
+class Predictor:
+    """A policy that takes rows of a table.
+
+    Args:
+        player: what acts.
+        log: what its file keeps of its log; see `TableEncoder`.
+        name: of the rows, for errors.
+
+    Attributes:
+        encoder: between rows and observations, codes and named actions.
+        steps: last observations of an episode that it acts on.
+    """
+
+    def __init__(self, player: Player, log: Mapping[str, Any], name: str = "rows"):
+        self.player, self.encoder = player, TableEncoder(log, name)
+        self.steps = max(each.steps for each in (player, *player.members))
+
+    def predict(
+        self, rows: Any, *, probabilities: bool = False, greedy: bool = True, seed: int | np.random.Generator = 0,
+        outside: str = "raise", legal: Any = None,
+    ) -> Any:  # fmt: skip
+        """The actions in rows of a table.
+
+        A policy on the last steps of episodes needs the log's column of the episode, if that has one, and each episode's rows
+        in order of time, from its first row on. Where the rows say what was done in them, by the columns of the actions, that
+        is taken for the past; else what the policy does itself.
+
+        Args:
+            rows: a data frame (pandas, polars, Arrow), a dictionary of columns, a list of dictionaries or one dictionary, with
+                the columns that the log's observations had, in any order; further ones do not matter. Or arrays (rows, size)
+                of observations as they are encoded.
+            probabilities: also gives the probability of every discrete action.
+            greedy: take the deterministic (greedy) actions instead of sampled ones.
+            seed: of sampled actions; the same one samples the same, so use another each time, or a Generator.
+            outside: "raise" refuses unknown levels, missing values where the log had none and values outside the schema's
+                range; "flag" marks such rows, and those with a value beyond the log's. What cannot be encoded at all, such as a
+                text where a number is needed, is always refused.
+            legal: (rows, actions) truth values, where the rows have no columns that say which actions are legal.
+
+        Returns:
+            The actions: (rows,) names or numbers of one action column, {column: (rows,) numbers} of several; of one dictionary
+            single values. With `probabilities` or `outside="flag"` a `Prediction`, which holds them.
+
+        Raises:
+            RowsError: one line with the column, the row (counted from 0) and what would be right; a `UserError` within the
+                package.
+        """
+        found = self.encoder.encode(rows, outside=outside, legal=legal)
+        if probabilities and not self.encoder.discrete:
+            raise RowsError("probabilities are those of discrete actions, and this policy's are continuous")
+        rng = seed if isinstance(seed, np.random.Generator) else np.random.default_rng(seed)
+        remembers = self.steps > 1 or self.player.members
+        episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
+        actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)
+        named = self.encoder.named(actions)
+        if not probabilities and outside == "raise":
+            return _row(named) if found.single else named
+        told = None
+        if probabilities and probs is not None:
+            told = dict(zip(self.encoder.names or range(probs.shape[1]), probs.T))
+        flags = found.outside if outside == "flag" else None
+        if not found.single:
+            return Prediction(named, told, flags)
+        return Prediction(_row(named), None if told is None else _row(told), None if flags is None else bool(flags[0]))
+
+
+    def columns(self, done: Any) -> dict[str, Any]:
+        """What `predict` gave by columns: those of the actions, then `probability=ACTION` and `outside_the_log`."""
+        told = done if isinstance(done, Prediction) else Prediction(done)
+        out = told.actions
+        if not isinstance(out, dict):
+            several = not self.encoder.actions and not self.encoder.discrete  # numbers of a log without a schema
+            names = [*self.encoder.actions, "action"]
+            out = {f"action_{i}": column for i, column in enumerate(np.moveaxis(out, -1, 0))} if several else {names[0]: out}
+        out = out | {f"probability={name}": values for name, values in (told.probabilities or {}).items()}
+        return out if told.outside is None else {**out, OUTSIDE: told.outside}
+
+
+def _row(values: Any) -> Any:
+    """The first row of columns, as plain values."""
+    if isinstance(values, dict):
+        return {key: _row(column) for key, column in values.items()}
+    return values[0] if values[0].ndim else values[0].item()
+
+
+class _Episodes(NamedTuple):
+    """How rows follow one another.
+
+    Attributes:
+        number: (rows,) of each row's episode.
+        position: (rows,) its place in it.
+        logged: (rows,) codes or (rows, size) numbers of what was done; None where the rows do not say it.
+    """
+
+    number: np.ndarray
+    position: np.ndarray
+    logged: np.ndarray | None
+
+    @classmethod
+    def of(cls, encoder: TableEncoder, found: Encoded, steps: int) -> "_Episodes":
+        """The episodes of rows.
+
+        Args:
+            encoder: says which column tells them apart.
+            found: the rows.
+            steps: that the policy acts on; 1: rows without such a column are an episode each.
+
+        Raises:
+            RowsError: nothing tells the episodes apart, or their rows are not in order.
+        """
+        rows, columns, key, time = len(found.observations), found.columns or {}, *map(encoder.one.get, ("episode", "time"))
+        if steps == 1 and key not in columns:
+            return cls(np.arange(rows), np.zeros(rows, int), None)
+        where = f"{encoder.name}: this policy acts on the last {steps} steps of an episode"
+        if found.columns is None:
+            raise RowsError(f"{where}: give rows by the names of their columns, each episode's in order of time")
+        if key is not None and key not in columns:
+            raise RowsError(f"{where}: give the column {key} of the episode, and each episode's rows in order of time")
+        names = columns[key].tolist() if key is not None else [0] * rows  # without such a column the log is one episode
+        moments = columns[time].tolist() if time is not None and time in columns else None
+        numbers: dict[Any, int] = {}
+        number, position, last = np.zeros(rows, int), np.zeros(rows, int), {}
+        for row, name in enumerate(names):
+            if is_missing(name):
+                raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells episodes apart")
+            number[row] = numbers.setdefault(name, len(numbers))
+            before = last.get(name)
+            position[row] = 0 if before is None else position[before] + 1
+            if moments is not None and before is not None and _later(moments[before], moments[row]):
+                text = f"column {time} has {moments[row]} in row {row}, before the {moments[before]} of row {before}"
+                raise RowsError(f"{encoder.name}: {text} in the same episode; sort each episode's rows by {time}")
+            last[name] = row
+        logged = encoder.logged(columns)
+        if logged is not None:
+            absent = logged < 0 if encoder.discrete else np.asarray(np.isnan(logged).any(1))
+            absent[list(last.values())] = False  # what is done there is asked for
+            if absent.any():
+                text = f"row {int(np.argmax(absent))} does not say what was done, and its episode goes on"
+                raise RowsError(f"{encoder.name}: {text}; give the action of every row but the last, or of none")
+        return cls(number, position, logged)
+
+
+def _later(first: Any, second: Any) -> bool:
+    """Whether the first moment is later: of numbers and dates, or texts of either."""
+    try:
+        return float(first) > float(second)
+    except (TypeError, ValueError):
+        return type(first) is type(second) and first > second
+
+
+def acted(
+    player: Player, found: np.ndarray, episodes: _Episodes | None, rng: np.random.Generator, greedy: bool, tell: bool
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Actions (rows, size) or (rows,) codes and, where `tell`, (rows, actions) probabilities of discrete ones.
+
+    Args:
+        player: what acts.
+        found: (rows, *shape) observations.
+        episodes: how rows follow one another; None for policies without memory.
+        rng: of sampled actions, and of a mixture's members.
+        greedy: take the deterministic actions.
+        tell: whether probabilities are asked for; those of a mixture are the means of its members'.
+    """
+    if player.members:
+        assert episodes is not None
+        which = rng.integers(len(player.members), size=len(found))[episodes.number]  # kept to the end of an episode
+        parts = [acted(member, found, episodes, rng, greedy, tell) for member in player.members]
+        actions = np.stack([part[0] for part in parts])[which, np.arange(len(found))]
+        probs = [part[1] for part in parts if part[1] is not None]
+        return actions, np.mean(probs, 0) if probs else None
+    if player.steps > 1:
+        assert episodes is not None
+        return _on_histories(player, found, episodes, rng, greedy, tell)
+    probs = None if greedy and not tell else player.probs(found)
+    if greedy or probs is None:
+        return player.act(found, rng, greedy), probs
+    # Drawn here, so that all players draw the same.
+    below = np.cumsum(probs.astype(np.float64), 1)
+    drawn = (below > rng.random(len(found))[:, None] * below[:, -1:]).argmax(1)
+    return drawn.astype(np.int32), probs
+
+
+def _on_histories(
+    player: Player, found: np.ndarray, episodes: _Episodes, rng: np.random.Generator, greedy: bool, tell: bool
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """What a policy on the last steps does: the first rows of all episodes, then their second ones, and so on."""
+    width = found.shape[1] + player.action_size  # of what a step adds to a history
+    past = np.zeros((len(found), (player.steps - 1) * width), np.float32)
+    if not len(found):
+        return acted(player.member, np.concatenate([past, found], 1), None, rng, greedy, tell)
+    actions, probs = [], []
+    order = np.argsort(episodes.position, kind="stable")
+    ends = np.cumsum(np.bincount(episodes.position[order]))
+    for start, end in zip([0, *ends[:-1]], ends):
+        rows = order[start:end]
+        who, seen = episodes.number[rows], found[rows]
+        if not start:
+            none = np.zeros((len(rows), player.action_size), np.float32)
+            past[who] = np.tile(np.concatenate([seen, none], 1), player.steps - 1)
+        history = np.concatenate([past[who], seen], 1)
+        taken, told = acted(player.member, history, None, rng, greedy, tell)
+        done = player.done(taken if episodes.logged is None else episodes.logged[rows])
+        past[who] = np.concatenate([history, done], 1)[:, width:]
+        actions.append(taken)
+        probs += [] if told is None else [told]
+    back = np.argsort(order)
+    return np.concatenate(actions)[back], np.concatenate(probs)[back] if probs else None

@@ -1,0 +1,140 @@
+"""The model card beside an exported policy: what it is made of, what it was judged at, and what it cannot do, in Markdown."""
+
+import datetime
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deadreckon._version import __version__
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.told import action_names, columns_of
+from deadreckon.policies.deployed import Mixture, history_of
+from deadreckon.policies.kinds import Categorical, Deterministic
+from deadreckon.runs.offline import grounds
+from deadreckon.runs.subject import Subject
+from deadreckon.stats.interval import Interval, decimals
+
+LISTED = 60  # columns
+
+
+def card(
+    one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | None, format: str, use: Sequence[str], checked: int
+) -> str:
+    """The card.
+
+    Args:
+        one: the policy.
+        log: on whose rows the export was checked.
+        estimates: of the policy, and its place there; None where there are none.
+        format: of the export.
+        use: how it is used, lines of Markdown.
+        checked: rows on which it was checked.
+    """
+    parts = [
+        ("", [f"A policy exported by deadreckon {__version__} on {datetime.date.today().isoformat()}, as {format}."]),
+        ("Use", [*use, "", f"Checked against the policy on {checked:,} rows of {log.name}."]),
+        ("Decision", _decision(estimates)),
+        ("Estimates", _estimates(estimates)),
+        ("Log", _log(one, log)),
+        ("Agent", _agent(one)),
+        ("Columns", _columns(log)),
+        ("Limits", [f"- {line}" for line in _limits(one, log, estimates, format)]),
+        ("Versions", _versions(one)),
+    ]
+    lines = [f"# {one.name}"]
+    for heading, text in parts:
+        lines += ["", *([f"## {heading}", ""] if heading else []), *text]
+    return "\n".join(lines) + "\n"
+
+
+def _decision(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
+    if estimates is None:
+        return ["No estimates are known: nothing says whether this policy should be deployed (`deadreckon ope --select`)."]
+    told, place = estimates
+    choice, mine = told["choice"], told["policies"][place]["name"]
+    words = "DEPLOY" if choice["deploy"] else "DO NOT DEPLOY"
+    lines = [f"**{words}** {choice['name']}: {choice['reason']}."]
+    if choice["name"] != mine:
+        lines += ["", f"The decision is about another policy than this one, which is {mine}."]
+    lines += ["", *(f"- {name}: {text}" for name, text in grounds(told))]
+    against = [*choice["evidence"], *choice["objections"][place], *choice["warnings"]]
+    heading = ["", "Objections, warnings and other estimates:", ""] if against else []
+    return [*lines, *heading, *(f"- {line}" for line in against)]
+
+
+def _estimates(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
+    if estimates is None:
+        return ["None."]
+    told, place = estimates
+    lines = [f"Estimated: {told['estimand']['words']}.", ""]
+    lines += ["| estimator | value | gain over the behaviour policy |", "|---|---|---|"]
+    for each in told["results"]:
+        value = Interval(*(_number(each[key][place]) for key in ("value", "low", "high")))
+        gain = Interval(*map(_number, each["gain"][place]))
+        d = decimals(value.value, gain.value)
+        lines.append(f"| {each['title']} | {value:.{d}f} | {gain:+.{d}f} |")
+    return lines
+
+
+def _number(value: Any) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _log(one: Subject, log: Dataset) -> list[str]:
+    data = (one.config or {}).get("data", {})
+    facts = [
+        ("name", data.get("name", log.name)), ("fingerprint", data.get("fingerprint", log.fingerprint)),
+        ("rows", f"{data.get('rows', len(log)):,}"), ("episodes", f"{data.get('episodes', log.episodes):,}"),
+        ("actions", str(log.action_space)),
+    ]  # fmt: skip
+    if (held := data.get("holdout")) is not None:
+        facts.append(("held out", f"{held['held']:,} of {held['held'] + held['learning']:,} episodes, by {held['by']}"))
+    return [*(f"- {name}: {value}" for name, value in facts), *(f"- warning: {line}" for line in data.get("warnings", ()))]
+
+
+def _agent(one: Subject) -> list[str]:
+    config = one.config
+    kind = type(one.policy.inner).__name__
+    if config is None:
+        return [f"{kind}; no run says how it was made."]
+    head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates; the policy is a {kind}."
+    fields = [f"| {name} | {value} |" for name, value in config["agent"].get("fields", {}).items()]
+    return [head, "", "| setting | value |", "|---|---|", *fields]
+
+
+def _columns(log: Dataset) -> list[str]:
+    columns = [each for each in columns_of(log) if each.role in ("observation", "action", "reward", "legal")]
+    rows = [f"| {each.name} | {each.role} | {each.kind} | {each.holds} | {each.becomes} |" for each in columns[:LISTED]]
+    more = [f"and {len(columns) - LISTED:,} more"] if len(columns) > LISTED else []
+    if log.spec.discrete:
+        more.append(f"Actions, in the order of their codes: {', '.join(action_names(log)[:LISTED])}.")
+    return ["| column | role | kind | levels or range | becomes |", "|---|---|---|---|---|", *rows, "", *more]
+
+
+def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | None, format: str) -> list[str]:
+    how = "; the numpy player samples with `greedy=False`" if format == "numpy" else ""
+    inner, lines = one.policy.inner, [f"The export takes deterministic (greedy) actions{how}."]
+    if estimates is not None and not estimates[0]["estimand"]["greedy"] and not isinstance(inner, Deterministic):
+        how = "sample from the output `probabilities`" if isinstance(inner, Categorical) else "the package samples them"
+        lines.append(f"The estimates above are of sampled actions, and do not hold for greedy ones: {how}.")
+    lines += [
+        "It was learned from a log. If the world has changed since, nothing here holds; `deadreckon monitor` compares.",
+        "Rows outside the log (unknown levels, numbers beyond its ranges) get an action too, without any evidence.",
+    ]
+    if (steps := history_of(one.policy)) > 1:
+        text = f"o, a, o, ..., o: {steps} observations with the actions between them, scaled to [-1, 1] or one-hot"
+        lines.append(f"It acts on the last steps of an episode: {text}. Before an episode, its first observation is repeated.")
+    if isinstance(inner, Mixture):
+        last = len(inner.members) - 1
+        drawn = "is drawn with equal probabilities when an episode begins, and kept to its end"
+        lines.append(f"It is a mixture of {last + 1} policies: `member`, 0 .. {last}, {drawn}.")
+    if log.spec.mask_size:
+        lines.append("Which actions are legal has to be given in every row.")
+    return lines
+
+
+def _versions(one: Subject) -> list[str]:
+    known = (one.config or {}).get("versions", {})
+    lines = [f"- {name}: {value}" for name, value in known.items() if name != "lanes"]
+    return [*lines, f"- exported with deadreckon: {__version__}"]

@@ -1,0 +1,268 @@
+"""What a new log holds against an earlier one, column by column: how much differs, and whether that can be chance.
+
+Tests and what makes them safe to repeat are in `stats.drift`; here is what is compared: the rows of whole episodes, or of whole
+clusters of them where the log has a group column. Of a long episode `WITHIN` rows at regular distances are looked at.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import clusters, group_of
+from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
+from deadreckon.errors import UserError
+from deadreckon.randomness import generator
+from deadreckon.stats import drift
+
+WITHIN = 100  # rows of an episode that are looked at
+FEWEST = 5  # units on each side: of fewer, no exchange says anything
+UNKNOWN, MISSING = "a level that the log does not have", "a missing value"
+
+
+class What(NamedTuple):
+    """A column to compare.
+
+    Attributes:
+        about: "observation" or "action".
+        name: of the column, or of the dimension where there are no columns.
+        kind: "number", or "category" where each dimension is the 0/1 number of a level.
+        dimensions: of the flattened observation, or of the action.
+        levels: their names, of a category.
+    """
+
+    about: str
+    name: str
+    kind: str
+    dimensions: tuple[int, ...]
+    levels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Rows of whole units.
+
+    Attributes:
+        observations: (rows, size), flattened.
+        actions: (rows, size) numbers, or (rows, actions) 0/1 numbers of discrete ones.
+        starts: (units,) the first row of each unit; its rows follow.
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    starts: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """(units,) rows of each."""
+        return np.diff(np.append(self.starts, len(self.observations)))
+
+    def of(self, what: What) -> np.ndarray:
+        """(rows, dimensions) of a column, in float64."""
+        table = self.observations if what.about == "observation" else self.actions
+        return table[:, list(what.dimensions)].astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A column of the new log against the same of the reference.
+
+    Attributes:
+        what: the column.
+        distance: largest difference of the shares of rows at most some value (Kolmogorov and Smirnov); of a category half the
+            sum of the differences of its levels' shares (total variation). 0 .. 1.
+        shift: difference of the means in standard deviations of the reference; NaN of a category, infinite where that did not
+            vary.
+        before, now: mean of the reference and of the new log; of a category the share of the level that differs most.
+        level: that level; empty of numbers.
+        found: after how many new episodes the first test accused the column, and which part of them it had compared; None.
+    """
+
+    what: What
+    distance: float
+    shift: float
+    before: float
+    now: float
+    level: str
+    found: tuple[int, int] | None
+
+
+def whats(log: Dataset) -> list[What]:
+    """The columns of a log's observations, then its actions."""
+    names, out, taken = observation_names(log), [], set()
+    if len(log.spec.observation_shape) > 1:
+        raise UserError(f"{log.name}: image observations (shape {log.spec.observation_shape}) cannot be monitored")
+    for each in columns_of(log):
+        if each.role == "observation" and each.dimensions:
+            kind = "category" if each.kind == "category" else "number"
+            own = (names[i].removeprefix(f"{each.name}=") for i in each.dimensions)
+            levels = tuple(name.replace(f"{each.name}_missing", "missing") for name in own)
+            out.append(What("observation", each.name, kind, each.dimensions, levels))
+            taken |= set(each.dimensions)
+    out += [What("observation", name, "number", (i,)) for i, name in enumerate(names) if i not in taken]  # legal actions
+    if log.spec.discrete:
+        schema = schema_of(log)
+        name = schema.named("action")[0] if schema else "actions"
+        return [*out, What("action", name, "category", tuple(range(log.spec.action_size)), tuple(action_names(log)))]
+    return [*out, *(What("action", name, "number", (i,)) for i, name in enumerate(action_names(log)))]
+
+
+def rows_of(log: Dataset, episodes: np.ndarray, first: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of these episodes that are looked at, unit by unit, and (units,) where each unit begins among them.
+
+    Args:
+        log: with a group column, its values are the units.
+        episodes: indices.
+        first: whether the first row of each episode alone is looked at.
+    """
+    unit = _units(log)[episodes]
+    episodes = episodes[order := np.argsort(unit, kind="stable")]
+    counts = np.ones(len(episodes), int) if first else np.minimum(log.lengths[episodes], WITHIN)
+    rows = np.repeat(log.starts[episodes], counts)
+    place = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+    rows = rows + place * np.repeat(log.lengths[episodes], counts) // np.repeat(counts, counts)
+    _, begins = np.unique(unit[order], return_index=True)
+    return rows, (np.cumsum(counts) - counts)[begins]
+
+
+def sample(log: Dataset, episodes: np.ndarray, first: bool) -> Sample:
+    """What the log holds in these episodes; see `rows_of`."""
+    rows, starts = rows_of(log, episodes, first)
+    observations = np.asarray(log.observations[rows], np.float32).reshape(len(rows), -1)
+    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts)
+
+
+def acted(log: Dataset, actions: np.ndarray) -> np.ndarray:
+    """(rows, size) numbers: continuous actions as they are, discrete ones as 0/1 numbers."""
+    if not log.spec.discrete:
+        return np.asarray(actions, np.float32).reshape(len(actions), -1)
+    return (actions.reshape(-1, 1) == np.arange(log.spec.action_size)).astype(np.float32)
+
+
+def some(episodes: np.ndarray, purpose: str, *counters: int) -> np.ndarray:
+    """At most `drift.MOST` of these episodes, always the same ones, in order."""
+    if len(episodes) <= drift.MOST:
+        return episodes
+    return np.sort(generator(0, purpose, *counters).choice(episodes, drift.MOST, replace=False))
+
+
+def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> list[Compared]:
+    """Every column against the reference; the chance that any is accused without a change is at most `alpha`, ever.
+
+    Args:
+        old: the reference.
+        new: the new log, of finished episodes in the order of time.
+        which: columns.
+        first: whether first rows alone are compared.
+        alpha: over all tests that can ever be made of this log as it grows.
+    """
+    found: dict[int, tuple[int, int]] = {}
+    if len(old.starts) >= FEWEST:
+        for number, epoch in enumerate(drift.epochs(new.episodes, alpha)):
+            window = some(np.arange(epoch.start, epoch.stop), "new episodes", number)
+            now = sample(new, window, first)
+            if len(now.starts) < FEWEST or len(found) == len(which):
+                continue
+            left = [i for i in range(len(which)) if i not in found]  # what is accused stays so, and hides nothing else
+            pairs = [_features(which[i], old, now) for i in left]
+            sums = [[np.add.reduceat(pair[side], both.starts) for pair in pairs] for side, both in enumerate((old, now))]
+            p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
+            found |= {left[i]: (epoch.stop, epoch.stop - epoch.start) for i in np.flatnonzero(p <= epoch.alpha)}
+    now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
+    return [_compared(what, old, now, found.get(i)) for i, what in enumerate(which)]
+
+
+def _features(what: What, old: Sample, now: Sample) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, features) 0/1 features of a column in both samples."""
+    a, b = old.of(what), now.of(what)
+    if what.kind == "category":
+        return a.astype(np.float32), b.astype(np.float32)
+    parts = [drift.number_features(a[:, i], b[:, i]) for i in range(a.shape[1])]
+    return np.concatenate([part[0] for part in parts], 1), np.concatenate([part[1] for part in parts], 1)
+
+
+def _compared(what: What, old: Sample, now: Sample, found: tuple[int, int] | None) -> Compared:
+    a, b = old.of(what), now.of(what)
+    if what.kind == "category":
+        before, after = a.mean(0), b.mean(0)
+        most = int(np.argmax(np.abs(after - before)))
+        rest = abs(before.sum() - after.sum())  # rows of no level
+        distance = float(np.abs(after - before).sum() + rest) / 2
+        return Compared(what, distance, np.nan, float(before[most]), float(after[most]), what.levels[most], found)
+    features = _features(what, old, now)
+    distance = float(np.abs(features[0].mean(0) - features[1].mean(0)).max(initial=0.0))
+    before, after, spread = float(a[:, 0].mean()), float(b[:, 0].mean()), float(a[:, 0].std())
+    shift = (after - before) / spread if spread > 0 else 0.0 if after == before else np.copysign(np.inf, after - before)
+    return Compared(what, distance, float(shift), before, after, "", found)
+
+
+class Outside(NamedTuple):
+    """Rows of the new log that lie outside the reference: with a number beyond the least or greatest there, a level that it
+    does not have, or a missing value in a column that misses none there.
+
+    Attributes:
+        share: of the new log's rows, 0 .. 1.
+        columns: name, in which way, in how many rows, and whether that is more than chance allows; those with any.
+    """
+
+    share: float
+    columns: tuple[tuple[str, str, int, bool], ...]
+
+
+def outside(old: Dataset, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> Outside:
+    """How much of a new log lies outside the reference; see `drifts` for the arguments.
+
+    All rows are counted. What cannot be chance is told by `stats.drift.beyond`, from the rows that are compared alone: the
+    chance that any column is accused without a change is at most `alpha`.
+    """
+    names = [name for what in which for name in _sides(what)]
+    tables = [_extremes(log, which) for log in (old, new)]
+    over = tables[1] > tables[0].max(0)
+    largest = [table[log.starts] if first else np.maximum.reduceat(table, log.starts) for table, log in zip(tables, (old, new))]
+    units = [_units(log) for log in (old, new)]
+    before, guilty = _largest(largest[0], units[0]), np.zeros(len(names), bool)
+    for epoch in drift.epochs(new.episodes, alpha) if len(before) >= FEWEST and names else ():
+        if epoch.start == 0:
+            now = _largest(largest[1][: epoch.stop], units[1][: epoch.stop])
+            guilty |= drift.beyond(before, now) <= epoch.alpha / len(names)
+    found = tuple((*names[i], int(over[:, i].sum()), bool(guilty[i])) for i in np.flatnonzero(over.any(0) | guilty))
+    return Outside(float(over.any(1).mean()), found)
+
+
+def _sides(what: What) -> list[tuple[str, str]]:
+    """In which ways a value of the column can lie outside."""
+    if what.about != "observation":
+        return []
+    ways = [UNKNOWN] if what.kind == "category" else ["above", "below"]
+    return [(what.name, way) for way in (*ways, MISSING)]
+
+
+def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
+    """(rows, sides) numbers that are the larger, the further out a row is."""
+    flat = np.asarray(log.observations[:], np.float32).reshape(len(log), -1)
+    sides = [np.zeros((len(log), 0), np.float32)]
+    for what in which:
+        if what.about != "observation":
+            continue
+        missing = np.asarray(log.extras.get(f"missing {what.name}", np.zeros(len(log), bool)), np.float32)[:, None]
+        if what.kind == "category":
+            unknown = (flat[:, list(what.dimensions)].sum(1, keepdims=True) < 0.5).astype(np.float32)
+            sides += [unknown - missing, missing]
+        else:
+            column = flat[:, what.dimensions[:1]]
+            sides += [column, -column, missing]
+    return np.concatenate(sides, 1)
+
+
+def _units(log: Dataset) -> np.ndarray:
+    """(episodes,) the unit that each belongs to."""
+    by = group_of(log)
+    return np.arange(log.episodes) if by is None else clusters(log, by)
+
+
+def _largest(values: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """(units, sides) the largest of each unit's episodes."""
+    order = np.argsort(unit, kind="stable")
+    return np.maximum.reduceat(values[order], np.unique(unit[order], return_index=True)[1])

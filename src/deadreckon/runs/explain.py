@@ -1,0 +1,289 @@
+"""What a policy does, as a small tree that says how far it can be trusted, and which columns the policy acts on.
+
+The log's episodes (or clusters of them) are parted in three: a tree imitates the policy's greedy actions on the first part, its
+depth is chosen on the second, and how well it imitates them is measured on the third, which neither has seen. A tree that is
+not surely better there than the constant action explains nothing, and is not shown. How much a column matters is asked of the
+policy itself and not of the tree: its values are exchanged between fresh rows, and what changes is what the policy does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import stacked
+from deadreckon.data.split import clusters, group_of
+from deadreckon.data.told import action_names, columns_of, observation_names
+from deadreckon.errors import UserError
+from deadreckon.files import write_json
+from deadreckon.policies.deployed import history_of
+from deadreckon.policies.pure import MEMBER, Pure, pure
+from deadreckon.randomness import generator
+from deadreckon.runs.explained_tree import Node, node_of
+from deadreckon.runs.subject import subject
+from deadreckon.stats import inference
+from deadreckon.stats.interval import ALPHA, Interval
+
+NAME = "explain.json"
+DEPTHS = range(1, 7)
+ROWS = 20_000  # of the log that are looked at
+PARTS = 0.6, 0.2  # of the units: the tree's, and those that choose its depth; the rest are fresh
+FEWEST = 15  # units; a log of fewer episodes is cut into so many blocks of rows
+EXCHANGES = 5  # of each column's values
+
+
+@dataclass(frozen=True)
+class Matters:
+    """How much a column matters.
+
+    Attributes:
+        column: its name.
+        change: share of fresh rows in which another action follows from exchanged values; of continuous actions the root mean
+            square change, in standard deviations of the policy's actions.
+        low, high: its interval.
+    """
+
+    column: str
+    change: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A tree that imitates a policy, and what it is worth.
+
+    Attributes:
+        name, log: of the policy and of the log.
+        discrete: whether its actions are.
+        rows: fresh rows, on which all numbers are measured.
+        depth: of the tree; 0: the constant action was best.
+        fidelity: share of fresh rows in which the tree does what the policy does; of continuous actions the share of the
+            variance of the policy's actions that it explains (R squared).
+        low, high: its interval.
+        constant: the same of the constant action, which is the most common one, or the mean.
+        explains: whether the tree is surely better than the constant action.
+        tree: its root; None where it explains nothing.
+        columns: what matters, most first.
+    """
+
+    name: str
+    log: str
+    discrete: bool
+    rows: int
+    depth: int
+    fidelity: float
+    low: float
+    high: float
+    constant: float
+    explains: bool
+    tree: Node | None
+    columns: tuple[Matters, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, told: dict[str, Any]) -> "Explained":
+        """The inverse of `as_json`."""
+        tree = None if told["tree"] is None else Node.from_json(told["tree"])
+        return cls(**{**told, "tree": tree, "columns": tuple(Matters(**each) for each in told["columns"])})
+
+    @property
+    def headline(self) -> str:
+        """How well the tree imitates the policy, in one sentence."""
+        rows = f"{self.rows:,} fresh rows of {self.log}"
+        if self.constant >= 1.0 - 1e-9:
+            return f"the policy does the same in all of {rows}"
+        spread = f"{self.fidelity:.1%} [{self.low:.1%}, {self.high:.1%}]"
+        if not self.explains:
+            return f"fidelity: none. On {rows} no tree of depth {DEPTHS[-1]} or less is surely better than a constant action"
+        if self.discrete:
+            text = f"a tree of depth {self.depth} does what the policy does in {spread} of {rows}"
+            return f"{text}; the constant action in {self.constant:.1%}"
+        return f"a tree of depth {self.depth} explains {spread} of the variance of the policy's actions in {rows}"
+
+    def __str__(self) -> str:
+        unit = "of rows get another action" if self.discrete else "SD of change"
+        shown = [(each, f"{each.change:.3f} [{each.low:.3f}, {each.high:.3f}]") for each in self.columns]
+        width = max((len(each.column) for each, _ in shown), default=0)
+        lines = [f"{self.name}: {self.headline}"]
+        lines += [] if self.tree is None else ["", *self.tree.lines()]
+        lines += ["", f"columns that matter, when their values are exchanged between rows ({unit})"]
+        return "\n".join([*lines, *(f"  {each.column:<{width}}  {text}" for each, text in shown)])
+
+
+def explain(run: Any, log: Dataset | Path | str | None = None, *, seed: int | None = None) -> Explained:
+    """Fits a small tree to what a policy does, and measures how well it imitates it; written to the run's folder.
+
+    Args:
+        run: the run, its folder, a cross-fit's folder or a policy file.
+        log: on whose rows it is asked; None: the log that the policy learned from.
+        seed: which of the run's policies; None: the first that has not failed.
+
+    Raises:
+        UserError: the policy cannot be asked for single rows, or scikit-learn is missing.
+    """
+    one = subject(run, seed)
+    function, data = pure(one.policy), one.log(log)
+    if len(data.spec.observation_shape) > 1:
+        raise UserError(f"{data.name}: image observations (shape {data.spec.observation_shape}) cannot be explained by columns")
+    found = _explained(one.name, function, data, history_of(one.policy))
+    if one.folder is not None and log is None:
+        write_json(one.folder / NAME, found.as_json())
+    return found
+
+
+def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explained:
+    rng = generator(0, "explain")
+    at = np.unique(np.linspace(0, len(data) - 1, min(len(data), ROWS)).astype(int))
+    x = np.asarray(stacked(data, steps).observations[at], np.float32)
+    unit, discrete = _units(data, at), data.spec.discrete
+    ask = _asker(function, len(x))
+    done = ask(x)
+    first, chooses, fresh = _parted(unit, rng)
+    scale = np.ones(1) if discrete else done[first].std(0)
+    scale = np.where(scale > 1e-9, scale, np.inf)  # an action that never changes is no mistake
+
+    def loss(guess: np.ndarray, part: np.ndarray) -> np.ndarray:
+        if discrete:
+            return (guess != done[part]).astype(float)
+        varies = max(int(np.isfinite(scale).sum()), 1)
+        return np.square((guess.reshape(len(guess), -1) - done[part]) / scale).sum(1) / varies
+
+    base: Any = np.bincount(done[first]).argmax() if discrete else done[first].mean(0)
+    constant = lambda part: np.broadcast_to(base, done[part].shape)  # noqa: E731
+    trees = [None, *(_fitted(x[first], done[first], depth, discrete) for depth in DEPTHS)]
+    guess = lambda tree, part: constant(part) if tree is None else np.asarray(tree.predict(x[part]))  # noqa: E731
+    losses = np.stack([loss(guess(tree, chooses), chooses) for tree in trees])
+    depth = _simplest(losses, unit[chooses])
+    own, plain = loss(guess(trees[depth], fresh), fresh), loss(constant(fresh), fresh)
+    names = _names(data, steps)
+    explains = depth > 0 and _mean(plain - own, unit[fresh]).low > 0
+    fidelity = _agreement(own, unit[fresh]) if discrete else _explained_variance(own, plain, unit[fresh])
+    still = 1.0 - float(plain.mean()) if discrete else float(plain.mean() < 1e-12)
+    said = action_names(data)
+    tree = node_of(trees[depth], names, said, discrete) if explains else None
+    matters = _matters(ask, x[fresh], done[fresh], unit[fresh], _groups(data, names, steps), scale, discrete, rng)
+    ends = fidelity.value, fidelity.low, fidelity.high
+    return Explained(name, data.name, discrete, len(own), depth, *ends, still, bool(explains), tree, matters)
+
+
+def _asker(function: Pure, rows: int) -> Any:
+    """What gives actions at (rows, size) observations; of a mixture each member acts in its share of the rows."""
+    call = jax.jit(lambda *given: function.call(*given)[0])
+
+    def ask(x: np.ndarray) -> np.ndarray:
+        given = [jnp.asarray(x)]
+        if MEMBER in function.inputs:
+            given.append(jnp.asarray(np.arange(len(x)) % function.members, jnp.int32))
+        return np.asarray(call(*given))
+
+    return ask
+
+
+def _units(data: Dataset, rows: np.ndarray) -> np.ndarray:
+    """(rows,) number of the unit that each belongs to: an episode, a cluster, or a block of a log of few episodes."""
+    by = group_of(data)
+    unit = data.episode_at(rows) if by is None else clusters(data, by)[data.episode_at(rows)]
+    return unit if len(np.unique(unit)) >= FEWEST else np.arange(len(rows)) * FEWEST // len(rows)
+
+
+def _parted(unit: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of the tree, rows that choose its depth, and fresh rows, by whole units."""
+    units = rng.permutation(np.unique(unit))
+    ends = np.cumsum([int(part * len(units)) for part in PARTS])
+    parts = [np.flatnonzero(np.isin(unit, each)) for each in np.split(units, ends)]
+    if min(map(len, parts)) < 2:
+        raise UserError(f"{len(unit)} rows are too few to fit a tree, choose its depth and measure it on fresh ones")
+    return parts[0], parts[1], parts[2]
+
+
+def _fitted(x: np.ndarray, done: np.ndarray, depth: int, discrete: bool) -> Any:
+    try:
+        from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
+    except ImportError:
+        raise UserError("explain fits trees with scikit-learn: pip install 'deadreckon[explain]'") from None
+    kind = DecisionTreeClassifier if discrete else DecisionTreeRegressor
+    return kind(max_depth=depth, min_samples_leaf=max(5, len(x) // 100), random_state=0).fit(x, done)
+
+
+def _simplest(losses: np.ndarray, unit: np.ndarray) -> int:
+    """The least depth whose loss is within a standard error of the least one, of (depths, rows) losses."""
+    best = int(losses.mean(1).argmin())
+    for depth, loss in enumerate(losses):
+        spread = _mean(loss - losses[best], unit)
+        if spread.value <= (spread.high - spread.value) / 2:  # an interval of 95 % is two standard errors wide on each side
+            return depth
+    return best
+
+
+def _mean(x: np.ndarray, unit: np.ndarray) -> Interval:
+    """The mean of (rows,) numbers with an interval by units."""
+    _, place = np.unique(unit, return_inverse=True)
+    totals, rows = np.bincount(place, x), np.bincount(place)
+    mean = float(x.mean())
+    influence = len(rows) * (totals - mean * rows) / len(x)
+    low, high = inference.student(np.array([mean]), influence[:, None])
+    return Interval(mean, float(low[0]), float(high[0]))
+
+
+def _agreement(wrong: np.ndarray, unit: np.ndarray) -> Interval:
+    """The share of rows that are not wrong; where none is, the lower end is what so many units show (Clopper and Pearson)."""
+    right = _mean(1.0 - wrong, unit)
+    low = (ALPHA / 2) ** (1 / len(np.unique(unit))) if not wrong.any() else right.low
+    return Interval(right.value, max(low, 0.0), min(right.high, 1.0))
+
+
+def _explained_variance(own: np.ndarray, plain: np.ndarray, unit: np.ndarray) -> Interval:
+    """1 less the ratio of two mean losses, with an interval by the linearised ratio."""
+    whole = max(float(plain.mean()), 1e-12)
+    ratio = float(own.mean()) / whole
+    spread = _mean(own - ratio * plain, unit)
+    half = (spread.high - spread.value) / whole
+    return Interval(1.0 - ratio, 1.0 - ratio - half, min(1.0 - ratio + half, 1.0))
+
+
+def _names(data: Dataset, steps: int) -> list[str]:
+    """The name of each number of an observation, or of a history."""
+    names = observation_names(data)
+    acted = action_names(data)
+    out = []
+    for back in range(steps - 1, 0, -1):
+        out += [f"{name}, {back} back" for name in (*names, *(f"action {name}" for name in acted))]
+    return [*out, *names]
+
+
+def _groups(data: Dataset, names: Sequence[str], steps: int) -> list[tuple[str, list[int]]]:
+    """Columns with the numbers that each became; their values are exchanged together."""
+    if steps > 1:
+        return [(name, [i]) for i, name in enumerate(names)]
+    groups = [(each.name, list(each.dimensions)) for each in columns_of(data) if each.role == "observation" and each.dimensions]
+    rest = sorted(set(range(len(names))) - {i for _, dimensions in groups for i in dimensions})
+    return [*groups, ("legal actions", rest)] if rest else groups
+
+
+def _matters(
+    ask: Any, x: np.ndarray, done: np.ndarray, unit: np.ndarray, groups: Sequence[tuple[str, list[int]]], scale: np.ndarray,
+    discrete: bool, rng: np.random.Generator,
+) -> tuple[Matters, ...]:  # fmt: skip
+    """How much the policy's actions change when a column's values are exchanged between rows, most first."""
+    out = []
+    for name, dimensions in groups:
+        change = np.zeros(len(x))
+        for _ in range(EXCHANGES):
+            other = x.copy()
+            other[:, dimensions] = x[rng.permutation(len(x))][:, dimensions]
+            now = ask(other)
+            change += (now != done) if discrete else np.square((now - done) / scale).mean(1)
+        mean = _mean(change / EXCHANGES, unit)
+        ends = (mean.value, max(mean.low, 0.0), mean.high)
+        value, low, high = ends if discrete else np.sqrt(np.maximum(ends, 0.0)).tolist()
+        out.append(Matters(name, float(value), float(low), float(high)))
+    return tuple(sorted(out, key=lambda each: -each.change))

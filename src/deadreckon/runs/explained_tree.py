@@ -1,0 +1,85 @@
+"""A tree as questions and answers in the names of a log, whatever library fitted it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Node:
+    """A question with two answers, or what is done.
+
+    Attributes:
+        text: the question, such as "age <= 50", or the action.
+        share: of the rows that the tree was fitted to which come here.
+        yes, no: what follows; None of a leaf.
+    """
+
+    text: str
+    share: float
+    yes: "Node | None" = None
+    no: "Node | None" = None
+
+    @classmethod
+    def from_json(cls, told: dict[str, Any]) -> "Node":
+        """Of nested dictionaries."""
+        parts = {key: None if told[key] is None else cls.from_json(told[key]) for key in ("yes", "no")}
+        return cls(told["text"], told["share"], **parts)
+
+    @property
+    def leaf(self) -> bool:
+        """Whether this is an action."""
+        return self.yes is None or self.no is None
+
+    def lines(self) -> Iterator[str]:
+        """As text, a line a node."""
+        yield from self._lines("", "")
+
+    def _lines(self, before: str, rest: str) -> Iterator[str]:
+        if self.yes is None or self.no is None:
+            yield f"{before}{self.text} ({self.share:.0%} of rows)"
+            return
+        yield f"{before}{self.text}?"
+        yield from self.yes._lines(f"{rest}├─ yes: ", f"{rest}│  ")
+        yield from self.no._lines(f"{rest}└─ no:  ", f"{rest}   ")
+
+
+def node_of(tree: Any, names: Sequence[str], actions: Sequence[str], discrete: bool) -> Node:
+    """The root of scikit-learn's tree.
+
+    Args:
+        tree: fitted.
+        names: of the numbers that it asks for.
+        actions: names of discrete actions, or of the dimensions of continuous ones.
+        discrete: whether actions are.
+    """
+    inner = tree.tree_
+    total = float(inner.weighted_n_node_samples[0])
+
+    def made(i: int) -> Node:
+        share = float(inner.weighted_n_node_samples[i]) / total
+        left, right = int(inner.children_left[i]), int(inner.children_right[i])
+        if left < 0:
+            return Node(_action(inner.value[i], tree, actions, discrete), share)
+        yes, no = made(left), made(right)
+        if yes.leaf and no.leaf and yes.text == no.text:
+            return Node(yes.text, share)  # a question whose answer changes nothing
+        name = str(names[int(inner.feature[i])])
+        column, equals, level = name.rpartition("=")
+        if equals and column:  # a level, or a legal action, is there or not
+            return Node(f"{column} is {level}", share, no, yes)
+        if name.endswith("_missing"):
+            return Node(f"{name.removesuffix('_missing')} is missing", share, no, yes)
+        return Node(f"{name} <= {float(inner.threshold[i]):.4g}", share, yes, no)
+
+    return made(0)
+
+
+def _action(value: Any, tree: Any, actions: Sequence[str], discrete: bool) -> str:
+    if discrete:
+        return str(actions[int(tree.classes_[int(value[0].argmax())])])
+    numbers = value.reshape(-1)
+    if len(numbers) == 1:
+        return f"{actions[0]} = {numbers[0]:.4g}"
+    shown = ", ".join(f"{name} = {number:.3g}" for name, number in zip(actions[:4], numbers))
+    return shown + (", ..." if len(numbers) > 4 else "")

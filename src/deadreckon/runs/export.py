@@ -1,0 +1,104 @@
+"""A policy in a folder that other programs run: ONNX, StableHLO, numpy alone, or an MLflow model; each is checked first.
+
+What is exported are greedy actions. On rows of the policy's own log the export has to do what the policy does, to 1e-5 of half
+an action's range (or of 1, where that is less) and exactly where actions are discrete; else nothing is kept.
+"""
+
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import jax
+import jax.numpy as jnp
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError, unknown
+from deadreckon.files import write_json
+from deadreckon.policies import portable
+from deadreckon.policies.pure import MEMBER, Pure, pure
+from deadreckon.policies.table_encoder import TableEncoder
+from deadreckon.runs.card import card
+from deadreckon.runs.export_mlflow import write_mlflow
+from deadreckon.runs.export_onnx import write_onnx
+from deadreckon.runs.exported import Rows, building, check, played, put_player, rows_of
+from deadreckon.runs.subject import Subject, estimates_of, subject
+
+Format = Literal["onnx", "stablehlo", "numpy", "mlflow"]
+FORMATS = get_args(Format)
+CARD, ENCODING = "card.md", "encoding.json"
+
+
+def export(
+    run: Any,
+    format: Format,
+    out: Path | str,
+    *,
+    log: Dataset | Path | str | None = None,
+    estimates: Path | str | None = None,
+    seed: int | None = None,
+) -> Path:
+    """Writes a policy's greedy actions for other programs, with a model card beside them.
+
+    Args:
+        run: the run, its folder, a cross-fit's folder or a policy file.
+        format: "onnx" (with the encoding of the table where there is one), "stablehlo" (of `jax.export`: numbers alone, the
+            encoding as JSON beside it), "numpy" (the policy file and what plays it) or "mlflow" (a pyfunc model).
+        out: folder to write, which must not be there yet.
+        log: the log on whose rows the export is checked; None: the one that the policy learned from.
+        estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None looks in the run's folder and beside.
+        seed: which of the run's policies; None: the first that has not failed.
+
+    Raises:
+        UserError: the policy cannot be exported, or the export does something else. Nothing is left behind.
+    """
+    if format not in FORMATS:
+        raise unknown("format", str(format), FORMATS)
+    out = Path(out)
+    if out.exists():
+        raise UserError(f"{out} exists already; choose another --out")
+    one = subject(run, seed)
+    function = pure(one.policy)
+    told = estimates_of(one, estimates)
+    data = one.log(log)
+    rows = rows_of(one, function, data)
+    with building(out) as folder:
+        writer = {"onnx": write_onnx, "stablehlo": _stablehlo, "numpy": _numpy, "mlflow": write_mlflow}[format]
+        used = writer(one, function, rows, folder)
+        text = card(one, data, told, format, used, len(rows.observations))
+        (folder / CARD).write_text(text, encoding="utf-8")
+    return out
+
+
+def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
+    """`policy.stablehlo`, with a free number of rows, for CPU, GPU and TPU; and the encoding beside it."""
+    from jax import export as exporting
+
+    (count,) = exporting.symbolic_shape("rows")
+    given = [jax.ShapeDtypeStruct((count, *rows.observations.shape[1:]), jnp.float32)]
+    if MEMBER in function.inputs:
+        given.append(jax.ShapeDtypeStruct((count,), jnp.int32))
+    made = exporting.export(jax.jit(function.call), platforms=("cpu", "cuda", "tpu"))(*given)
+    (folder / "policy.stablehlo").write_bytes(made.serialize())
+    write_json(folder / ENCODING, dict(one.told))
+    again = exporting.deserialize(bytearray((folder / "policy.stablehlo").read_bytes()))
+    values = (rows.observations, rows.member) if MEMBER in function.inputs else (rows.observations,)
+    check("the StableHLO program", rows, again.call(*map(jnp.asarray, values))[0])
+    return [
+        "`policy.stablehlo` takes observations as they are encoded; `encoding.json` says how, to `table_encoder.TableEncoder`:",
+        "", "```python", "from jax import export", "",
+        'policy = export.deserialize(bytearray(open("policy.stablehlo", "rb").read()))',
+        f"{', '.join(function.outputs)}{',' if len(function.outputs) == 1 else ''} = policy.call({', '.join(function.inputs)})",
+        "```",
+    ]  # fmt: skip
+
+
+def _numpy(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
+    """`policy.npz` and the modules that play it."""
+    put_player(one, folder)
+    play = portable.load(folder / "policy.npz")
+    check("the numpy player", rows, played(play, rows))
+    use = 'play.predict({"column": value, ...})   # or a data frame, or a list of dictionaries'
+    use = use if TableEncoder(one.told).observed else "play(observations)"
+    return [
+        "numpy alone is needed, and the files of this folder:", "",
+        "```python", "import portable", "", 'play = portable.load("policy.npz")', use, "```",
+    ]  # fmt: skip

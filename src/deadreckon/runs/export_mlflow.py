@@ -1,0 +1,67 @@
+"""A policy as an MLflow model (pyfunc): the numpy player as its code, which is text, and the policy's file as its data."""
+
+import os
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.policies import portable
+from deadreckon.policies.mlflow_loader import Model
+from deadreckon.policies.pure import Pure
+from deadreckon.policies.table_decoded import decoded
+from deadreckon.policies.table_encoder import TableEncoder
+from deadreckon.runs.exported import PLAYER, Rows, check, played, put_player
+from deadreckon.runs.subject import Subject
+
+LOADER = "mlflow_loader.py"
+
+
+def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
+    """Writes the model; gives lines about its use."""
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_UV_AUTO_DETECT", "false")  # else it copies the lock file of the folder one happens to be in
+    try:
+        import mlflow.pyfunc  # pyright: ignore[reportMissingImports] - an extra
+        import pandas
+        from mlflow.models import ModelSignature, infer_signature  # pyright: ignore[reportMissingImports]
+        from mlflow.types import ColSpec, Schema  # pyright: ignore[reportMissingImports]
+        from mlflow.types.schema import AnyType  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        text = f"the format mlflow needs mlflow-skinny and pandas ({error}): pip install 'deadreckon[mlflow]'"
+        raise UserError(text) from error
+    encoder = TableEncoder(one.told)
+    named = bool(encoder.observed) and not encoder.masked and function.history == 1
+    given: Any = pandas.DataFrame(decoded(encoder, rows.observations)) if named else rows.observations
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        code, data = Path(place) / "code", Path(place) / "data"
+        put_player(one, code, (*PLAYER, LOADER))
+        data.mkdir()
+        (code / "policy.npz").rename(data / "policy.npz")
+        play = portable.load(data / "policy.npz")
+        check("the numpy player", rows, played(play, rows))
+        sign: dict[str, Any] = {}
+        if named:  # names are MLflow's to check; kinds are the encoder's, which knows of missing values and levels
+            inputs = Schema([ColSpec(AnyType(), key) for key in encoder.observed])
+            sign["signature"] = ModelSignature(inputs, infer_signature(None, Model(play).predict(given)).outputs)
+        warnings.simplefilter("ignore")  # MLflow asks for rows of the log as an example, which would go with the model
+        mlflow.pyfunc.save_model(
+            path=str(folder), loader_module=Path(LOADER).stem, data_path=str(data),
+            code_paths=[str(code / name) for name in (*PLAYER, LOADER)], pip_requirements=["numpy>=2.1", "pandas>=2.2"], **sign,
+        )  # fmt: skip
+    if named and function.members == 1:
+        again = mlflow.pyfunc.load_model(str(folder)).predict(given)
+        check("the MLflow model", rows, _coded(encoder, again))
+    return ["`mlflow.pyfunc.load_model(FOLDER).predict(frame)` takes a data frame with the columns of the table."]
+
+
+def _coded(encoder: TableEncoder, actions: Any) -> np.ndarray:
+    """Named actions of a data frame as the policy gives them."""
+    if not encoder.discrete:
+        return actions.to_numpy(np.float64)
+    found = encoder.logged({key: actions[key].to_numpy() for key in encoder.actions})
+    assert found is not None
+    return found

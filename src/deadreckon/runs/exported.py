@@ -1,0 +1,115 @@
+"""What all exports of a policy share: the rows on which they are checked, the check, and a folder that is whole or absent."""
+
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import stacked
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.policies import store
+from deadreckon.policies.deployed import history_of
+from deadreckon.policies.pure import MEMBER, Pure
+from deadreckon.runs.subject import Subject
+
+CLOSE = 1e-5  # of half an action's range
+ROWS = 1_000  # of the log, on which an export is checked
+PLAYER = ("portable.py", "table_columns.py", "table_encoder.py", "table_predict.py", "table_rows.py")
+
+
+class Rows(NamedTuple):
+    """Rows on which an export is checked.
+
+    Attributes:
+        observations: (rows, *shape) as the policy takes them; histories of a policy on these.
+        member: (rows,) int32, which member of a mixture acts.
+        actions: what the policy does.
+        room: (size,) half of each action's range, 1 at least.
+    """
+
+    observations: np.ndarray
+    member: np.ndarray
+    actions: np.ndarray
+    room: np.ndarray
+
+
+@contextlib.contextmanager
+def building(out: Path) -> Iterator[Path]:
+    """A folder beside `out` that gets its name once all is in it."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".tmp", dir=out.parent))
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror or error}") from error
+    try:
+        yield folder
+        folder.chmod(0o755)
+        folder.rename(out)
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def rows_of(one: Subject, function: Pure, data: Dataset) -> Rows:
+    """Rows of a log at regular distances, and what the policy does there."""
+    seen = stacked(data, history_of(one.policy))
+    at = np.unique(np.linspace(0, len(data) - 1, min(len(data), ROWS)).astype(int))
+    observations = np.asarray(seen.observations[at], np.float32)
+    member = (np.arange(len(at)) % function.members).astype(np.int32)
+    given = (observations, member) if MEMBER in function.inputs else (observations,)
+    actions = np.asarray(jax.jit(function.call)(*map(jnp.asarray, given))[0])
+    room = np.ones(1)
+    if isinstance(data.action_space, Box):
+        room = np.maximum(np.subtract(data.action_space.high, data.action_space.low) / 2, 1.0)
+    return Rows(observations, member, actions, room)
+
+
+def check(what: str, rows: Rows, actions: Any) -> None:
+    """Refuses actions that are not the policy's.
+
+    Raises:
+        UserError: by how much they differ, in how many rows.
+    """
+    actions = np.asarray(actions)
+    if actions.shape != rows.actions.shape:
+        raise UserError(f"{what} gives actions of shape {actions.shape}, the policy {rows.actions.shape}: it is not kept")
+    if rows.actions.dtype.kind in "iu":
+        wrong = actions != rows.actions
+    else:
+        wrong = ~(np.abs(actions - rows.actions) <= CLOSE * rows.room).all(-1)
+    if wrong.any():
+        most = float(np.abs(actions.astype(float) - rows.actions).max())
+        text = f"{what} differs from the policy in {int(wrong.sum()):,} of {len(wrong):,} rows of the log, by up to {most:.2g}"
+        raise UserError(f"{text}: it is not kept")
+
+
+def put_player(one: Subject, folder: Path, names: Sequence[str] = PLAYER) -> None:
+    """The policy's file, and the modules that play it by numpy alone."""
+    folder.mkdir(exist_ok=True)
+    if one.file is not None:
+        shutil.copyfile(one.file, folder / "policy.npz")
+    else:  # a cross-fit's policy of one seed of several
+        store.save(folder / "policy.npz", one.policy, {"log": dict(one.told)})
+    for name in names:
+        text = resources.files("deadreckon.policies").joinpath(name).read_text(encoding="utf-8")
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def played(play: Any, rows: Rows) -> np.ndarray:
+    """What the numpy player does, of a mixture each member in its rows."""
+    if play.member is not None:
+        return played(play.member, rows)
+    if play.members:
+        parts = np.stack([played(member, rows) for member in play.members])
+        return parts[rows.member, np.arange(len(rows.member))]
+    return np.asarray(play(rows.observations))

@@ -1,0 +1,216 @@
+"""A policy in use: has what it sees or does changed since its log, and is it worth what was estimated?
+
+Everything is computed from the whole new log each time, and whatever could be found at an earlier look would be found again. So
+one may look as often as one likes: the chance that anything is reported although nothing has changed is at most `alpha`, over
+all looks together. Half of it is for the realised value, two fifths for drift, a tenth for values outside the log.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.policies.deployed import first_actions
+from deadreckon.runs import compared
+from deadreckon.runs.compared import Compared, Outside
+from deadreckon.runs.realised import Realised, finished, realised
+from deadreckon.runs.subject import Subject, estimates_of, subject
+from deadreckon.stats import drift
+from deadreckon.stats.interval import ALPHA, decimals, level_in_words
+
+VALUE, DRIFT, OUTSIDE = 0.5, 0.4, 0.1  # shares of alpha
+MadeBy = Literal["policy", "reference"]
+
+
+class Finding(NamedTuple):
+    """One line of the report.
+
+    Attributes:
+        about: "observation", "action", "outside" or "value".
+        name: of the column; of the value, what it is.
+        alarm: whether it makes the exit code 1.
+        text: what was found.
+    """
+
+    about: str
+    name: str
+    alarm: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"{'!' if self.alarm else ' '} {self.about} {self.name}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Monitored:
+    """What `monitor` found.
+
+    Attributes:
+        name: of the policy.
+        reference, log: names of the logs that were compared.
+        rows, episodes: of the new log.
+        compared: which rows and actions were compared, in words.
+        alpha: chance of a false alarm, over all looks.
+        columns: observations and actions, with what changed.
+        outside: rows of the new log that lie outside the reference.
+        value: the realised value, or why it is not known.
+        findings: a line each, alarms first.
+    """
+
+    name: str
+    reference: str
+    log: str
+    rows: int
+    episodes: int
+    compared: str
+    alpha: float
+    columns: tuple[Compared, ...]
+    outside: Outside
+    value: Realised | str
+    findings: tuple[Finding, ...]
+
+    @property
+    def alarm(self) -> bool:
+        """Whether something drifts, lies outside the log, or brings less than was estimated."""
+        return any(each.alarm for each in self.findings)
+
+    def __str__(self) -> str:
+        head = f"{self.name} on {self.log}: {self.rows:,} rows in {self.episodes:,} finished episodes, against {self.reference}"
+        return "\n".join([head, self.compared, *map(str, self.findings)])
+
+
+def monitor(
+    run: Any,
+    log: Dataset | Path | str,
+    *,
+    reference: Dataset | Path | str | None = None,
+    made_by: MadeBy | None = None,
+    estimates: Path | str | None = None,
+    return_range: tuple[float, float] | None = None,
+    seed: int | None = None,
+    greedy: bool | None = None,
+    alpha: float = ALPHA,
+) -> Monitored:
+    """Compares a new log with the one that a policy learned from, and the value that it realised with what was estimated.
+
+    Args:
+        run: the run, its folder, a cross-fit's folder or a policy file.
+        log: the new log, in the order of time; it is read as the policy's own log was.
+        reference: the log to compare with; None: the one that the policy learned from.
+        made_by: who made the new log. "policy": the policy of the run, so that its actions are compared with what the policy
+            does in the reference, and where episodes have several steps their first steps alone, because a new policy visits
+            other states. "reference": whatever made the reference; then all rows and logged actions are compared. None:
+            "policy", or "reference" where a reference is given.
+        estimates: the folder of `deadreckon ope --out` or `recommend`; None looks in the run's folder and beside it.
+        return_range: least and greatest return that an episode can have; None: see `runs.realised`.
+        seed: which of the run's policies; None: the first.
+        greedy: whether the policy takes its deterministic (greedy) actions in use; None: as was estimated, or else yes.
+        alpha: chance that anything is reported without reason, over all looks together.
+
+    Raises:
+        UserError: input that does not fit, in one line.
+    """
+    if not 0 < alpha < 1:
+        raise UserError(f"alpha must be between 0 and 1, got {alpha:g}")
+    if made_by not in (None, "policy", "reference"):
+        raise UserError(f"made_by is policy or reference, got {made_by!r}")
+    one = subject(run, seed)
+    told = estimates_of(one, estimates)
+    old, new = one.log(reference), one.log(log, gaps=True)
+    sizes = [(log.spec.observation_shape, log.spec.action_size, log.spec.discrete) for log in (old, new)]
+    if sizes[0] != sizes[1]:
+        shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))
+        raise UserError(f"the logs cannot be compared: {' and '.join(shapes)}")
+    by_policy = (made_by or ("policy" if reference is None else "reference")) == "policy"
+    new = finished(new, old)
+    if greedy is None:
+        greedy = True if told is None else bool(told[0]["estimand"]["greedy"])
+    first = by_policy and bool(old.lengths.max() > 1 or new.lengths.max() > 1)
+    which = compared.whats(old)
+    before = compared.sample(old, compared.some(np.arange(old.episodes), "reference"), first)
+    if by_policy:
+        before = replace(before, actions=compared.acted(old, _done(one, before.observations, old, greedy)))
+    columns = compared.drifts(before, new, which, first, DRIFT * alpha)
+    outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
+    value: Realised | str = "not compared: the new log was not made by the policy of the run"
+    if by_policy or reference is not None:
+        value = realised(new, old, told, return_range, VALUE * alpha)
+    tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
+    if len(before.starts) < compared.FEWEST:
+        tested = f"not tested: the reference has {len(before.starts)} episodes or clusters, {compared.FEWEST} are needed"
+    findings = [*_of_value(value, alpha), *_of_columns(columns, tested), *_of_outside(outside, len(new))]
+    findings.sort(key=lambda each: not each.alarm)
+    words = _words(by_policy, first, greedy)
+    return Monitored(
+        one.name, old.name, new.name, len(new), new.episodes, words, alpha, tuple(columns), outside, value, tuple(findings)
+    )
+
+
+def _done(one: Subject, observations: np.ndarray, log: Dataset, greedy: bool) -> np.ndarray:
+    """What the policy does at these observations, each the first of an episode."""
+    shaped = jnp.asarray(observations.reshape(len(observations), *log.spec.observation_shape))
+    return np.asarray(first_actions(one.policy, shaped, jax.random.key(0), greedy))
+
+
+def _words(by_policy: bool, first: bool, greedy: bool) -> str:
+    if not by_policy:
+        return "compared: all rows and logged actions"
+    rows = "the first step of each episode, since a new policy visits other states later" if first else "all rows"
+    return f"compared: {rows}; actions with the policy's {'greedy' if greedy else 'sampled'} ones in the reference"
+
+
+def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
+    if isinstance(value, str):
+        return [Finding("value", "realised", False, value)]
+    shown = value.interval
+    d = decimals(shown.value, *([] if value.estimated is None else [value.estimated.value]))
+    level = level_in_words(1 - alpha)
+    text = f"{shown:.{d}f} ({level} at all looks together)"
+    if value.estimated is not None:
+        text += f", estimated {value.estimated:.{d}f}"
+    else:
+        text += "; no estimate is known"
+    out = []
+    if value.below_at is not None:
+        text += f": below the estimate since episode {value.below_at:,}"
+    out.append(Finding("value", "realised", value.below_at is not None, text))
+    if value.beyond:
+        low, high = value.range
+        lost = f"{value.beyond:,} returns lie outside {low:.4g} .. {high:.4g} ({value.source})"
+        out.append(Finding("value", "range", False, f"{lost}: no interval rests on that side; name a range (--return-range)"))
+    return out
+
+
+def _of_columns(columns: Sequence[Compared], tested: str) -> list[Finding]:
+    out = []
+    for each in columns:
+        what = each.what
+        if what.kind == "category":
+            effect = f"total variation {each.distance:.2f}; {each.level} {each.before:.1%}, now {each.now:.1%}"
+        else:
+            means = f"mean {each.before:.4g}, now {each.now:.4g} ({each.shift:+.2f} SD)"
+            effect = f"{means}; largest difference of shares {each.distance:.2f}"
+        if each.found is None:
+            out.append(Finding(what.about, what.name, False, f"{tested or 'no drift'}; {effect}"))
+        else:
+            after, last = each.found
+            part = f"all {after:,}" if after == last else f"the last {last:,} of {after:,}"
+            out.append(Finding(what.about, what.name, True, f"drift, first seen in {part} episodes; {effect}"))
+    return out
+
+
+def _of_outside(outside: Outside, rows: int) -> list[Finding]:
+    listed = [Finding("outside", name, guilty, f"{count:,} rows {_side(how)}") for name, how, count, guilty in outside.columns]
+    return [Finding("outside", "the log", False, f"{outside.share:.1%} of {rows:,} rows"), *listed]
+
+
+def _side(how: str) -> str:
+    if how == compared.MISSING:
+        return "without a value, which no row of the log lacks"
+    return f"with {how}" if how == compared.UNKNOWN else f"{how} all of the reference"

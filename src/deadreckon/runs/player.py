@@ -1,0 +1,101 @@
+"""The policy that a folder or file stands for, as what takes rows of a table: by numpy alone where it can, else in JAX."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
+from deadreckon.policies import portable
+from deadreckon.policies.table_predict import Predictor
+from deadreckon.runs.folder import Folder, policy_seed
+
+ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose choice is taken
+CROSS_FIT = "crossfit.json"
+
+
+class Chosen(NamedTuple):
+    """A policy to use.
+
+    Attributes:
+        file: where it is.
+        words: which it is, and how many there are.
+        sampled: whether the decision that chose it was about its sampled actions; False where there is no decision.
+    """
+
+    file: Path
+    words: str
+    sampled: bool = False
+
+
+def chosen(path: Path | str, seed: int | None = None) -> Chosen:
+    """The policy that `path` stands for.
+
+    Args:
+        path: a policy file; a run, whose first seed that has not failed is meant; a cross-fit, whose mixture is; or a folder of
+            `ope` or `recommend`, whose policy to deploy is.
+        seed: another seed of a run.
+
+    Raises:
+        UserError: it is none of these, has no such policy, or the decision is to deploy none.
+    """
+    path = Path(path)
+    if (path / "run.json").exists():
+        return _of_run(Folder(path), seed)
+    if seed is not None:
+        raise UserError(f"{path} is no run, so it has no seeds; leave --policy-seed out")
+    if (path / ESTIMATES).exists():
+        return _of_decision(path)
+    if (path / CROSS_FIT).exists():
+        from deadreckon.runs.crossfit import load_cross_fit
+
+        return Chosen(load_cross_fit(path).policy_path, "the policy of the cross-fit")
+    if path.is_file():
+        return Chosen(path, path.name)
+    what = "a folder without a run, a cross-fit or estimates" if path.is_dir() else "no file or folder"
+    raise UserError(f"{path} is {what}; give a run folder, such as runs/mine, or a policy file (.npz)")
+
+
+def _of_run(folder: Folder, seed: int | None) -> Chosen:
+    config, status = folder.read_config(), folder.path / "status.json"
+    told = read_json(status) if status.exists() else {}
+    which = policy_seed(str(folder.path), config["seeds"], told.get("failures") or [None] * len(config["seeds"]), seed)
+    if not (file := folder.policy(which)).exists():
+        raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` goes on with it")
+    others = f", one of {len(config['seeds'])} (--policy-seed)" if len(config["seeds"]) > 1 else ""
+    return Chosen(file, f"seed {which} of {folder.path}{others}")
+
+
+def _of_decision(path: Path) -> Chosen:
+    results = read_json(path / ESTIMATES)
+    choice = results.get("choice") or {}
+    if not choice.get("deploy"):
+        reason = f": {choice['reason']}" if choice.get("reason") else ""
+        raise UserError(f"{path}: the decision is to deploy none of its policies{reason}; name a run to use one all the same")
+    file = next((each["file"] for each in results["policies"] if each["name"] == choice["name"]), None)
+    if file is None or not Path(file).exists():
+        raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {file}; name its run")
+    sampled = not (results.get("estimand") or {}).get("greedy", True)
+    return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}", sampled)
+
+
+def predictor(file: Path, name: str = "rows") -> Predictor:
+    """The policy of a file, by numpy alone where that can play it, without loading JAX.
+
+    Args:
+        file: of a policy.
+        name: of the rows that it will be given, for errors.
+
+    Raises:
+        UserError: the file is missing, broken or not a policy file.
+    """
+    try:
+        tree, arrays = portable.read(file)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    log = tree["meta"].get("log", {})
+    if portable.unknown_kind(tree["policy"]) is None:
+        return Predictor(portable.NumpyPolicy(tree, arrays), log, name)
+    from deadreckon.policies import store
+    from deadreckon.policies.loaded import TablePolicy
+
+    return TablePolicy(store.load(file), log, name)

@@ -1,0 +1,130 @@
+"""What a policy brought, against what was estimated of it, with an interval that may be looked at after every episode.
+
+The interval is a confidence sequence (`stats.confidence_sequence`) of the returns of finished episodes, in the order of time.
+It needs a range that returns cannot leave, and takes it without looking at the new log: as given, or that of the returns in the
+reference, widened on each side by half of its width unless these take few different values, such as 0 and 1. A return beyond
+the range makes the end of the interval that rests on it infinite from there on, and is reported.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
+from deadreckon.ope.estimand import TAIL, Estimand, discounted_steps
+from deadreckon.stats.confidence_sequence import ConfidenceSequence, confidence_sequence, refuted_at
+from deadreckon.stats.interval import Interval
+
+FEW = 10  # different returns of the reference whose range is taken as it is
+WIDER = 0.5  # of the range of returns, on each side
+
+
+@dataclass(frozen=True)
+class Realised:
+    """The value that a policy realised.
+
+    Attributes:
+        estimand: what is counted.
+        sequence: the realised mean and its ends, after growing numbers of episodes; all hold at once.
+        estimated: what was estimated, with its interval; None where no estimates are known.
+        range: of the returns, that the interval rests on.
+        source: where the range is from, in words.
+        beyond: episodes whose return lies outside it.
+        below_at: after how many episodes the mean was surely below the lower end of the estimate; None where it is not.
+    """
+
+    estimand: Estimand
+    sequence: ConfidenceSequence
+    estimated: Interval | None
+    range: tuple[float, float]
+    source: str
+    beyond: int
+    below_at: int | None
+
+    @property
+    def interval(self) -> Interval:
+        """The realised mean after all episodes, with its ends."""
+        return Interval(*(float(ends[-1]) for ends in (self.sequence.means, self.sequence.low, self.sequence.high)))
+
+
+def finished(log: Dataset, like: Dataset) -> Dataset:
+    """A log without its last episode where that may go on: it ends without a terminal, sooner than the longest in `like`.
+
+    Raises:
+        UserError: no episode is finished.
+    """
+    if log.terminals[-1] or log.lengths[-1] >= like.lengths.max():
+        return log
+    if log.episodes == 1:
+        raise UserError(f"{log.name}: its only episode may go on, since it ends without a terminal; no episode is finished")
+    return log.select(np.arange(log.episodes - 1))
+
+
+def returns_of(log: Dataset, estimand: Estimand) -> np.ndarray:
+    """(episodes,) returns as the estimand counts them."""
+    time = np.arange(len(log)) - np.repeat(log.starts, log.lengths)
+    counted = np.ones(len(log), bool) if estimand.horizon is None else time < estimand.horizon
+    weights = np.where(counted, np.power(estimand.discount, time), 0.0)
+    return np.add.reduceat(weights * np.asarray(log.rewards, np.float64), log.starts)
+
+
+def unseen(log: Dataset, estimand: Estimand) -> float:
+    """The largest share of the discounted time of an episode that lies beyond a time-out, of which the log shows nothing."""
+    cut = log.lengths[~np.asarray(log.terminals)[log.ends]]
+    if estimand.horizon is not None:
+        cut = cut[cut < estimand.horizon]
+    if not len(cut):
+        return 0.0
+    if estimand.horizon is None:
+        return float(estimand.discount ** cut.min())
+    return 1.0 - discounted_steps(estimand.discount, float(cut.min())) / discounted_steps(estimand.discount, estimand.horizon)
+
+
+def realised(
+    new: Dataset, old: Dataset, told: tuple[dict[str, Any], int] | None, given: tuple[float, float] | None, alpha: float
+) -> Realised | str:
+    """The realised value of a new log against the estimate, or why the two cannot be compared.
+
+    Args:
+        new: the new log, of finished episodes in the order of time.
+        old: the reference.
+        told: what was estimated, and the policy's place there; None: the mean of returns is shown alone.
+        given: the range of returns; None: that of the reference's, see above.
+        alpha: chance that the policy is ever said to bring less than it does; the interval's ends have so much each.
+
+    Raises:
+        UserError: the range is none.
+    """
+    estimand = Estimand(1.0)
+    if told is not None:
+        estimand = Estimand(**{key: told[0]["estimand"][key] for key in ("discount", "horizon", "greedy")})
+    if told is not None and (share := max(unseen(new, estimand), unseen(old, estimand))) > TAIL:
+        beyond = f"the estimate counts rewards beyond time-outs ({100 * share:.0f} % of the discounted time)"
+        return f"not compared: {beyond}, which a log does not show; estimate with a horizon (`deadreckon ope --horizon`)"
+    if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
+        raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
+    x, source = returns_of(new, estimand), "as given"
+    if given is None:
+        before = returns_of(old, estimand)
+        low, high = float(before.min()), float(before.max())
+        source = f"that of {old.name}"
+        if low == high or len(np.unique(before)) > FEW:
+            room = WIDER * (high - low) or max(abs(high), 1.0)
+            source = f"{source}, {low:.4g} .. {high:.4g}, and half of its width on each side"
+            low, high = low - room, high + room
+        given = low, high
+    sequence = confidence_sequence(x, given, 2 * alpha)
+    estimated, below = None, None
+    if told is not None:
+        first, i = told[0]["results"][0], told[1]
+        estimated = Interval(*(_number(first[key][i]) for key in ("value", "low", "high")))
+        least = estimated.low if np.isfinite(estimated.low) else -np.inf
+        below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
+    outside = int(((x < given[0]) | (x > given[1])).sum())
+    return Realised(estimand, sequence, estimated, given, source, outside, below)
+
+
+def _number(value: Any) -> float:
+    return np.nan if value is None else float(value)

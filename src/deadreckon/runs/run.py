@@ -1,0 +1,127 @@
+"""A run as it lies in its folder: what was asked for, what was learned, and what its policies do."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.errors import UserError
+from deadreckon.files import copy_folder, read_json
+from deadreckon.policies import store
+from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.loaded import TablePolicy
+from deadreckon.provided import Shown
+from deadreckon.runs.folder import Folder, policy_seed
+from deadreckon.training.fit import Failure
+
+
+@dataclasses.dataclass
+class Run(Shown):
+    """A finished (or failed) run: its folder, and what it learned.
+
+    Attributes:
+        path: the run folder.
+        config: what was asked for.
+        seeds: one per lane.
+        policies: one per seed; of a failed lane, the last good one.
+        failures: per seed None, or the metric and step at which it diverged.
+    """
+
+    path: Path
+    config: dict[str, Any]
+    seeds: list[int]
+    policies: list[EnvPolicy]
+    failures: list[Failure | None]
+    _predictor: TablePolicy | None = dataclasses.field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def policy(self) -> EnvPolicy:
+        """The first seed's policy."""
+        return self.policies[0]
+
+    @property
+    def metrics(self) -> pa.Table:
+        """step, seed and one column a metric, a row per chunk and seed."""
+        return Folder(self.path).table("metrics")
+
+    @property
+    def evaluations(self) -> pa.Table:
+        """One row an episode of every periodic evaluation."""
+        return Folder(self.path).table("evaluations")
+
+    @property
+    def taught(self) -> np.ndarray | None:
+        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None for folders from before it was noted."""
+        return Folder(self.path).episodes("taught")
+
+    @property
+    def held(self) -> np.ndarray | None:
+        """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
+        return Folder(self.path).episodes("held")
+
+    def save(self, path: Path | str) -> Path:
+        """Copies the whole run folder, with which it can be loaded and resumed, to a new place; gives the copy's path.
+
+        Raises:
+            UserError: there is something already, or it cannot be written.
+        """
+        return copy_folder(self.path, path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Run":
+        """A run that was saved, or its own folder; the same as `deadreckon.load_run`."""
+        return load(path)
+
+    def predictor(self, seed: int | None = None) -> TablePolicy:
+        """A seed's policy, which takes rows of a table by the names of the log's columns.
+
+        Args:
+            seed: one of `seeds`; None: the first that has not failed.
+
+        Raises:
+            UserError: the run has no such seed.
+        """
+        which = policy_seed(str(self.path), self.seeds, self.failures, seed)
+        log = store.meta(Folder(self.path).policy(which)).get("log", {})
+        return TablePolicy(self.policies[self.seeds.index(which)], log)
+
+    def predict(self, rows: Any, **options: Any) -> Any:
+        """Actions by name in rows of a table, of the first seed that has not failed.
+
+        See `policies.table_predict.Predictor.predict`, whose options it takes; `predictor(seed).predict` takes another seed.
+
+        Raises:
+            UserError: one line with the column, the row (counted from 0) and what would be right.
+        """
+        if self._predictor is None:
+            self._predictor = self.predictor()
+        return self._predictor.predict(rows, **options)
+
+    def __repr__(self) -> str:
+        return f"Run({self.path}, {self.config['agent']['name']}, seeds {self.seeds})"
+
+
+def load(path: Path | str) -> Run:
+    """A run from its folder.
+
+    Raises:
+        UserError: the folder holds no run, or one that is not finished.
+    """
+    folder = Folder(Path(path))
+    if not folder.config.exists():
+        raise UserError(f"{path} holds no run (no run.json)")
+    config = folder.read_config()
+    if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
+        raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
+    missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
+    if missing:
+        again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
+        raise UserError(f"{path} is not finished; `{again}` goes on with it")
+    status = read_json(folder.path / "status.json")
+    if not isinstance(status, dict) or "failures" not in status:
+        raise UserError(f"{folder.path / 'status.json'} is not a run's: it misses failures")
+    policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
+    failures = [None if f is None else Failure(*f) for f in status["failures"]]
+    return Run(folder.path, config, config["seeds"], policies, failures)

@@ -1,0 +1,179 @@
+"""One policy in use: what acts, what it was made of, its log, and further logs read as that one was."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from deadreckon.data import catalogue
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.io import read
+from deadreckon.data.formats.kind import TABLES, sniff
+from deadreckon.data.held import HELD
+from deadreckon.data.schema import Schema
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
+from deadreckon.policies import store
+from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.runs.folder import policy_seed
+from deadreckon.runs.gather import gather
+from deadreckon.runs.offline import NAME
+from deadreckon.runs.player import chosen
+from deadreckon.runs.reading import HORIZON, Read, check_encoding
+from deadreckon.runs.run import Run, load
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A policy, and what is known of where it comes from.
+
+    Attributes:
+        name: of the run or file, and the seed.
+        policy: what acts.
+        run: name of the run or file, as `estimates.json` has it.
+        seed: of the run's seeds; None where there is none.
+        file: where the policy is saved; None: nowhere.
+        read: how the log was read that it learned from.
+        told: what the policy's file keeps of its log, by which `policies.table_encoder` encodes rows.
+        config: `run.json`; None of policies without a run.
+        folder: of the run; None of policies without one.
+    """
+
+    name: str
+    policy: EnvPolicy
+    run: str
+    seed: int | None
+    file: Path | None
+    read: Read
+    told: Mapping[str, Any]
+    config: Mapping[str, Any] | None = None
+    folder: Path | None = None
+
+    @property
+    def schema(self) -> Schema | None:
+        """Of the table that it learned from, with the levels and fills that were found; None where there was no table."""
+        found = (self.read.extra or {}).get("schema")
+        return None if found is None else Schema.from_json(found, self.name)
+
+    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False) -> Dataset:
+        """A log, read as the one that the policy learned from; that one itself where none is given.
+
+        Args:
+            given: the log, or where it is.
+            gaps: whether values may be missing where the policy's log had all; see `_with_gaps`.
+
+        Raises:
+            UserError: it cannot be read so, or the policy's own log is not where it was or has changed.
+        """
+        if isinstance(given, Dataset):
+            check_encoding(self.name, self.read, given)
+            return given
+        if given is not None:
+            found = self._like(given, gaps)
+            check_encoding(self.name, self.read, found)
+            return found
+        known = (self.config or {}).get("data", {})
+        path = self.read.path
+        if path is None and "name" not in known:
+            raise UserError(f"{self.name} does not say where its log lies; name it")
+        if path is not None and not Path(path).exists():
+            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it")
+        try:
+            found = self._like(path) if path is not None else catalogue.load(known["name"])
+        except UserError as error:
+            raise UserError(f"the log that {self.name} learned from cannot be read again, so name it: {error}") from error
+        if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
+            raise UserError(f"the log that {self.name} learned from has changed ({path or known['name']}); name a copy of it")
+        return found
+
+    def _like(self, path: Path | str, gaps: bool = False) -> Dataset:
+        schema, horizon = self.schema, (self.read.extra or {}).get(HORIZON)
+        if schema is None or not Path(path).is_file() or sniff(path) not in TABLES:
+            return catalogue.load(path, horizon=horizon)
+        # A file of another kind than the policy's own may have another dialect, and has another name.
+        alike = self.read.path is not None and Path(path).suffix == Path(self.read.path).suffix
+        schema = replace(schema, table=schema.options() if alike else {})
+        return self._with_gaps(path, schema, horizon) if gaps else read(path, schema=schema, horizon=horizon)
+
+    def _with_gaps(self, path: Path | str, schema: Schema, horizon: int | None) -> Dataset:
+        """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
+
+        The extra columns `missing NAME` say where.
+        """
+        extra = self.read.extra or {}
+        held = extra.get(HELD) or {}
+        complete = [column for column in schema.having("observation") if not column.marked]
+        lenient = [
+            replace(column, marked=True, fill=held.get(column.name, {}).get("mean") if column.fill is None else column.fill)
+            for column in complete
+        ]
+        log = read(path, schema=schema.resolved(lenient), horizon=horizon)
+        told = dict(log.provenance.extra)
+        names = list(told["observation_names"])
+        marks = {f"{column.name}_missing": f"missing {column.name}" for column in complete}
+        kept = [i for i, name in enumerate(names) if name not in marks]
+        flags = {marks[name]: log.observations[:, i] > 0.5 for i, name in enumerate(names) if name in marks}
+        following = None if log.successors is None else log.successors[:, kept]
+        told |= {"observation_names": [names[i] for i in kept], "schema": schema.to_json()}
+        return replace(
+            log, observations=log.observations[:, kept], final_observations=log.final_observations[:, kept],
+            successors=following, extras={**log.extras, **flags}, provenance=replace(log.provenance, extra=told),
+        )  # fmt: skip
+
+
+def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
+    """The policy of a run, a cross-fit or a policy file.
+
+    Args:
+        given: the run, its folder, a cross-fit's folder, a policy file, or a folder of `ope` or `recommend`, whose policy to
+            deploy is meant.
+        seed: of the run's seeds; None: the first that has not failed.
+
+    Raises:
+        UserError: there is none.
+    """
+    folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
+    if folder is not None and (folder / NAME).exists() and not (folder / "run.json").exists():
+        if (run_of := chosen(folder).file.parents[1]) == folder or not (run_of / "run.json").exists():
+            raise UserError(f"{folder} decides for a policy that is in no run folder; name its file")
+        name = read_json(folder / NAME)["choice"]["name"]
+        return subject(run_of, next(each["seed"] for each in read_json(folder / NAME)["policies"] if each["name"] == name))
+    run = load(folder) if folder is not None and (folder / "run.json").exists() else None
+    if run is not None:  # one whose seed has diverged is used where it is asked for alone
+        seed = policy_seed(str(run.path), run.seeds, run.failures, seed)
+    found = gather(given if run is None else run)
+    if seed is not None and all(each.seed != seed for each in found):
+        raise UserError(f"{found[0].run} has no policy of seed {seed}")
+    one = next(each for each in found if seed is None or each.seed == seed)
+    if not isinstance(one.acting, EnvPolicy):
+        raise UserError(f"{given} holds no policy of this package")
+    told = {} if one.file is None else store.meta(one.file).get("log", {})
+    config = None if run is None else run.config
+    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, folder)
+
+
+def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
+    """What `deadreckon ope --out` or `recommend` estimated of a policy, and its place there.
+
+    Args:
+        one: the policy.
+        given: the folder or file; None looks in the run's folder and beside it, where `recommend` puts it.
+
+    Raises:
+        UserError: the given one is none, or does not have this policy.
+    """
+    places = [Path(given)] if given is not None else [] if one.folder is None else [one.folder, one.folder.parent]
+    for place in places:
+        file = place / NAME if place.is_dir() or given is None else place
+        if not file.exists():
+            continue
+        told = read_json(file)
+        if not isinstance(told, dict) or "estimand" not in told or not told.get("results"):
+            continue
+        for i, each in enumerate(told["policies"]):
+            if each["run"] == one.run and each["seed"] == one.seed:
+                return told, i
+    if given is not None:
+        how = f"`deadreckon ope --policies {one.run} --out FOLDER` writes them"
+        raise UserError(f"{given} has no estimates of {one.name}; {how}")
+    return None

@@ -1,0 +1,5 @@
+"""Experiment trackers that show runs: TensorBoard, Weights & Biases, MLflow, or one of your own."""
+
+from deadreckon.runs.trackers.tracker import TRACKERS, Tracker
+
+__all__ = ["TRACKERS", "Tracker"]

@@ -1,0 +1,112 @@
+"""An interval of a mean that may be looked at after every sample: a confidence sequence (Waudby-Smith and Ramdas 2024).
+
+The capital of `stats.betting`, multiplied up in the order of the samples, is a nonnegative martingale if the mean is m. That it
+*ever* reaches 1 / alpha has a chance of at most alpha (Ville), so every m that was refuted after any number of samples stays
+refuted, and whoever looks after each of them errs no more often than who looks once.
+
+The lower end asks that no sample lies below `low`, the upper one that none lies above `high`; and both that each sample has the
+mean mu given those before it, as independent ones have. Where a sample lies beyond a bound, nothing is known any more of the
+end that rests on it, and it is infinite from there on.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.stats.betting import FRACTIONS
+from deadreckon.stats.interval import ALPHA
+
+HALVINGS = 18  # of the range, in the search of an end
+POINTS = 12  # sample sizes at which the ends are computed, at most
+
+
+class ConfidenceSequence(NamedTuple):
+    """Ends after growing numbers of samples; all hold at once with a chance of at least 1 - alpha.
+
+    Attributes:
+        counts: (points,) numbers of samples.
+        means: (points,) of the first so many samples.
+        low, high: (points,) ends; infinite where a sample lay beyond the bound.
+    """
+
+    counts: np.ndarray
+    means: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def confidence_sequence(x: np.ndarray, bounds: tuple[float, float], alpha: float = ALPHA) -> ConfidenceSequence:
+    """The ends after growing numbers of samples, the last of them all; each rests on half of `alpha`.
+
+    Args:
+        x: (n,) samples in the order in which they came.
+        bounds: least and greatest value that a sample can have, known without looking at these samples.
+        alpha: chance that an end is ever wrong.
+
+    Raises:
+        UserError: no samples, samples that are not finite, or bounds that are not a range.
+    """
+    x = np.asarray(x, float)
+    low, high = bounds
+    if not len(x) or not np.isfinite(x).all():
+        raise UserError("a confidence sequence needs finite samples, at least one")
+    if not (np.isfinite(bounds).all() and low < high):
+        raise UserError(f"a confidence sequence needs a finite range, least before greatest, got {low} .. {high}")
+    counts = np.unique(np.geomspace(1, len(x), POINTS).round().astype(int))
+    below = _lower(x - low, counts, alpha / 2)
+    above = _lower(high - x, counts, alpha / 2)
+    # What was refuted stays refuted: ends move inwards alone, unless a sample breaks the bound that they rest on.
+    below = np.where(np.isneginf(below), below, low + np.maximum.accumulate(below))
+    above = np.where(np.isneginf(above), np.inf, high - np.maximum.accumulate(above))
+    return ConfidenceSequence(counts, np.cumsum(x)[counts - 1] / counts, below, above)
+
+
+def refuted_at(x: np.ndarray, bounds: tuple[float, float], least: float, alpha: float = ALPHA) -> int | None:
+    """After how many samples it was refuted that the mean is at least `least`; None where it has not been.
+
+    Unlike the ends of `confidence_sequence` this looks after every sample. A sample above the upper bound ends the watch: what
+    was refuted before stays so, and nothing is afterwards.
+
+    Args:
+        x: (n,) samples in the order in which they came.
+        bounds: see `confidence_sequence`.
+        least: the smallest mean that would be fine.
+        alpha: chance that it is ever refuted although the mean is that large.
+    """
+    high = bounds[1]
+    if least >= high:
+        return None  # such a mean is beyond the range itself, and no sample can speak for it or against it
+    x = np.asarray(x, float)
+    beyond = np.flatnonzero(x > high)
+    known = x[: beyond[0]] if len(beyond) else x
+    over = np.flatnonzero(_capital(high - known, high - least) >= np.log(1 / alpha))
+    return int(over[0]) + 1 if len(over) else None
+
+
+def _capital(x: np.ndarray, mean: float) -> np.ndarray:
+    """(n,) log of the mixture's capital after each of (n,) samples that are not negative, if their mean is at most `mean`."""
+    total = np.full(len(x), -np.inf)
+    scaled = x / mean - 1.0
+    for fraction in FRACTIONS:
+        total = np.logaddexp(total, np.cumsum(np.log1p(fraction * scaled)))
+    return total - np.log(len(FRACTIONS))
+
+
+def _lower(x: np.ndarray, counts: np.ndarray, alpha: float) -> np.ndarray:
+    """(points,) lower ends for the mean of samples that are not negative; minus infinity once one was."""
+    broken = np.flatnonzero(x < 0)
+    first = int(broken[0]) if len(broken) else len(x)
+    out = np.full(len(counts), -np.inf)
+    for i, count in enumerate(counts):
+        if count > first:
+            break
+        part = x[:count]
+        low, high = 0.0, float(part.mean())  # no bet has gained at the mean itself, since log is concave
+        for _ in range(HALVINGS if high > 0 else 0):
+            middle = (low + high) / 2
+            logs = np.array([np.log1p(fraction * (part / middle - 1.0)).sum() for fraction in FRACTIONS])
+            gone = np.logaddexp.reduce(logs) - np.log(len(FRACTIONS)) >= np.log(1 / alpha)
+            low, high = (middle, high) if gone else (low, middle)
+        out[i] = low
+    return out

@@ -1,0 +1,119 @@
+"""Whether new samples are distributed as earlier ones: permutation tests over whole units, for many columns at once.
+
+Rows of an episode are not independent, so whole units (episodes, or clusters of them) are exchanged and never rows. Each column
+is described by 0/1 features of its rows (is the value at most a quantile; is it this level), of which a unit has the sum. The
+statistic of a column is the largest studentised difference of its features' means, and a column is compared with the largest
+statistic of *all* columns under a permutation (maxT: Westfall and Young 1993). So the chance that any column is accused is at
+most alpha if units are exchangeable, whatever the columns have to do with each other.
+
+**Looking again and again** is safe because tests are made at fixed numbers of units alone: after 20, 40, 80, ... new units
+(`epochs`), of which the k-th has the share 1 / (k (k + 1)) of alpha. All are made anew from the whole log at each look, so how
+often one looks, and when, changes nothing.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+FIRST = 20  # new units before the first test
+MOST = 4_000  # units on each side that a test looks at; of more, so many drawn at random
+THRESHOLDS = 16  # quantiles at which the distribution of numbers is compared
+ENOUGH = 20  # permutations at least as extreme, after which there is no doubt (Besag and Clifford 1991)
+BLOCK = 256  # permutations at once
+
+
+class Epoch(NamedTuple):
+    """A test that is made once there are so many new units.
+
+    Attributes:
+        start, stop: the new units that are compared.
+        alpha: chance that it accuses anything without reason.
+    """
+
+    start: int
+    stop: int
+    alpha: float
+
+
+def epochs(units: int, alpha: float) -> list[Epoch]:
+    """The tests that are due after so many new units: of all units so far, and of the newer half of them, by turns.
+
+    The latter see a change that came late. The chances of all that can ever be made add up to `alpha`.
+    """
+    out, stop, k = [], FIRST, 1
+    while stop <= units:
+        share = alpha / (k * (k + 1))
+        if k == 1:
+            out.append(Epoch(0, stop, share))
+        else:
+            out += [Epoch(0, stop, share / 2), Epoch(stop // 2, stop, share / 2)]
+        stop, k = 2 * stop, k + 1
+    return out
+
+
+def number_features(reference: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, thresholds) 0/1 features of numbers: whether each is at most a quantile of both samples together."""
+    pooled = np.concatenate([reference, new])
+    cuts = np.unique(np.quantile(pooled, np.linspace(0, 1, THRESHOLDS + 2)[1:-1], method="inverted_cdf"))
+    cuts = cuts[cuts < pooled.max()] if len(cuts) and pooled.min() < pooled.max() else cuts[:0]
+    return (reference[:, None] <= cuts).astype(np.float32), (new[:, None] <= cuts).astype(np.float32)
+
+
+def test(
+    reference: Sequence[np.ndarray], new: Sequence[np.ndarray], sizes: tuple[np.ndarray, np.ndarray], alpha: float,
+    rng: np.random.Generator,
+) -> np.ndarray:  # fmt: skip
+    """p-values of columns, corrected for their number: the chance that any is at most alpha without a change is at most alpha.
+
+    Args:
+        reference: a column each, (units, features) sums of its features over the rows of each unit.
+        new: the same of the new units.
+        sizes: (units,) rows of each unit of the reference, and of the new ones.
+        alpha: smallest p-value that has to be told from larger ones; it says how many permutations there are at most.
+        rng: draws the permutations.
+
+    Returns:
+        (columns,) p-values.
+    """
+    few, many = len(sizes[1]), len(sizes[0]) + len(sizes[1])
+    rows = np.concatenate(sizes).astype(np.float64)
+    parts, owner = [], []
+    for which, (a, b) in enumerate(zip(reference, new)):
+        sums = np.concatenate([a, b]).astype(np.float64)
+        # What a unit has beyond what its number of rows lets expect; these add up to zero.
+        rest = sums - rows[:, None] * (sums.sum(0) / rows.sum())
+        spread = np.sqrt(few * (many - few) / (many * (many - 1)) * np.square(rest).sum(0))
+        varies = spread > 1e-9
+        parts.append((rest[:, varies] / spread[varies]).astype(np.float32))
+        owner += [which] * int(varies.sum())
+    table, owners = np.concatenate(parts, 1), np.array(owner, int)
+    found = np.zeros(len(reference))
+    np.maximum.at(found, owners, np.abs(table[many - few :].sum(0)))
+    if not table.shape[1]:
+        return np.ones(len(reference))
+    beyond, done, most = np.zeros(len(reference)), 0, int(np.ceil(2 / alpha))
+    while done < most and beyond[np.argmax(found)] < ENOUGH:
+        chosen = np.zeros((BLOCK, many), np.float32)
+        for row in chosen:
+            row[rng.choice(many, few, replace=False)] = 1.0
+        largest = np.abs(chosen @ table).max(1)
+        beyond += (largest[:, None] >= found[None] - 1e-5).sum(0)
+        done += BLOCK
+    return (beyond + 1) / (done + 1)
+
+
+def beyond(reference: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """(columns,) chances that so many new units lie beyond all of the reference without a change.
+
+    Of exchangeable units the k largest are all new with the chance prod_i (m - i) / (m + n - i): m new ones, n others.
+
+    Args:
+        reference: (n, columns) the largest value of each unit.
+        new: (m, columns) the same of new units.
+    """
+    m, n = len(new), len(reference)
+    counts = (new > reference.max(0)).sum(0)
+    steps = np.arange(m)
+    chances = np.concatenate([[1.0], np.cumprod((m - steps) / (m + n - steps))])
+    return chances[counts]

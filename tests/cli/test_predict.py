@@ -1,0 +1,134 @@
+"""`deadreckon predict`: tables in, named actions out, whatever a file's cells look like."""
+
+import csv
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyarrow import parquet
+
+import deadreckon as dr
+from deadreckon.cli.main import main
+from deadreckon.files import read_json, write_json
+from deadreckon.runs.train import train
+
+ROWS = 40
+
+
+def table(seed=0):
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame({
+        "age": np.where(rng.random(ROWS) < 0.2, np.nan, rng.integers(18, 80, ROWS)),
+        "plan": rng.choice(["free", "no", "yes"], ROWS),
+        "zip": rng.choice(["0120", "0450", "A"], ROWS), "member": rng.choice(["ja", "nein"], ROWS),
+        "open": rng.choice(["on", "off"], ROWS), "offer": rng.choice(["call", "mail", "none"], ROWS),
+        "paid": rng.normal(size=ROWS),
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("offers")
+    table().to_csv(folder / "offers.csv", index=False)
+    log = dr.read(folder / "offers.csv", action="offer", reward="paid")
+    agent = dr.agents.BC(hidden=(8,), batch_size=8)
+    return train(agent, log, out=folder / "run", steps=3, seeds=2, task=False), log
+
+
+def predicted(run, frame, tmp_path, *words, out="actions.csv", **how):
+    frame.to_csv(tmp_path / "new.csv", index=False, **how)
+    code = main(["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / out), *words])
+    return code, tmp_path / out
+
+
+def test_actions_of_a_file(run, tmp_path, capsys):
+    run, log = run
+    code, out = predicted(run, table(), tmp_path)
+    assert code == 0
+    assert pd.read_csv(out)["offer"].tolist() == run.predictor(0).encoder.named(run.policies[0](log.observations)).tolist()
+    assert capsys.readouterr().out == f"seed 0 of {run.path}, one of 2 (--policy-seed): actions in 40 rows, in {out}\n"
+
+
+@pytest.mark.parametrize("rows", [[0], [3, 5], list(range(10))])
+def test_a_file_of_a_few_rows_is_read_as_the_log_was(run, tmp_path, rows):
+    """Texts such as 0120, yes or on, which alone look like numbers and truth values; another dialect and order of columns."""
+    run, log = run
+    part = table().iloc[rows][["zip", "open", "member", "age", "plan"]]
+    want = run.predictor(0).encoder.named(run.policies[0](log.observations[rows])).tolist()
+    for how in ({}, {"sep": ";", "decimal": ","}):
+        code, out = predicted(run, part, tmp_path, "--outside", "flag", **how)
+        assert code == 0
+        found = pd.read_csv(out)
+        assert found["offer"].tolist() == want
+        assert not found["outside_the_log"].any()
+
+
+def test_what_is_written_beside_the_actions(run, tmp_path):
+    run, log = run
+    new = table(1).assign(id=np.arange(ROWS))
+    new.loc[3, "plan"] = "gold"
+    words = ("--probabilities", "--sampled", "--seed", "5", "--outside", "flag", "--keep", "id", "--policy-seed", "1")
+    code, out = predicted(run, new, tmp_path, *words, out="actions.parquet")
+    assert code == 0
+    found = parquet.read_table(out).to_pandas()
+    assert list(found) == ["id", "offer", "probability=call", "probability=mail", "probability=none", "outside_the_log"]
+    assert found["id"].tolist() == list(range(ROWS))
+    assert found["outside_the_log"][3]
+    done = run.predictor(1).predict(new.replace({"ja": True, "nein": False, "on": True, "off": False}), greedy=False, seed=5,
+                                    outside="flag")  # fmt: skip
+    assert found["offer"].tolist() == done.actions.tolist()
+
+
+def test_what_is_refused_and_leaves_no_file(run, tmp_path, capsys):
+    run, log = run
+    cases = [
+        (table().replace({"plan": {"free": "gratis"}}), (), "new.csv: column plan has 'gratis' in row"),
+        (table().drop(columns="age"), (), "new.csv: no column age"),
+        (table().assign(age="old"), (), "column age has 'old' in row 0, a number is needed"),
+        (table(), ("--keep", "ag"), "--keep: unknown column 'ag': did you mean age"),
+        (table(), ("--keep", "offer"), "--keep offer: the actions are written under this name"),
+        (table(), ("--policy-seed", "3"), "has no policy of seed 3; its seeds are 0, 1"),
+        (table(), ("--out", str(tmp_path / "a.txt")), "a.txt: actions are written as .csv or .parquet"),
+        (table(), ("--out", str(tmp_path / "new.csv")), "new.csv is the table itself"),
+    ]
+    for frame, words, said in cases:
+        code, out = predicted(run, frame, tmp_path, *words)
+        assert (code, out.exists()) == (2, False), said
+        assert said in capsys.readouterr().err
+
+
+def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
+    """The policy to deploy of a folder of estimates, and none where the decision is to deploy none."""
+    run, log = run
+    table().to_csv(tmp_path / "new.csv", index=False)
+    choice = {"name": "bc seed 1", "deploy": True, "reason": "it is better"}
+    policies = [{"name": f"bc seed {seed}", "file": str(run.path / "policies" / f"seed{seed}.npz")} for seed in (0, 1)]
+    words = ["predict", str(tmp_path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]
+    write_json(tmp_path / "estimates.json", {"choice": choice, "policies": policies, "estimand": {"greedy": False}})
+    assert main([*words, "--sampled"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(words) == 0
+    said = capsys.readouterr()
+    assert "! the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled" in said.err
+    assert f"bc seed 1, the policy to deploy by {tmp_path}: actions in 40 rows" in said.out
+    want = run.predictor(1).encoder.named(run.policies[1](log.observations)).tolist()
+    assert pd.read_csv(tmp_path / "a.csv")["offer"].tolist() == want
+    write_json(tmp_path / "estimates.json", read_json(tmp_path / "estimates.json") | {"choice": {**choice, "deploy": False}})
+    assert main(words) == 2
+    assert "the decision is to deploy none of its policies: it is better; name a run" in capsys.readouterr().err
+    assert main([*words, "--policy-seed", "1"]) == 2
+    assert "is no run, so it has no seeds" in capsys.readouterr().err
+    (tmp_path / "estimates.json").unlink()
+    assert main(words) == 2
+    assert "is a folder without a run, a cross-fit or estimates" in capsys.readouterr().err
+    assert main(["predict", str(tmp_path / "new.csv"), *words[2:]]) == 2
+    assert "is not a policy file" in capsys.readouterr().err
+
+
+def test_a_policy_without_a_schema(tmp_path, capsys):
+    log = dr.Dataset.from_arrays(observations=np.zeros((20, 3)), actions=np.zeros((20, 2)), rewards=np.zeros(20))
+    run = train(dr.agents.BC(hidden=(8,), batch_size=8), log, out=tmp_path / "run", steps=3, task=False)
+    with open(tmp_path / "new.csv", "w", newline="") as file:
+        csv.writer(file).writerows([["x"], [1.0]])
+    assert main(["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]) == 2
+    assert "keeps no schema of its log, because it learned from arrays, online, or under an earlier" in capsys.readouterr().err

@@ -1,0 +1,51 @@
+"""Rows of one site are no news of many: clusters are exchanged as a whole."""
+
+import numpy as np
+import pandas as pd
+
+import deadreckon as dr
+from deadreckon.runs import compared
+
+
+def sites(count, rows, rng, group):
+    """Each site has a level of its own, which its rows nearly repeat."""
+    level = np.repeat(rng.normal(size=count), rows)
+    frame = pd.DataFrame({
+        "x": level + 0.05 * rng.normal(size=count * rows), "site": np.repeat([f"s{i}" for i in rng.permutation(count)], rows),
+        "action": rng.choice(["a", "b"], count * rows), "reward": 0.0,
+    })  # fmt: skip
+    options = {"group": "site"} if group else {"ignore": "site"}
+    return dr.Dataset.from_frame(frame, action="action", reward="reward", **options)
+
+
+def accused(group):
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(10):
+        old, new = sites(40, 10, rng, group), sites(20, 10, rng, group)
+        before = compared.sample(old, np.arange(old.episodes), False)
+        assert len(before.starts) == (40 if group else 400)
+        found += any(each.found for each in compared.drifts(before, new, compared.whats(old), False, 0.05))
+    return found
+
+
+def test_sites_are_exchanged_as_a_whole():
+    assert accused(group=True) <= 1
+    assert accused(group=False) >= 5  # what exchanging rows would do
+
+
+def test_of_a_long_episode_rows_at_regular_distances_are_looked_at():
+    lengths = [3, 250]
+    ends = np.zeros(253, bool)
+    ends[[2, 252]] = True
+    log = dr.Dataset.from_arrays(
+        observations=np.arange(253.0)[:, None], actions=np.arange(253) % 2, rewards=np.zeros(253), terminals=ends
+    )
+    rows, starts = compared.rows_of(log, np.arange(2), False)
+    assert starts.tolist() == [0, 3]
+    assert rows[:3].tolist() == [0, 1, 2]
+    assert len(rows) == 3 + compared.WITHIN
+    assert rows[3] == 3
+    assert 245 < rows[-1] <= 252
+    assert set(np.diff(rows[3:]).tolist()) == {2, 3}
+    assert compared.rows_of(log, np.arange(2), True)[0].tolist() == [0, 3]
+    assert log.lengths.tolist() == lengths

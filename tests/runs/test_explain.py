@@ -1,0 +1,143 @@
+"""A tree says what a policy does where it can, and that it cannot where it cannot."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import deadreckon as dr
+from deadreckon.cli.main import main
+from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP
+from deadreckon.policies import store
+from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.kinds import Categorical, Deterministic
+from deadreckon.report.explained import drawing
+from deadreckon.runs.explain import DEPTHS, Explained, explain
+from deadreckon.runs.explained_tree import Node
+
+ROWS = 1500
+
+
+def linear(*columns):
+    """Logits that are linear in the observation, a column of weights each action."""
+    weight = jnp.asarray(np.array(columns, np.float32).T)
+    return Categorical(MLP((weight,), (jnp.zeros(weight.shape[1]),)))
+
+
+def noise(seed):
+    """Choices that no small tree can know: the tent map, twelve times, of a sum of the numbers, which is 4,096 teeth wide."""
+    start = np.random.default_rng(seed).uniform(0.03, 0.06, (3, 1))
+    weights = [np.repeat(start, 2, 1), *[np.array([[2.0, 2.0], [-4.0, -4.0]])] * 11, np.array([[0.0, 2.0], [0.0, -4.0]])]
+    biases = [np.array([0.5, 0.0]), *[np.array([0.0, -0.5])] * 12]
+    return Categorical(MLP(*(tuple(jnp.asarray(each, jnp.float32) for each in part) for part in (weights, biases))))
+
+
+@pytest.fixture(scope="module")
+def log():
+    rng = np.random.default_rng(0)
+    return dr.Dataset.from_arrays(
+        observations=rng.normal(size=(ROWS, 3)), actions=rng.integers(0, 2, ROWS), rewards=np.zeros(ROWS),
+        terminals=np.ones(ROWS, bool), name="normal",
+    )  # fmt: skip
+
+
+def saved(policy, path):
+    store.save(path, EnvPolicy(policy, None, None, None, None))
+    return path
+
+
+def test_a_threshold_is_found_and_so_is_the_column(log, tmp_path):
+    found = explain(saved(linear((0, 0, 0), (0, 4, 0)), tmp_path / "p.npz"), log)
+    assert found.explains
+    assert found.depth == 1
+    assert found.fidelity > 0.98
+    assert 0.4 < found.constant < 0.6
+    assert found.tree is not None
+    assert found.tree.text.startswith("observation 1 <= ")
+    assert abs(float(found.tree.text.split()[-1])) < 0.1
+    assert [leaf.text for leaf in (found.tree.yes, found.tree.no)] == ["0", "1"]
+    assert found.columns[0].column == "observation 1"
+    # An exchanged value gives another action in half of all rows: with the chance that two signs differ.
+    assert found.columns[0].low < 0.5 < found.columns[0].high
+    assert all(each.high == 0.0 for each in found.columns[1:])
+    assert Explained.from_json(found.as_json()) == found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_has_no_fidelity_and_no_tree(log, tmp_path, seed):
+    found = explain(saved(noise(seed), tmp_path / "p.npz"), log)
+    assert not found.explains
+    assert found.tree is None
+    assert "fidelity: none" in str(found)
+
+
+def test_a_policy_that_does_one_thing_is_said_to(log, tmp_path):
+    found = explain(saved(Categorical(MLP((jnp.zeros((3, 2)),), (jnp.asarray([0.0, 1.0]),))), tmp_path / "p.npz"), log)
+    assert "does the same in all of" in str(found)
+    assert not found.explains
+
+
+def test_of_continuous_actions_it_is_the_share_of_their_variance(tmp_path):
+    rng = np.random.default_rng(1)
+    data = dr.Dataset.from_arrays(
+        observations=rng.normal(size=(ROWS, 2)), actions=rng.uniform(-1, 1, (ROWS, 1)), rewards=np.zeros(ROWS),
+        terminals=np.ones(ROWS, bool), action_space=Box((-5.0,), (5.0,)),
+    )  # fmt: skip
+    inner = Deterministic(MLP((jnp.asarray([[50.0], [0.0]]),), (jnp.zeros(1),)))  # nearly the sign of the first number
+    policy = EnvPolicy(inner, None, None, jnp.asarray([-5.0]), jnp.asarray([5.0]))
+    store.save(tmp_path / "p.npz", policy)
+    found = explain(tmp_path / "p.npz", data)
+    assert found.explains
+    assert found.low <= found.fidelity <= found.high
+    assert found.fidelity > 0.9
+    assert found.constant == 0.0
+    # Two independent signs differ in half of all rows, by two standard deviations: the root of 4 / 2.
+    assert found.columns[0].change == pytest.approx(np.sqrt(2), abs=0.15)
+
+
+def test_what_it_needs_is_said(log, tmp_path):
+    image = dr.Dataset.from_arrays(
+        observations=np.zeros((20, 2, 2)), actions=np.arange(20) % 2, rewards=np.zeros(20), terminals=np.ones(20, bool)
+    )
+    path = saved(linear((0, 0, 0), (0, 1, 0)), tmp_path / "p.npz")
+    with pytest.raises(UserError, match="image observations"):
+        explain(path, image)
+    with pytest.raises(UserError, match="does not say where its log lies; name it"):
+        explain(path)
+
+
+def test_the_tree_is_drawn_with_all_its_texts():
+    root = Node("age <= 50", 1.0, Node("a & b", 0.25), Node("c <= 1", 0.75, Node("d", 0.5), Node("e", 0.25)))
+    text = drawing(root, "what it does")
+    assert all(part in text for part in ("age &lt;= 50?", "a &amp; b", "25% of rows", "yes", "no"))
+    assert "\n".join(root.lines()) == (
+        "age <= 50?\n├─ yes: a & b (25% of rows)\n└─ no:  c <= 1?\n   ├─ yes: d (50% of rows)\n   └─ no:  e (25% of rows)"
+    )
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    """A run on a table with names, levels and missing values."""
+    folder, rng = tmp_path_factory.mktemp("table"), np.random.default_rng(0)
+    age, kind = rng.normal(50, 10, 400), rng.choice(["old", "new"], 400)
+    lines = [f"{a:.2f},{k},{'' if i % 7 == 0 else i % 5},{c},{i % 2}" for i, (a, k, c) in enumerate(zip(age, kind, "xy" * 200))]
+    (folder / "log.csv").write_text("\n".join(["age,kind,lab,action,reward", *lines]))
+    run = dr.train(dr.agents.BC(hidden=(4,), batch_size=8), folder / "log.csv", steps=2, task=False, out=folder / "run")
+    return folder, run
+
+
+def test_a_run_keeps_it_and_the_report_shows_it(table, capsys):
+    folder, run = table
+    assert main(["explain", str(run.path)]) == 0
+    out = capsys.readouterr().out
+    assert "columns that matter" in out
+    assert all(name in out for name in ("age", "kind", "lab"))
+    assert main(["report", str(run.path), "--out", str(folder / "page.html")]) == 0
+    page = (folder / "page.html").read_text()
+    assert "What the policy does" in page
+    assert "share of fresh rows that get another action" in page
+
+
+def test_depths_are_few():
+    assert DEPTHS[-1] <= 6

@@ -1,0 +1,224 @@
+"""Exports do what the policy does, with the encoding of its table, and nothing is kept that does not."""
+
+import json
+import os
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import deadreckon as dr
+from deadreckon.cli.main import main
+from deadreckon.errors import UserError
+from deadreckon.files import write_json
+from deadreckon.policies import portable
+from deadreckon.policies.table_decoded import decoded
+from deadreckon.policies.table_encoder import TableEncoder
+from deadreckon.runs import export as exporting
+from deadreckon.runs.export import export
+from deadreckon.runs.exported import Rows, check
+from deadreckon.runs.subject import subject
+
+
+def rows_of_table(rows, seed=0):
+    rng = np.random.default_rng(seed)
+    lab, kind = rng.normal(size=rows).round(3), rng.integers(0, 3, rows)
+    return pd.DataFrame({
+        "age": rng.normal(0, 1, rows).round(3), "kind": np.array(["old", "new", "other"])[kind],
+        "lab": np.where(rng.random(rows) < 0.2, np.nan, lab), "grade": rng.choice([1, 3, 7], rows),
+        "vip": rng.random(rows) < 0.5, "action": np.array(["call", "mail", "wait"])[kind], "reward": rng.random(rows),
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A run on a table of all kinds of columns, which has learned enough for its actions to differ."""
+    folder = tmp_path_factory.mktemp("export")
+    rows_of_table(300).to_csv(folder / "log.csv", index=False)
+    log = dr.read(folder / "log.csv", action="action", reward="reward", kinds={"grade": "category"})
+    dr.train(dr.agents.BC(hidden=(8,), batch_size=32, lr=0.03), log, steps=150, task=False, out=folder / "run")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def numpys(place):
+    return export(place / "run", "numpy", place / "numpy")
+
+
+def test_numpy_alone_plays_the_folder_by_the_names_of_the_table(place, numpys):
+    fresh = rows_of_table(50, seed=1).drop(columns=["action", "reward"])
+    fresh.to_csv(place / "fresh.csv", index=False)
+    code = (
+        "import json, sys, numpy as np, portable\n"
+        "rows = json.loads(sys.stdin.read())\n"
+        "found = portable.load('policy.npz').predict(rows).tolist()\n"
+        "assert not {'jax', 'deadreckon', 'pandas'} & set(sys.modules)\n"
+        "print(json.dumps(found))"
+    )
+    given = json.dumps(fresh.astype(object).where(fresh.notna(), None).to_dict("records"))
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=given, capture_output=True, text=True, cwd=numpys, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    wanted = dr.load_run(place / "run").predict(fresh)
+    assert json.loads(done.stdout) == wanted.tolist()
+    assert len(set(wanted)) > 1
+
+
+def test_the_card_tells_what_it_is_and_what_it_cannot(place, numpys):
+    card = (numpys / "card.md").read_text()
+    for text in (
+        "# run seed 0", "No estimates are known", "| age | observation | number |", "bc, seed 0, 150 updates",
+        "The export takes deterministic (greedy) actions", "- jax: ", "call, mail, wait",
+    ):  # fmt: skip
+        assert text in card, text
+
+
+def test_the_card_has_the_decision_and_the_estimates(place):
+    value = {"method": "dr", "title": "DR", "value": [0.5], "low": [0.4], "high": [0.6], "gain": [[0.1, 0.05, None]]}
+    told = {
+        "log": "log", "estimand": {"discount": 1.0, "horizon": 1, "greedy": False, "words": "expected reward"},
+        "policies": [{"name": "run seed 0", "run": "run", "seed": 0}], "results": [value],
+        "judged": {"cluster": None, "words": "60 episodes"}, "looks": {"number": 1, "policies": 1, "counted": True},
+        "choice": {"name": "run seed 0", "deploy": True, "reason": "its gain is above zero", "level": 0.95,
+                   "evidence": ["IS agrees"], "objections": [["few rows"]], "warnings": []},
+    }  # fmt: skip
+    write_json(place / "told" / "estimates.json", told)
+    card = (export(place / "run", "numpy", place / "judged", estimates=place / "told") / "card.md").read_text()
+    for text in ("**DEPLOY** run seed 0", "| DR | 0.50 [0.40, 0.60] | +0.10 ", "- few rows", "sample from the output"):
+        assert text in card, text
+
+
+def test_observations_become_rows_and_the_same_observations_again(place):
+    encoder = TableEncoder(subject(place / "run").told)
+    rows = rows_of_table(40, seed=2)
+    observations = encoder.encode(rows).observations
+    again = decoded(encoder, observations)
+    np.testing.assert_array_equal(encoder.encode(again).observations, observations)
+    assert again["kind"] == rows["kind"].tolist()
+    assert [value is None for value in again["lab"]] == rows["lab"].isna().tolist()
+
+
+def test_what_differs_is_refused_and_nothing_is_left(place, monkeypatch):
+    plain = portable.NumpyPolicy.__call__
+    monkeypatch.setattr(portable.NumpyPolicy, "__call__", lambda self, x, *a, **k: (plain(self, x, *a, **k) + 1) % 3)
+    with pytest.raises(UserError, match="the numpy player differs from the policy in 300 of 300 rows of the log.* is not kept"):
+        export(place / "run", "numpy", place / "wrong")
+    assert not list(place.glob("*wrong*"))
+
+
+def test_continuous_actions_may_differ_by_little_for_their_range():
+    rows = Rows(np.zeros((2, 1)), np.zeros(2, np.int32), np.array([[100.0], [0.0]], np.float32), np.array([1000.0]))
+    check("it", rows, rows.actions + 0.009)
+    with pytest.raises(UserError, match="it differs from the policy in 2 of 2 rows of the log, by up to 0.011: it is not kept"):
+        check("it", rows, rows.actions + 0.011)
+    with pytest.raises(UserError, match="differs"):
+        check("it", rows, np.full((2, 1), np.nan))
+    with pytest.raises(UserError, match="shape"):
+        check("it", rows, np.zeros(2))
+
+
+def test_what_it_needs_is_said(place, numpys, capsys):
+    with pytest.raises(UserError, match="exists already; choose another --out"):
+        export(place / "run", "numpy", numpys)
+    with pytest.raises(UserError, match="unknown format 'onyx': did you mean onnx"):
+        export(place / "run", "onyx", place / "new")
+    assert main(["export", str(place / "run"), "--format", "numpy", "--out", str(place / "told")]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_stablehlo_program_is_read_back_and_takes_any_number_of_rows(place):
+    from jax import export as jax_export
+
+    folder = export(place / "run", "stablehlo", place / "hlo")
+    program = jax_export.deserialize(bytearray((folder / "policy.stablehlo").read_bytes()))
+    encoder = TableEncoder(json.loads((folder / exporting.ENCODING).read_text()))
+    rows = rows_of_table(7, seed=3)
+    actions, chances = program.call(jnp.asarray(encoder.encode(rows).observations))
+    predicted = dr.load_run(place / "run").predict(rows, probabilities=True)
+    assert encoder.named(np.asarray(actions)).tolist() == predicted.actions.tolist()
+    np.testing.assert_allclose(np.asarray(chances)[:, 1], predicted.probabilities["mail"], atol=1e-5)
+
+
+@pytest.mark.slow  # jax2onnx takes ten seconds to be imported
+def test_an_onnx_graph_takes_the_columns_themselves(place):
+    runtime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("jax2onnx")
+    from deadreckon.runs.export_onnx import onnx_inputs
+
+    folder = export(place / "run", "onnx", place / "onnx")
+    session = runtime.InferenceSession(str(folder / "policy.onnx"))
+    kinds = {each.name: each.type for each in session.get_inputs()}
+    assert kinds == {
+        "age": "tensor(float)", "kind": "tensor(string)", "lab": "tensor(float)", "grade": "tensor(double)",
+        "vip": "tensor(float)",
+    }  # fmt: skip
+    rows = rows_of_table(60, seed=4)
+    encoder = TableEncoder(subject(place / "run").told)
+    columns = decoded(encoder, encoder.encode(rows).observations)
+    found = dict(zip([each.name for each in session.get_outputs()], session.run(None, onnx_inputs(encoder, columns))))
+    wanted = dr.load_run(place / "run").predict(rows, probabilities=True)
+    assert found["action_name"].tolist() == wanted.actions.tolist()
+    np.testing.assert_allclose(found["probabilities"][:, 2], wanted.probabilities["wait"], atol=1e-5)
+    # A level that the log does not have, and a number beyond it, are marked and act as no level and as they are.
+    columns["kind"][0], columns["age"][1], columns["lab"][2], columns["age"][3] = "strange", 1e4, None, None
+    flagged = dr.load_run(place / "run").predict(columns, outside="flag")
+    found = dict(zip([each.name for each in session.get_outputs()], session.run(None, onnx_inputs(encoder, columns))))
+    assert found["outside_the_log"].tolist()[:4] == [True, True, False, True] == flagged.outside.tolist()[:4]
+    assert found["action_name"].tolist() == flagged.actions.tolist()
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """Runs on several continuous actions in episodes, on histories, cross-fitted, and with legal actions."""
+    folder, rng, n = tmp_path_factory.mktemp("others"), np.random.default_rng(0), 400
+    frame = pd.DataFrame({
+        "day": np.repeat(np.arange(20), 20), "hour": np.tile(np.arange(20), 20), "temp": rng.normal(size=n),
+        "mode": rng.choice(["a", "b"], n), "valve": rng.uniform(0, 50, n), "fan": rng.uniform(-1, 1, n), "reward": 0.0,
+    })  # fmt: skip
+    frame.loc[rng.random(n) < 0.1, "temp"] = np.nan
+    frame.to_csv(folder / "days.csv", index=False)
+    days = dr.read(folder / "days.csv", action=["valve", "fan"], reward="reward", episode="day", time="hour")
+    second = rng.integers(0, 2, n)
+    allowed = pd.DataFrame({"x": rng.normal(size=n), "legal_a": 1, "legal_b": second, "reward": 0.0})
+    allowed["action"] = np.where((second == 1) & (rng.random(n) < 0.5), "b", "a")
+    allowed.to_csv(folder / "legal.csv", index=False)
+    some = dr.read(folder / "legal.csv", action="action", reward="reward", legal=["legal"])
+    small, short = {"hidden": (4,), "batch_size": 16}, {"steps": 2, "task": False}
+    return {
+        "continuous": dr.train(dr.agents.TD3BC(**small), days, out=folder / "td3", **short),
+        "candidates": dr.train(dr.agents.BEAR(**small), days, out=folder / "bear", **short),
+        "history": dr.train(dr.agents.BC(**small), days, out=folder / "history", history=2, **short),
+        "mixture": dr.cross_fit(dr.agents.BC(**small), days, out=folder / "cross", folds=2, **short).path,
+        "legal": dr.train(dr.agents.BCQ(**small), some, out=folder / "legal", **short),
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("format", exporting.FORMATS)
+def test_all_kinds_of_policies_go_into_all_formats(others, tmp_path, format):
+    """The check itself compares them with the policy. Shapes are not checked there, whose number of rows is a symbol."""
+    code = "import json, sys, deadreckon as dr\nfor run, out in json.loads(sys.argv[2]): dr.export(run, sys.argv[1], out)"
+    jobs = [(str(getattr(run, "path", run)), str(tmp_path / which)) for which, run in others.items()]
+    done = subprocess.run([sys.executable, "-c", code, format, json.dumps(jobs)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for which in others:
+        card = (tmp_path / which / "card.md").read_text()
+        assert ("`member`, 0 .. 1" in card) == (which == "mixture")
+        assert ("2 observations with the actions between" in card) == (which == "history")
+        assert ("legal has to be given" in card) == (which == "legal")
+
+
+@pytest.mark.slow
+def test_an_mlflow_model_is_no_pickle_and_names_actions(place):
+    pyfunc = pytest.importorskip("mlflow.pyfunc")
+    folder = export(place / "run", "mlflow", place / "mlflow")
+    rows = rows_of_table(30, seed=5).drop(columns=["action", "reward"])
+    found = pyfunc.load_model(str(folder)).predict(rows)
+    assert found["action"].tolist() == dr.load_run(place / "run").predict(rows).tolist()
+    assert not [path for path in folder.rglob("*") if path.suffix in (".pkl", ".pickle")]
+    assert "torch" not in (folder / "requirements.txt").read_text()

@@ -1,0 +1,201 @@
+"""A new log against a policy's own: nothing where nothing has changed, and each change by its name."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import deadreckon as dr
+from deadreckon.cli.main import main
+from deadreckon.errors import UserError
+from deadreckon.files import write_json
+from deadreckon.nets.mlp import MLP
+from deadreckon.ope.estimand import Estimand
+from deadreckon.policies import store
+from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.kinds import Deterministic
+from deadreckon.runs.monitor import monitor
+from deadreckon.runs.realised import Realised, finished, returns_of
+
+BC = dr.agents.BC(hidden=(4,), batch_size=8)
+
+
+def table(rows, seed, shift=0.0, worse=0.0):
+    """Single decisions; the reward is 1 in two fifths of the rows."""
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame({
+        "age": rng.normal(50 + shift, 10, rows).round(3), "kind": rng.choice(["old", "new"], rows, p=(0.3, 0.7)),
+        "action": rng.choice(["call", "mail"], rows), "reward": (rng.random(rows) < 0.4 - worse).astype(int),
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A run on a table, with estimates that promise exactly what is true."""
+    folder = tmp_path_factory.mktemp("monitor")
+    table(300, 0).to_csv(folder / "log.csv", index=False)
+    table(250, 1).to_csv(folder / "same.csv", index=False)
+    table(250, 2, shift=12.0).to_csv(folder / "older.csv", index=False)
+    table(250, 3, worse=0.3).to_csv(folder / "worse.csv", index=False)
+    dr.train(BC, folder / "log.csv", steps=2, task=False, out=folder / "run")
+    promise(folder, 0.4)
+    return folder
+
+
+def promise(folder, low):
+    value = {"method": "truth", "value": [0.5], "low": [low], "high": [0.6]}
+    told = {"estimand": {"discount": 1.0, "horizon": 1, "greedy": True},
+            "policies": [{"name": "run seed 0", "run": "run", "seed": 0}], "results": [value]}  # fmt: skip
+    write_json(folder / "estimates.json", told)
+
+
+def of_reference(place, name, **options):
+    return monitor(place / "run", place / name, reference=place / "log.csv", estimates=place, **options)
+
+
+def test_nothing_is_found_where_nothing_has_changed(place):
+    found = of_reference(place, "same.csv")
+    assert not found.alarm, found
+    assert isinstance(found.value, Realised)
+    assert found.value.interval.low < 0.4 < found.value.interval.high
+    assert found.value.range == (0.0, 1.0)  # rewards of 0 and 1 leave no doubt about it
+    assert [each.what.name for each in found.columns] == ["age", "kind", "action"]
+
+
+def test_a_column_that_has_changed_is_named_and_no_other(place):
+    found = of_reference(place, "older.csv")
+    alarms = {(each.about, each.name) for each in found.findings if each.alarm}
+    assert ("observation", "age") in alarms
+    assert alarms <= {("observation", "age"), ("outside", "age")}
+    column = found.columns[0]
+    assert column.shift == pytest.approx(1.2, abs=0.2)
+    assert column.now - column.before == pytest.approx(12, abs=2)
+
+
+def test_a_value_below_the_estimate_is_an_alarm_and_stays_one(place):
+    found = of_reference(place, "worse.csv")
+    assert [(each.about, each.name) for each in found.findings if each.alarm] == [("value", "realised")]
+    assert isinstance(found.value, Realised)
+    assert found.value.below_at is not None
+    log = dr.read(place / "worse.csv", action="action", reward="reward")
+    options = {"reference": place / "log.csv", "estimates": place}
+    before = monitor(place / "run", log.select(np.arange(found.value.below_at - 1)), **options)
+    at = monitor(place / "run", log.select(np.arange(found.value.below_at)), **options)
+    assert not before.alarm
+    assert at.alarm
+
+
+def test_what_an_early_look_finds_later_looks_find_too(place):
+    """So that one may look daily: drift is tested at fixed numbers of episodes alone, from the same rows."""
+    log = dr.read(place / "older.csv", action="action", reward="reward")
+    found: dict = {}
+    for rows in (45, 90, 170, 250):
+        seen = monitor(place / "run", log.select(np.arange(rows)), reference=place / "log.csv", estimates=place)
+        now = {each.what.name: each.found for each in seen.columns if each.found is not None}
+        assert found.items() <= now.items()
+        found = now
+    assert "age" in found
+
+
+def test_actions_of_the_policy_are_what_the_new_ones_are_compared_with(place):
+    """The log's actions are a coin's; the greedy policy's are not, so a log of coins is not the policy's."""
+    found = monitor(place / "run", place / "same.csv", estimates=place)
+    assert {each.name for each in found.findings if each.alarm} == {"action"}
+    policy = dr.load_run(place / "run")
+    rows = table(250, 1)
+    rows["action"] = policy.predict(rows[["age", "kind"]])
+    rows.to_csv(place / "own.csv", index=False)
+    assert not monitor(place / "run", place / "own.csv", estimates=place).alarm
+
+
+def test_a_new_level_is_outside_the_log_and_a_new_action_is_refused(place):
+    rows = table(250, 4)
+    rows.loc[rows.index % 2 == 0, "kind"] = "unheard of"
+    rows.to_csv(place / "levels.csv", index=False)
+    found = of_reference(place, "levels.csv")
+    assert found.outside.share >= 0.5
+    assert any(each.about == "outside" and each.alarm and "level" in each.text for each in found.findings)
+    gaps = table(250, 5)
+    gaps.loc[gaps.index % 3 == 0, "age"] = np.nan
+    gaps.to_csv(place / "gaps.csv", index=False)
+    found = of_reference(place, "gaps.csv")
+    assert ("age", "a missing value", 84, True) in found.outside.columns
+    assert found.outside.share == pytest.approx(84 / 250, abs=0.02)
+    assert abs(found.columns[0].now - found.columns[0].before) < 2  # filled with the mean that was there
+    rows["action"] = "shout"
+    rows.to_csv(place / "actions.csv", index=False)
+    with pytest.raises(UserError, match="none of its levels: 'shout'"):
+        of_reference(place, "actions.csv")
+
+
+def test_exit_codes_and_the_page(place, capsys):
+    ask = ["monitor", str(place / "run"), "--reference", str(place / "log.csv"), "--estimates", str(place)]
+    assert main([*ask[:2], str(place / "same.csv"), *ask[2:], "--html", str(place / "page.html")]) == 0
+    page = (place / "page.html").read_text()
+    assert all(text in page for text in ("Nothing was found", "Realised value", "lower end of the estimate", "age"))
+    assert main([*ask[:2], str(place / "worse.csv"), *ask[2:]]) == 1
+    assert "! value realised" in capsys.readouterr().out
+    assert main([*ask[:2], str(place / "nothing.csv"), *ask[2:]]) == 2
+    assert "no file" in capsys.readouterr().err
+
+
+def test_where_episodes_have_several_steps_a_new_policy_is_compared_at_their_first_ones(tmp_path):
+    def log(n, seed, later):
+        rng = np.random.default_rng(seed)
+        x = rng.normal(size=(n, 5, 2))
+        x[:, 1:] += later
+        ends = np.zeros((n, 5), bool)
+        ends[:, -1] = True
+        return dr.Dataset.from_arrays(
+            observations=x.reshape(-1, 2), actions=np.zeros((5 * n, 1)), rewards=rng.normal(size=5 * n), terminals=ends.ravel(),
+            action_space=dr.data.spec.Box((-1.0,), (1.0,)),
+        )  # fmt: skip
+
+    old, moved = log(60, 0, 0.0), log(60, 1, 3.0)
+    inner = Deterministic(MLP((jnp.zeros((2, 1)),), (jnp.zeros(1),)))  # does what the logs' actions are
+    store.save(run := tmp_path / "p.npz", EnvPolicy(inner, None, None, jnp.array([-1.0]), jnp.array([1.0])))
+    names = lambda found: {each.name for each in found.findings if each.alarm and each.about == "observation"}  # noqa: E731
+    assert names(monitor(run, moved, reference=old, made_by="policy")) == set()
+    assert names(monitor(run, moved, reference=old)) == {"observation 0", "observation 1"}
+
+
+def test_an_episode_that_may_go_on_is_left_out_and_returns_are_those_of_the_estimand():
+    log = dr.Dataset.from_arrays(
+        observations=np.zeros((7, 1)), actions=np.zeros((7, 1)), rewards=np.array([1.0, 1, 1, 2, 2, 2, 5]),
+        terminals=np.array([0, 0, 1, 0, 0, 1, 0], bool),
+    )  # fmt: skip
+    done = finished(log, log)
+    assert done.episodes == 2
+    np.testing.assert_allclose(returns_of(done, Estimand(0.5, None)), [1.75, 3.5])
+    np.testing.assert_allclose(returns_of(done, Estimand(0.5, 2)), [1.5, 3.0])
+    with pytest.raises(UserError, match="no episode is finished"):
+        finished(log.select([2]), log)
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    ({"alpha": 0.0}, "alpha must be between 0 and 1"), ({"made_by": "somebody"}, "made_by is policy or reference"),
+    ({"return_range": (1.0, 1.0)}, "least and greatest return"),
+])  # fmt: skip
+def test_what_it_needs_is_said(place, options, words):
+    with pytest.raises(UserError, match=words):
+        of_reference(place, "same.csv", **options)
+
+
+def test_a_log_that_is_gone_or_has_changed_is_not_compared_with(place, tmp_path):
+    config = json.loads((place / "run" / "run.json").read_text())
+    assert config["data"]["provenance"]["path"].endswith("log.csv")
+    table(300, 9).to_csv(tmp_path / "log.csv", index=False)
+    run = dr.train(BC, tmp_path / "log.csv", steps=1, task=False, out=tmp_path / "run")
+    table(300, 8).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(UserError, match="has changed"):
+        monitor(run, place / "same.csv")
+    log = dr.Dataset.from_frame(table(60, 1), action="action", reward="reward")
+    unnamed = dr.train(BC, log, steps=1, task=False, out=tmp_path / "unnamed")
+    with pytest.raises(UserError, match="cannot be read again, so name it"):
+        monitor(unnamed, place / "same.csv")
+    assert monitor(unnamed, place / "same.csv", reference=log).compared.startswith("compared: all rows and logged")
+    (tmp_path / "log.csv").unlink()
+    with pytest.raises(UserError, match="is not at .* any more; name it"):
+        monitor(run, place / "same.csv")

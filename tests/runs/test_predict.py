@@ -1,0 +1,294 @@
+"""From a table to named actions in new rows of it: one step, several steps with missing values and dates, several actions."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import deadreckon as dr
+from deadreckon.data.history import stacked
+from deadreckon.errors import UserError
+from deadreckon.policies import portable, store
+from deadreckon.policies.table_rows import RowsError
+from deadreckon.runs.crossfit import cross_fit
+from deadreckon.runs.folder import Folder
+from deadreckon.runs.train import train
+
+SHORT = {"steps": 3, "task": False, "seeds": 1}
+ROWS = 40
+NETS = {"hidden": (8,), "batch_size": 8}
+
+
+def offers(seed=0):
+    """One step: which offer to make; discrete, with names."""
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame({
+        "age": rng.integers(18, 80, ROWS), "plan": rng.choice(["free", "pro", "team"], ROWS), "trial": rng.random(ROWS) < 0.5,
+        "offer": rng.choice(["call", "mail", "none"], ROWS), "paid": rng.normal(size=ROWS),
+    })  # fmt: skip
+
+
+def patients(seed=0):
+    """Several steps: dates, missing values, doses that are the numbers 10, 20 and 40."""
+    rng = np.random.default_rng(seed)
+    pulse = np.where(rng.random(ROWS) < 0.3, np.nan, rng.normal(70.0, 9.0, ROWS))
+    return pd.DataFrame({
+        "patient": np.repeat([f"p{i}" for i in range(ROWS // 4)], 4), "day": pd.date_range("2024-03-01", periods=ROWS),
+        "pulse": pulse, "ward": pd.Series(rng.choice(["a", "b", None], ROWS), dtype=object),
+        "dose": rng.choice([10, 20, 40], ROWS), "gain": rng.normal(size=ROWS), "left": np.arange(ROWS) % 4 == 3,
+    })  # fmt: skip
+
+
+def chiller(seed=0):
+    """Two continuous actions with units."""
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame({
+        "temp": rng.normal(20.0, 3.0, ROWS), "mode": rng.choice(["day", "night"], ROWS), "valve": rng.uniform(0.0, 1.0, ROWS),
+        "fan": rng.uniform(100.0, 900.0, ROWS), "saved": rng.normal(size=ROWS),
+    })  # fmt: skip
+
+
+SCHEMA = {"columns": {
+    "temp": {"role": "observation", "kind": "number", "low": 0.0, "high": 45.0, "unit": "C"},
+    "mode": {"role": "observation", "kind": "category"}, "valve": {"role": "action", "kind": "number", "low": 0.0, "high": 1.0},
+    "fan": {"role": "action", "kind": "number", "low": 0.0, "high": 1000.0, "unit": "rpm"}, "saved": {"role": "reward"},
+}}  # fmt: skip
+TABLES = {
+    "offers": (offers, {"action": "offer", "reward": "paid"}, dr.agents.BC(**NETS)),
+    "patients": (patients, {"action": "dose", "reward": "gain", "episode": "patient", "time": "day", "terminal": "left"},
+                 dr.agents.CQL(**NETS)),
+    "chiller": (chiller, {"schema": SCHEMA}, dr.agents.BC(**NETS)),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """{table: (log, run)}."""
+    out = {}
+    for name, (table, how, agent) in TABLES.items():
+        log = dr.Dataset.from_frame(table(), **how)
+        out[name] = log, train(agent, log, out=tmp_path_factory.mktemp("runs") / name, **SHORT)
+    return out
+
+
+def player(run):
+    return portable.load(Folder(run.path).policy(run.seeds[0]))
+
+
+def same(actions, others):
+    """Equal names, or numbers to a rounding."""
+    if not isinstance(others, dict):
+        np.testing.assert_array_equal(actions, others)
+        return
+    assert list(actions) == list(others)
+    for key, values in others.items():
+        np.testing.assert_allclose(actions[key], values, rtol=1e-5)
+
+
+NAMED = {
+    "offers": lambda actions: set(actions) <= {"call", "mail", "none"},
+    "patients": lambda actions: set(actions) <= {10, 20, 40},
+    "chiller": lambda actions: list(actions) == ["valve", "fan"] and (actions["fan"] <= 1000).all(),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_new_rows_get_named_actions_alike_by_jax_and_numpy(runs, name):
+    log, run = runs[name]
+    new = TABLES[name][0](1)
+    own = run.policy(log.observations)
+    for act in (run.predict, player(run).predict):
+        assert NAMED[name](act(new))
+        for rows in (new, new.to_dict("records"), {key: new[key].tolist() for key in new}):
+            first, again = act(rows), run.predict(new)
+            same(first, again)
+        # Arrays as they are encoded give what the policy does itself.
+        same(act(log.observations), run.predictor().encoder.named(own))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_permuting_the_rows_permutes_the_actions(runs, name):
+    _, run = runs[name]
+    new, order = TABLES[name][0](2), np.random.default_rng(0).permutation(ROWS)
+    plain, moved = run.predict(new), run.predict(new.iloc[order])
+    same(moved, {key: values[order] for key, values in plain.items()} if isinstance(plain, dict) else plain[order])
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_one_row_gives_one_action(runs, name):
+    _, run = runs[name]
+    new = TABLES[name][0](1)
+    many = run.predict(new)
+    for act in (run.predict, player(run).predict):
+        one = act(new.iloc[5].to_dict())
+        if name == "chiller":
+            assert type(one["fan"]) is float
+            assert one["fan"] == pytest.approx(many["fan"][5], rel=1e-5)
+        else:
+            assert type(one) in (str, int)
+            assert one == many[5]
+
+
+@pytest.mark.parametrize("name", ["offers", "patients"])
+def test_probabilities_by_name_and_what_is_sampled_from_them(runs, name):
+    """Sampled actions are drawn from the probabilities alone, so that all players draw the same."""
+    _, run = runs[name]
+    new = TABLES[name][0](1)
+    ours, theirs = (act(new, probabilities=True) for act in (run.predict, player(run).predict))
+    assert list(ours.probabilities) == run.predictor().encoder.names
+    assert ours.outside is None
+    for key, values in ours.probabilities.items():
+        np.testing.assert_allclose(theirs.probabilities[key], values, atol=1e-6)
+    np.testing.assert_allclose(sum(ours.probabilities.values()), 1.0, atol=1e-5)
+    names = list(ours.probabilities)
+    np.testing.assert_array_equal(ours.actions, [names[i] for i in np.stack(list(ours.probabilities.values())).argmax(0)])
+    row = {key: [value] * 4000 for key, value in new.iloc[0].to_dict().items()}
+    drawn = run.predict(row, greedy=False, seed=3)
+    np.testing.assert_array_equal(player(run).predict(row, greedy=False, seed=3), drawn)
+    for key in names:
+        assert abs((drawn == key).mean() - ours.probabilities[key][0]) < 0.03
+    generator = np.random.default_rng(0)
+    assert len({run.predict(new.iloc[0].to_dict(), greedy=False, seed=generator) for _ in range(30)}) > (name == "offers")
+
+
+def test_sampled_continuous_actions_differ_and_have_no_probabilities(runs):
+    _, run = runs["chiller"]
+    rows = chiller(1)
+    for act, error in ((run.predict, UserError), (player(run).predict, RowsError)):
+        with pytest.raises(error, match="probabilities are those of discrete actions"):
+            act(rows, probabilities=True)
+
+
+def test_what_does_not_fit_is_told_by_name(runs):
+    _, run = runs["offers"]
+    renamed = offers(1).replace({"plan": {"pro": "professional"}})
+    with pytest.raises(UserError, match="column plan has 'professional' in row .*, which is none of its levels"):
+        run.predict(renamed)
+    with pytest.raises(RowsError, match="column plan has 'professional'"):
+        player(run).predict(renamed)
+    found = run.predict(renamed, outside="flag")
+    np.testing.assert_array_equal(found.outside[renamed["plan"] == "professional"], True)
+    assert run.predict(offers(0), outside="flag").outside.sum() == 0
+    with pytest.raises(UserError, match="no column age"):
+        run.predict(offers(1).drop(columns="age"))
+    _, run = runs["chiller"]
+    with pytest.raises(UserError, match=r"column temp has 60.0 in row 0, outside the range 0 \.\. 45"):
+        run.predict({"temp": 60.0, "mode": "day"})
+    assert run.predict({"temp": 60.0, "mode": "day"}, outside="flag").outside is True
+    assert list(run.predictor().columns(run.predict(chiller(0), outside="flag"))) == ["valve", "fan", "outside_the_log"]
+    with pytest.raises(UserError, match="has no policy of seed 7; its seeds are 0"):
+        run.predictor(7)
+
+
+def test_a_policy_file_alone_is_enough(runs, tmp_path):
+    """Without the package, beside copies of the files that need numpy alone."""
+    log, run = runs["offers"]
+    for name in ("portable", "table_rows", "table_columns", "table_encoder", "table_predict"):
+        (tmp_path / f"{name}.py").write_text(Path(portable.__file__).with_name(f"{name}.py").read_text())
+    new = offers(1)
+    (tmp_path / "rows.json").write_text(new.to_json(orient="records"))
+    file = Folder(run.path).policy(0)
+    code = (
+        f"import json, sys, portable; p = portable.load({str(file)!r}); rows = json.load(open('rows.json')); "
+        "print(json.dumps(p.predict(rows).tolist())); print(*(m for m in ('deadreckon', 'jax') if m in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env={}, check=True)
+    actions, loaded = done.stdout.split("\n")[:2]
+    assert (json.loads(actions), loaded) == (run.predict(new).tolist(), "")
+    np.testing.assert_array_equal(dr.load_policy(file).predict(new), run.predict(new))
+    with pytest.raises(UserError, match=r"is a folder; load_run\('.*'\).predict takes the policy of a run"):
+        dr.load_policy(run.path)
+
+
+def test_files_that_keep_no_schema_say_so(runs, tmp_path):
+    log, run = runs["offers"]
+    store.save(tmp_path / "old.npz", run.policy)
+    with pytest.raises(UserError, match="this policy keeps no schema of its log, .*: give arrays of observations"):
+        dr.load_policy(tmp_path / "old.npz").predict(offers())
+    assert dr.load_policy(tmp_path / "old.npz").predict(log.observations).tolist() == run.policy(log.observations).tolist()
+
+
+LEGAL = {"x": [0.0, 1.0, 2.0, 3.0] * 5, "action": ["wait", "call", "visit", "call"] * 5, "reward": [0.0] * 20,
+         "may": ["wait|call", "call", "visit|wait", "wait|call|visit"] * 5}  # fmt: skip
+
+
+def test_legal_actions_are_obeyed(tmp_path):
+    log = dr.Dataset.from_frame(LEGAL, legal="may")
+    run = train(dr.agents.BC(**NETS), log, out=tmp_path / "run", **SHORT)
+    for act in (run.predict, player(run).predict):
+        for action in ("wait", "call", "visit"):
+            assert act({"x": [1.0] * 50, "may": [action] * 50}, greedy=False).tolist() == [action] * 50
+        found = act({"x": 1.0, "may": ["call", "visit"]}, probabilities=True)
+        assert found.probabilities["wait"] == 0.0
+        assert act({"x": 1.0}, legal=[0, 0, 1]) == log.provenance.extra["action_levels"][2]
+
+
+@pytest.fixture(scope="module", params=["patients", "chiller"])
+def history(request, tmp_path_factory):
+    """A run on the last three steps of episodes."""
+    table, how, agent = TABLES[request.param]
+    if request.param == "patients":
+        frame = table()
+    else:
+        frame, how = table().assign(day=np.arange(ROWS) // 4), {"action": ["valve", "fan"], "reward": "saved", "episode": "day"}
+    log = dr.Dataset.from_frame(frame, **how)
+    return frame, log, train(agent, log, out=tmp_path_factory.mktemp("history") / "run", history=3, **SHORT), request.param
+
+
+def test_policies_on_histories_take_the_logged_past(history):
+    """What is done in a row is what the policy does on the log's own histories, whose actions are those of the log."""
+    frame, log, run, name = history
+    member = run.policy.inner.member
+    own = member(stacked(log, 3).observations)
+    want = run.predictor().encoder.named(own)
+    mixed = frame.sample(frac=1.0, random_state=0).sort_values("day", kind="stable") if name == "patients" else frame
+    for act in (run.predict, player(run).predict):
+        found = act(mixed)
+        if name == "patients":
+            np.testing.assert_array_equal(pd.Series(found, mixed.index).sort_index(), want)
+        else:
+            np.testing.assert_allclose(found["fan"], want["fan"], rtol=1e-4)
+
+
+def test_policies_on_histories_go_on_from_what_they_did(history):
+    """Without the actions of the rows, the past is what the policy did; and so it is if these are given."""
+    frame, log, run, name = history
+    columns = ["dose"] if name == "patients" else ["valve", "fan"]
+    alone = frame.drop(columns=columns)
+    for act in (run.predict, player(run).predict):
+        found = act(alone)
+        given = alone.assign(**(found if isinstance(found, dict) else {"dose": found}))
+        again = act(given)
+        one, other = (found, again) if name == "patients" else (found["valve"], again["valve"])
+        np.testing.assert_allclose(np.asarray(other, float), np.asarray(one, float), rtol=1e-4)
+        assert len(act(alone.iloc[:0])) == (0 if name == "patients" else 2)
+
+
+def test_policies_on_histories_refuse_rows_without_order(history):
+    frame, log, run, name = history
+    with pytest.raises(UserError, match="acts on the last 3 steps of an episode: give the column (patient|day) of the episode"):
+        run.predict(frame.drop(columns=["patient"] if name == "patients" else ["day"]))
+    with pytest.raises(UserError, match="acts on the last 3 steps of an episode: give rows by the names"):
+        run.predict(log.observations)
+    if name == "patients":
+        with pytest.raises(UserError, match="column day has .* in row 1, before the .* of row 0 in the same episode"):
+            run.predict(frame.iloc[[1, 0, 2, 3]])
+        open_ = frame.iloc[:4].assign(dose=[10, None, 20, None])
+        with pytest.raises(UserError, match="row 1 does not say what was done, and its episode goes on"):
+            run.predict(open_)
+        assert len(run.predict(open_.assign(dose=[10, 40, 20, None]))) == 4
+
+
+def test_the_mixture_of_a_cross_fit_is_a_file_like_others(tmp_path):
+    log = dr.Dataset.from_frame(offers(), action="offer", reward="paid")
+    cross = cross_fit(dr.agents.BC(**NETS), log, folds=2, out=tmp_path / "cross", **SHORT)
+    policy, play = dr.load_policy(cross.policy_path), portable.load(cross.policy_path)
+    members = np.stack([run.predict(offers(1)) for run in cross.runs])
+    for seed in range(3):
+        found = policy.predict(offers(1), seed=seed)
+        np.testing.assert_array_equal(play.predict(offers(1), seed=seed), found)
+        assert (found == members).any(0).all()

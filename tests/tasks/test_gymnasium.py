@@ -1,0 +1,380 @@
+"""Gymnasium environments as tasks: equal to a loop written by hand, whatever their spaces, and no promise broken."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import deadreckon as dr
+import deadreckon.tasks.envs
+from deadreckon.data.catalogue import ENTRIES as CATALOGUE
+from deadreckon.data.environments import IDS, task_of
+from deadreckon.data.formats.flatten import flatten_space, join_actions
+from deadreckon.data.spec import Box, Discrete
+from deadreckon.errors import UserError
+from deadreckon.policies.policy import BlackBoxPolicy
+from deadreckon.runs.evaluate import episode_seeds
+from deadreckon.tasks import registry
+from deadreckon.tasks.gymnasium_copies import episode_seed
+from tests import toy_environments as toys
+
+GOAL, SHIFTED = "tests.toy_environments:Goal?max_episode_steps=20", "tests.toy_environments:Shifted?max_episode_steps=9"
+
+
+def pushing(observations, generator):
+    return np.tanh(observations[:, 1:2] - observations[:, :1]).astype(np.float32)
+
+
+def leaning(observations, generator):
+    return (observations[:, 2] + observations[:, 3] > 0).astype(np.int32)
+
+
+def by_hand(env, policy, seeds):
+    """Return, length and whether it ended by itself, of an episode a seed."""
+    out = []
+    for seed in seeds:
+        seen, _ = env.reset(seed=seed)
+        total, length, over = 0.0, 0, False
+        while not over:
+            action = policy(np.asarray(seen, np.float32)[None], None)[0]
+            seen, reward, terminated, truncated, _ = env.step(action)
+            total, length, over = total + float(reward), length + 1, terminated or truncated
+        out.append((total, length, terminated))
+    return zip(*out)
+
+
+@pytest.mark.parametrize(("name", "policy"), [("Pendulum-v1", pushing), ("CartPole-v1", leaning)])
+def test_returns_are_those_of_a_loop_written_by_hand(name, policy):
+    returns, lengths, _ = map(list, by_hand(gymnasium.make(name), policy, episode_seeds(4, 3)))
+    for task in (f"gymnasium:{name}", name, gymnasium.make(name), lambda: gymnasium.make(name)):
+        found = dr.evaluate(BlackBoxPolicy(policy), task, episodes=3, seed=4)
+        assert found.returns[0].tolist() == returns
+        assert found.lengths[0].tolist() == lengths
+
+
+def random_actions(task, steps, copies, seed=0):
+    rng = np.random.default_rng(seed)
+    if isinstance(task.action_space, Discrete):
+        return rng.integers(0, task.action_space.n, (steps, copies))
+    space = task.action_space
+    return rng.uniform(space.low, space.high, (steps, copies, space.size)).astype(np.float32)
+
+
+def test_cart_pole_ends_by_falls_and_by_time():
+    task = dr.task(toys.short_cart)
+    assert task.horizon == 9
+    simulator = task.simulate([1, 2])
+    seen, falls, times = simulator.reset(), 0, 0
+    for _ in range(400):
+        actions = np.array([0, int(seen[1, 2] + seen[1, 3] > 0)])  # the first falls, the second is held
+        seen, rewards, terminals, timeouts = simulator.step(actions)
+        assert not (terminals & timeouts).any()
+        falls, times = falls + int(terminals[0]), times + int(timeouts[1])
+        assert not terminals[1]
+        if (over := np.flatnonzero(terminals | timeouts)).size:
+            seen[over] = simulator.reset(over)
+    assert falls > 15
+    assert times == 400 // 9
+
+
+def test_a_fall_in_the_last_step_is_a_terminal():
+    # Cut where it falls by itself: what Gymnasium says of both, we say is a terminal.
+    env = gymnasium.make("CartPole-v1")
+    env.reset(seed=0)
+    fall = 1 + next(t for t in range(50) if env.step(0)[2])
+    simulator = dr.task("CartPole-v1", horizon=fall).simulate([0])
+    simulator.reset()
+    ends = [(bool(part[2][0]), bool(part[3][0])) for part in (simulator.step(np.zeros(1, int)) for _ in range(fall))]
+    assert ends == [(False, False)] * (fall - 1) + [(True, False)]
+    np.testing.assert_array_equal(simulator.step(np.zeros(1, int))[1:], [[0], [False], [False]])  # it rests
+
+
+def test_steps_are_those_of_gymnasiums_vectors():
+    task = dr.task("CartPole-v1")
+    disabled = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
+    vector = gymnasium.make_vec("CartPole-v1", 3, vectorization_mode="sync", vector_kwargs=disabled)
+    simulator = task.simulate([5, 6, 7])
+    np.testing.assert_array_equal(vector.reset(seed=[5, 6, 7])[0], simulator.reset())
+    for actions in random_actions(task, 8, 3):
+        theirs, ours = vector.step(actions), simulator.step(actions)
+        for a, b in zip(theirs, ours):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_observations_of_frozen_lake_are_one_hot():
+    task = dr.task("FrozenLake-v1")
+    assert task.observation_shape == (16,)
+    assert task.action_space == Discrete(4)
+    env, simulator = gymnasium.make("FrozenLake-v1"), task.simulate([8])
+    seen, ours = env.reset(seed=8)[0], simulator.reset()
+    for action in random_actions(task, 6, 1):
+        np.testing.assert_array_equal(ours, np.eye(16, dtype=np.float32)[[seen]])
+        seen, reward, terminated, _, _ = env.step(int(action[0]))
+        ours, rewards, terminals, _ = simulator.step(action)
+        assert (rewards[0], terminals[0]) == (reward, terminated)
+        if terminated:
+            break
+
+
+def test_dicts_are_flattened_as_gymnasium_and_as_logs_have_them():
+    with pytest.warns(UserWarning, match="texts are not observed: note"):
+        task = dr.task(GOAL)
+    assert task.observation_shape == (2 + 2 + 3,)
+    env = toys.Goal()
+    seen = [env.reset(seed=seed)[0] for seed in range(4)]
+    numeric = spaces.Dict({key: env.observation_space[key] for key in ("place", "flags")})
+    rows = {"flags": np.stack([each["flags"] for each in seen]),
+            "place": {key: np.stack([each["place"][key] for each in seen]) for key in ("at", "mode")}}  # fmt: skip
+    np.testing.assert_array_equal(task.simulate(range(4)).reset(), flatten_space(numeric, rows)[0])
+
+
+def test_actions_of_several_integers_are_counted_as_in_logs():
+    task = dr.task(GOAL)
+    assert task.action_space == Discrete(6)
+    space = toys.Goal().action_space
+    every = np.array([task.spaces.act(np.array(i)) for i in range(6)])
+    assert every.dtype == space.dtype
+    np.testing.assert_array_equal(join_actions(space, every)[0], np.arange(6))
+    simulator = task.simulate(range(6))
+    simulator.reset()
+    np.testing.assert_array_equal(simulator.step(np.arange(6))[1], [-1, 0, 1, 9, 10, 11])
+
+
+def test_numbers_that_do_not_begin_at_zero():
+    task = dr.task(SHIFTED)
+    assert (task.observation_shape, task.action_space) == ((4,), Discrete(3))
+    simulator = task.simulate([0])
+    np.testing.assert_array_equal(simulator.reset(), [[1, 0, 0, 0]])
+    seen, rewards, _, _ = simulator.step(np.array([2]))
+    assert (seen.argmax(), rewards[0]) == (1, 7.0)
+    with pytest.raises(UserError, match="an action is 3, a number from 0 to 2 is needed"):
+        simulator.step(np.array([3]))
+
+
+class Custom(gymnasium.Env):
+    def __init__(self, observation, action):
+        self.observation_space, self.action_space = observation, action
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.action_space.seed(seed)
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        assert self.action_space.contains(action), action
+        return self.observation_space.sample(), 0.0, False, False, {}
+
+
+BOX = spaces.Box(-1, 1, (2,), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("action", "expected"),
+    [
+        (spaces.Box(np.array([[0, 1]]), np.array([[2, 5]]), dtype=np.float64), Box((0, 1), (2, 5))),
+        (spaces.MultiBinary(3), Discrete(8)),
+        (spaces.Tuple([spaces.Discrete(2), spaces.MultiDiscrete([2, 2])]), Discrete(8)),
+        (spaces.Dict({"a": spaces.Box(-1, 1, (1,), np.float32), "b": spaces.Box(0, 3, (2,), np.float32)}),
+         Box((-1, 0, 0), (1, 3, 3))),
+        (spaces.Dict({"a": spaces.Discrete(2), "b": spaces.Discrete(3, start=4)}), Discrete(6)),
+    ],
+    ids=lambda value: type(value).__name__,
+)  # fmt: skip
+def test_actions_reach_the_environment_in_its_own_form(action, expected):
+    task = dr.task(lambda: Custom(BOX, action), horizon=5)
+    assert task.action_space == expected
+    simulator = task.simulate([0, 1])
+    simulator.reset()
+    for actions in random_actions(task, 4, 2):
+        simulator.step(actions)
+
+
+def test_pictures_keep_their_shape():
+    task = dr.task(lambda: Custom(spaces.Box(0, 255, (40, 32, 3), np.uint8), BOX), horizon=5)
+    assert task.observation_shape == task.simulate([0]).reset()[0].shape == (40, 32, 3)
+    assert dr.task(lambda: Custom(spaces.Box(0, 255, (7, 7, 3), np.uint8), BOX), horizon=5).observation_shape == (147,)
+
+
+# ---- promises of simulators -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["Pendulum-v1?max_episode_steps=5", "FrozenLake-v1", GOAL])
+def test_a_copy_depends_on_its_own_seed_and_actions_alone(name):
+    task = dr.task(name)
+    many, few = task.simulate(range(10, 16)), task.simulate([13, 11])
+    pick = [3, 1]
+    np.testing.assert_array_equal(few.reset(), many.reset()[pick])
+    for actions in random_actions(task, 24, 6):
+        ours, theirs = many.step(actions), few.step(actions[pick])
+        for a, b in zip(ours, theirs):
+            np.testing.assert_array_equal(a[pick], b)
+        ended = np.flatnonzero(ours[2] | ours[3])
+        if len(ended):
+            many.reset(ended)
+        if len(own := np.flatnonzero(theirs[2] | theirs[3])):
+            few.reset(own)
+
+
+@pytest.mark.parametrize("name", ["Pendulum-v1?max_episode_steps=7", "FrozenLake-v1", GOAL])
+def test_restored_copies_go_on_bit_for_bit(name):
+    task = dr.task(name)
+    actions, whole = random_actions(task, 40, 3), task.simulate([1, 2, 3])
+    whole.reset()
+
+    def walk(simulator, part):
+        out = []
+        for each in part:
+            out.append(simulator.step(each))
+            if len(over := np.flatnonzero(out[-1][2] | out[-1][3])):
+                out.append((simulator.reset(over),))
+        return [array for row in out for array in row]
+
+    walk(whole, actions[:20])
+    other = task.simulate([7, 8, 9])
+    other.reset()
+    assert other.restore(whole.state()) is None
+    for a, b in zip(walk(whole, actions[20:]), walk(other, actions[20:]), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_environments_that_do_not_repeat_are_told():
+    task = dr.task(toys.Unseeded, horizon=9)
+    simulator = task.simulate([0, 1])
+    simulator.reset()
+    simulator.step(np.zeros(2, int))
+    np.testing.assert_array_equal(task.simulate([0, 1]).restore(simulator.state()), [0, 1])
+
+
+def test_seeds_of_episodes():
+    assert episode_seed(7, 0) == 7
+    several = [episode_seed(2**40, 0), *(episode_seed(7, i) for i in range(1, 5))]
+    assert len(set(several)) == 5
+    assert max(several) < 2**32
+
+
+# ---- names and objects ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        (lambda: gymnasium.make("Pendulum-v1"), "gymnasium:Pendulum-v1"),
+        (lambda: gymnasium.make("Pendulum-v1", render_mode="rgb_array", g=9.0), "gymnasium:Pendulum-v1?g=9.0"),
+        (lambda: gymnasium.make("FrozenLake-v1", max_episode_steps=50), "gymnasium:FrozenLake-v1?max_episode_steps=50"),
+    ],
+)
+def test_an_object_is_known_by_a_name_that_finds_it_again(given, name):
+    task, again = dr.task(given()), dr.task(name)
+    assert task.name == again.name == name
+    assert task == again
+    np.testing.assert_array_equal(task.simulate([3]).reset(), again.simulate([3]).reset())
+    assert dr.task(task) is task
+
+
+def test_an_object_that_gymnasium_cannot_make_is_copied():
+    env = toys.Goal(3)
+    env.reset(seed=1)
+    task = dr.task(env, horizon=8)
+    before = env.at.copy()
+    first = task.simulate([0, 0]).reset()
+    np.testing.assert_array_equal(first[0], first[1])
+    np.testing.assert_array_equal(env.at, before)
+    assert task.name == "Goal"
+
+
+def test_wrappers_are_kept():
+    wrapped = gymnasium.wrappers.RescaleAction(gymnasium.make("Pendulum-v1"), np.float32(-1), np.float32(1))
+    task = dr.task(wrapped)
+    assert task.action_space == Box((-1,), (1,))
+    assert task.name == "gymnasium:Pendulum-v1+RescaleAction"
+
+
+def test_the_shorter_horizon_counts():
+    assert dr.task("Pendulum-v1", horizon=500).horizon == 500  # a limit of Gymnasium's own is replaced
+    assert dr.task(gymnasium.make("Pendulum-v1"), horizon=500).horizon == 500
+    assert dr.task(toys.short_cart, horizon=5).horizon == 5
+    assert dr.task(toys.short_cart, horizon=50).horizon == 9
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("tests.toy_environments:Goal", "it has no time limit; give one, such as horizon=500"),
+        ("gymnasium:Nothing-v3", "Gymnasium cannot make it.*gymnasium:MODULE:ID"),
+        ("Pendulum-v9", "unknown task 'Pendulum-v9'.*a Gymnasium environment is named gymnasium:ID"),
+        ("gymnasium:Pendulum-v1?g", "options are written"),
+        ("gymnasium:Pendulum-v1?weight=3", "TypeError: .*weight"),
+        ("gymnasium:Pendulum-v1?max_episode_steps=0", "horizon must be a whole number|max_episode_steps"),
+        ("pettingzoo:mpe/simple_v3", "environment of PettingZoo, for several agents"),
+        ("pettingzoo.classic.chess_v6:env", "environment of PettingZoo, for several agents"),
+        (toys.Crowd(), "environment of PettingZoo, for several agents"),
+        ("tests.toy_environments:_ONE", "no _ONE that is an environment class"),
+        (toys.the_same, "gives the same environment twice"),
+        (gymnasium.make_vec("CartPole-v1", 2), "is a vector of environments"),
+        (3, "int is no environment but int"),
+        (len, "making it raised TypeError"),
+        (lambda: Custom(spaces.Sequence(BOX), BOX), "the observation is Sequence"),
+        (lambda: Custom(BOX, spaces.Box(-np.inf, np.inf, (1,), np.float32)), "actions have infinite bounds"),
+        (lambda: Custom(BOX, spaces.MultiDiscrete([99, 99, 99])), "970,299 combinations"),
+        (lambda: Custom(BOX, spaces.Tuple([spaces.Discrete(2), BOX])), "actions are Discrete, Box"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else type(value).__name__,
+)
+def test_what_is_no_task_is_refused_in_one_line(given, told):
+    horizon = 5 if callable(given) and given is not toys.the_same and given is not len else None
+    with pytest.raises(UserError, match=told) as error:
+        dr.task(given, horizon)
+    assert "\n" not in str(error.value)
+
+
+def test_what_an_environment_raises_is_told_with_its_name():
+    simulator = dr.task(toys.Failing, horizon=5).simulate([0])
+    simulator.reset()
+    with pytest.raises(UserError, match=r"Failing.*: the environment's step\(1\) raised RuntimeError: the pump is dry"):
+        simulator.step(np.array([1]))
+
+
+def test_a_folder_must_not_name_code_that_runs():
+    with pytest.raises(UserError, match="not one of deadreckon's: name it with --task, or import antigravity first"):
+        registry.of_run("antigravity:fly")
+    with pytest.raises(UserError, match="import antigravity first"):
+        registry.of_run("gymnasium:antigravity:Fly-v0?a=1")
+    assert registry.of_run(SHIFTED).name == SHIFTED
+    assert registry.of_run("gymnasium:CartPole-v1").horizon == 500
+
+
+# ---- our own as Gymnasium has them ------------------------------------------------------------------------------------
+
+
+def test_logs_know_the_environments_of_all_tasks():
+    assert {name: registry.task(name).gym_id for name in registry.names()} == {
+        name: env_id.partition(":")[2] or env_id for name, env_id in IDS.items()
+    }
+
+
+def test_logs_of_the_catalogue_are_known_by_their_names():
+    assert {name: task_of(f"{name}@dr1") for name in CATALOGUE} == {name: each.task for name, each in CATALOGUE.items()}
+    assert task_of("hopper-mine-v1") is task_of("hopper") is task_of("mine-v2") is None
+
+
+ENTRIES = {gymnasium.spec(registry.task(name).gym_id).entry_point: registry.task(name).gym_id for name in registry.names()}
+
+
+@pytest.mark.parametrize("env_id", ENTRIES.values())
+def test_our_own_open_with_a_render_mode(env_id):
+    if "Flow" in env_id:
+        pytest.importorskip("libsumo")
+    env = gymnasium.make(env_id, render_mode="rgb_array")
+    assert env.render_mode == "rgb_array"
+    env.close()
+
+
+def test_flow_draws_its_cars():
+    pytest.importorskip("libsumo")
+    env = gymnasium.make("deadreckon/Flow-Ring-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (24, 1024, 3)
+    assert (picture == (210, 50, 50)).all(-1).any()  # one learner
+    assert (picture == (50, 90, 190)).all(-1).sum() > 10 * 5 * 8  # and most of 21 others, apart
+    env.close()
