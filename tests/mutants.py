@@ -288,6 +288,17 @@ MUTANTS = (
         "missing values are 0 at use and the mean in training", ("policies/test_table_encoder.py",),
     ),
     Mutant(
+        "names-swapped", "policies/table_encoder.py", "return actions if self.levels is None else self.levels[actions]",
+        "return actions if self.levels is None else self.levels[::-1][actions]",
+        "actions are named in another order than that of their codes", ("test_three_tables.py",),
+    ),
+    Mutant(
+        "levels-sorted-at-use", "policies/table_columns.py",
+        'self.key, self.levels, self.marked = key, list(column["levels"]), bool(column.get("marked"))',
+        'self.key, self.levels, self.marked = key, sorted(column["levels"]), bool(column.get("marked"))',
+        "levels are encoded at use in another order than in training", ("test_three_tables.py",),
+    ),
+    Mutant(
         "marks-forgotten", "policies/table_encoder.py", "out[:, place + 1] = absent[:, index]", "out[:, place + 1] = 0.0",
         "nothing says at use where a value was missing", ("policies/test_table_encoder.py",),
     ),
@@ -1294,7 +1305,7 @@ MUTANTS = (
     ),
     Mutant(
         "copies-of-people", "data/copies.py",
-        "if len(kinds) >= _OWN * (rows - found) and (kinds != np.floor(kinds)).any():",
+        "if len(kinds) >= _OWN * (rows - found.count) and (kinds != np.floor(kinds)).any():",
         "if (kinds != np.floor(kinds)).any():",
         "equal people are taken for a table that was stored twice", ("data/test_info.py",),
     ),

@@ -18,6 +18,8 @@ from deadreckon.policies import portable, store
 from deadreckon.policies.deployed import Mixture
 from deadreckon.runs import crossfit
 from deadreckon.runs.gather import for_case, gather
+from deadreckon.runs.player import chosen
+from deadreckon.runs.subject import subject
 from deadreckon.runs.train import train
 from deadreckon.training.fit import Failure
 
@@ -111,6 +113,7 @@ def test_the_policy_to_deploy_may_have_learned_from_everything(log, tmp_path):
     fold = found.fold_of(log)
     assert all(len(set(fold[users == user])) == 1 for user in users)
     assert dr.load_cross_fit(found.path).policy_path == found.policy_path
+    assert chosen(found.path).file == subject(found.path).file == found.policy_path / "policies" / "seed0.npz"
     other = dr.cross_fit(BC, log, out=tmp_path / "c", by="user", resume=True, **OPTIONS)
     assert isinstance(other.policy.inner, Mixture)
 
@@ -135,6 +138,7 @@ def test_as_many_policies_of_each_fold_are_mixed(log, tmp_path, monkeypatch):
     found = dr.cross_fit(BC, log, out=tmp_path / "c", seeds=2, **OPTIONS)
     assert found.config["members"] == [[0, 0], [1, 1], [2, 0]]
     np.testing.assert_array_equal(found.policy.inner.members[1](X), found.runs[1].policies[1](X))
+    assert chosen(found.path).file == subject(found.path).file == found.policy_path  # `predict` and `export` use the same one
 
 
 def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):

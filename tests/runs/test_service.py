@@ -12,6 +12,7 @@ from deadreckon.runs import service as services
 from deadreckon.runs.player import chosen, predictor
 from deadreckon.runs.service import Limits, Service, app
 from deadreckon.runs.train import train
+from tests.asked import ask, post
 
 ROWS = 40
 NETS = {"hidden": (8,), "batch_size": 8}
@@ -40,32 +41,6 @@ def run(tmp_path_factory):
 def service(run):
     found = chosen(run.path)
     return app(Service(predictor(found.file), found.words, Limits(body=20_000, rows=100)))
-
-
-def ask(service, method, path, body=b"", query="", parts=None, headers=()):
-    """Status, headers and body of an answer."""
-    said, parts = [], [body] if parts is None else parts
-    asked = iter([{"type": "http.request", "body": part, "more_body": i + 1 < len(parts)} for i, part in enumerate(parts)])
-
-    async def receive():
-        return next(asked, {"type": "http.disconnect"})
-
-    async def send(message):
-        said.append(message)
-
-    scope = {
-        "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": method, "path": path, "raw_path": b"",
-        "query_string": query.encode(), "root_path": "", "scheme": "http", "headers": list(headers), "server": ("t", 80),
-    }  # fmt: skip
-    asyncio.run(service(scope, receive, send))
-    found = {key.decode(): value.decode() for key, value in said[0]["headers"]}
-    return said[0]["status"], found, b"".join(message.get("body", b"") for message in said[1:])
-
-
-def post(service, value, query="", **how):
-    body = value if isinstance(value, bytes) else json.dumps(value).encode()
-    status, _, answer = ask(service, "POST", "/predict", body, query, **how)
-    return status, json.loads(answer)
 
 
 def test_rows_get_the_actions_that_predict_gives(service, run):

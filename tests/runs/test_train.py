@@ -1,6 +1,5 @@
 """From a log to a judged run folder, and taking it up again."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks import task
+from deadreckon.tasks.task import Task
 
 
 @pytest.fixture(scope="module")
@@ -290,9 +290,11 @@ def test_nothing_counts_after_an_episodes_end():
             self.steps += 1
             return np.zeros((3, 1), np.float32), np.ones(3), self.steps >= np.array([1, 2, 3]), np.zeros(3, bool)
 
-    ends = SimpleNamespace(
-        name="ends", horizon=3, observation_shape=(1,), action_space=Box((-1.0,), (1.0,)), simulate=lambda seeds: Ends()
-    )
+    class EndsTask(Task):
+        def simulate(self, seeds, threads=None):
+            return Ends()
+
+    ends = EndsTask("ends", "ends", 3, (1,), Box((-1.0,), (1.0,)), "", None)
     result = evaluate(BlackBoxPolicy(lambda obs, rng: np.zeros((len(obs), 1))), ends, episodes=3, discount=0.5)
     np.testing.assert_array_equal(result.returns, [[1.0, 2.0, 3.0]])
     np.testing.assert_array_equal(result.discounted, [[1.0, 1.5, 1.75]])

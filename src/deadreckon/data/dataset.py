@@ -92,7 +92,8 @@ class Dataset(Shown):
             final_known: (episodes,) truth values, false where the log does not say; all true if absent.
             legal: (rows, n) truth values, which discrete actions could be taken, or a function that gives them for observations
                 (rows, numbers). They become the last n numbers of the observations, which all methods and policies obey.
-            next_legal, final_legal: (rows, n), (episodes, n) likewise of next or final observations (`legal.joined_masks`).
+            next_legal: (rows, n) truth values of `next_observations`, as `legal` of `observations`; see `legal.joined_masks`.
+            final_legal: (episodes, n) truth values of `final_observations`, likewise.
             action_space: bounds of the actions; the range of the data if absent.
             name: of the log.
             provenance: where the columns come from.
@@ -156,9 +157,8 @@ class Dataset(Shown):
             UserError: one line with the column and the row (counted from 0, as in the table given).
         """
         from deadreckon.data.frame import frame_columns  # its library of tables takes a while to load
-        columns, extra, warnings, space = frame_columns(frame, name=name, **mapping)
-        made = Provenance(source=source, extra=extra)
-        log = cls.from_arrays(**columns, action_space=space, name=name, provenance=made, strict=strict)
+        given, more, warnings, space = frame_columns(frame, name=name, **mapping)
+        log = cls.from_arrays(**given, action_space=space, name=name, strict=strict, provenance=Provenance(source, extra=more))
         return replace(log, warnings=(*warnings, *log.warnings))
 
     def __len__(self) -> int:

@@ -20,11 +20,15 @@ class Chosen(NamedTuple):
         file: where it is.
         words: which it is, and how many there are.
         sampled: whether the decision that chose it was about its sampled actions; False where there is no decision.
+        owner: folder of the run or cross-fit that it is of; None of a file alone.
+        decision: folder of the decision that chose it; None where there is none.
     """
 
     file: Path
     words: str
     sampled: bool = False
+    owner: Path | None = None
+    decision: Path | None = None
 
 
 def chosen(path: Path | str, seed: int | None = None) -> Chosen:
@@ -42,13 +46,15 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
     if (path / "run.json").exists():
         return _of_run(Folder(path), seed)
     if seed is not None:
-        raise UserError(f"{path} is no run, so it has no seeds; leave --policy-seed out")
+        raise UserError(f"{path} is no run, so it has no seeds; leave it out")
     if (path / ESTIMATES).exists():
         return _of_decision(path)
     if (path / CROSS_FIT).exists():
         from deadreckon.runs.crossfit import load_cross_fit
 
-        return Chosen(load_cross_fit(path).policy_path, "the policy of the cross-fit")
+        delivered = load_cross_fit(path).policy_path
+        found = _of_run(Folder(delivered), None) if delivered.is_dir() else Chosen(delivered, "the policy of the cross-fit")
+        return found._replace(owner=path)
     if path.is_file():
         return Chosen(path, path.name)
     what = "a folder without a run, a cross-fit or estimates" if path.is_dir() else "no file or folder"
@@ -62,7 +68,7 @@ def _of_run(folder: Folder, seed: int | None) -> Chosen:
     if not (file := folder.policy(which)).exists():
         raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` goes on with it")
     others = f", one of {len(config['seeds'])} (--policy-seed)" if len(config["seeds"]) > 1 else ""
-    return Chosen(file, f"seed {which} of {folder.path}{others}")
+    return Chosen(file, f"seed {which} of {folder.path}{others}", owner=folder.path)
 
 
 def _of_decision(path: Path) -> Chosen:
@@ -75,7 +81,13 @@ def _of_decision(path: Path) -> Chosen:
     if file is None or not Path(file).exists():
         raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {file}; name its run")
     sampled = not (results.get("estimand") or {}).get("greedy", True)
-    return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}", sampled)
+    return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}", sampled, _owner(Path(file)), path)
+
+
+def _owner(file: Path) -> Path | None:
+    """The folder of the run or cross-fit in which a policy's file lies."""
+    above = file.absolute().parents[:3]  # the run on all episodes of a cross-fit is a folder within it
+    return next((folder for name in (CROSS_FIT, "run.json") for folder in above if (folder / name).exists()), None)
 
 
 def predictor(file: Path, name: str = "rows") -> Predictor:

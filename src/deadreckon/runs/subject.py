@@ -15,10 +15,9 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
-from deadreckon.runs.folder import policy_seed
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
-from deadreckon.runs.player import chosen
+from deadreckon.runs.player import CROSS_FIT, chosen
 from deadreckon.runs.reading import HORIZON, Read, check_encoding
 from deadreckon.runs.run import Run, load
 
@@ -36,7 +35,8 @@ class Subject:
         read: how the log was read that it learned from.
         told: what the policy's file keeps of its log, by which `policies.table_encoder` encodes rows.
         config: `run.json`; None of policies without a run.
-        folder: of the run; None of policies without one.
+        folder: of the run or cross-fit; None of a file alone.
+        decision: folder of the decision that chose it; None where there is none.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Subject:
     told: Mapping[str, Any]
     config: Mapping[str, Any] | None = None
     folder: Path | None = None
+    decision: Path | None = None
 
     @property
     def schema(self) -> Schema | None:
@@ -122,7 +123,7 @@ class Subject:
 
 
 def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
-    """The policy of a run, a cross-fit or a policy file.
+    """The policy of a run, a decision, a cross-fit or a policy file; which it is, `player.chosen` says.
 
     Args:
         given: the run, its folder, a cross-fit's folder, a policy file, or a folder of `ope` or `recommend`, whose policy to
@@ -132,24 +133,22 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     Raises:
         UserError: there is none.
     """
-    folder = given.path if isinstance(given, Run) else Path(given) if Path(given).is_dir() else None
-    if folder is not None and (folder / NAME).exists() and not (folder / "run.json").exists():
-        if (run_of := chosen(folder).file.parents[1]) == folder or not (run_of / "run.json").exists():
-            raise UserError(f"{folder} decides for a policy that is in no run folder; name its file")
-        name = read_json(folder / NAME)["choice"]["name"]
-        return subject(run_of, next(each["seed"] for each in read_json(folder / NAME)["policies"] if each["name"] == name))
-    run = load(folder) if folder is not None and (folder / "run.json").exists() else None
-    if run is not None:  # one whose seed has diverged is used where it is asked for alone
-        seed = policy_seed(str(run.path), run.seeds, run.failures, seed)
-    found = gather(given if run is None else run)
-    if seed is not None and all(each.seed != seed for each in found):
-        raise UserError(f"{found[0].run} has no policy of seed {seed}")
-    one = next(each for each in found if seed is None or each.seed == seed)
+    path = given.path if isinstance(given, Run) else Path(given)
+    if seed is not None and (path / CROSS_FIT).exists():  # of several seeds, the mixture of one is in no file
+        owner, decision = path, None
+        one = next((each for each in gather(path) if each.seed == seed), None)
+        if one is None:
+            raise UserError(f"{path} has no policy of seed {seed}")
+    else:
+        file, _, _, owner, decision = chosen(path, seed)
+        those = [each for each in gather(owner or file) if each.file is not None and each.file.samefile(file)]
+        one = those[0] if those else gather(file)[0]
     if not isinstance(one.acting, EnvPolicy):
         raise UserError(f"{given} holds no policy of this package")
+    run = load(owner) if owner is not None and (owner / "run.json").exists() else None
     told = {} if one.file is None else store.meta(one.file).get("log", {})
     config = None if run is None else run.config
-    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, folder)
+    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, owner, decision)
 
 
 def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
@@ -157,12 +156,14 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
 
     Args:
         one: the policy.
-        given: the folder or file; None looks in the run's folder and beside it, where `recommend` puts it.
+        given: the folder or file; None looks in that of the decision which chose the policy, in the run's folder and beside
+            it, where `recommend` puts it.
 
     Raises:
         UserError: the given one is none, or does not have this policy.
     """
-    places = [Path(given)] if given is not None else [] if one.folder is None else [one.folder, one.folder.parent]
+    known = [*([one.decision] if one.decision else []), *([one.folder, one.folder.parent] if one.folder else [])]
+    places = known if given is None else [Path(given)]
     for place in places:
         file = place / NAME if place.is_dir() or given is None else place
         if not file.exists():
