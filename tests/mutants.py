@@ -667,6 +667,19 @@ MUTANTS = (
         ("runs/test_trackers.py::test_a_callback_sees_the_run_and_ends_it",),
     ),
     Mutant(
+        "callbacks-of-one-log", "runs/recorder.py",
+        "for recorder, part in zip(recorders, parts) for each in recorder.seen(part)",
+        "for recorder, part in zip(recorders[:1], parts) for each in recorder.seen(part)",
+        "of runs on several logs only those on the first are told to the callback",
+        ("runs/test_trackers.py::test_runs_on_several_logs_are_told_of_apart_and_end_together",),
+    ),
+    Mutant(
+        "one-log-ends-alone", "runs/recorder.py", "for recorder in recorders:\n                recorder.end_at(progress.step)",
+        "for recorder in recorders[:1]:\n                recorder.end_at(progress.step)",
+        "of runs on several logs only those on the first end where all do",
+        ("runs/test_trackers.py::test_runs_on_several_logs_are_told_of_apart_and_end_together",),
+    ),
+    Mutant(
         "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',
         'if (found := _sum(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
     ),
