@@ -21,10 +21,10 @@ define uv_sync
 endef
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fast test-slow lint docs bench evidence lock clean
+.PHONY: help setup demo test fast test-slow lint docs bench evidence evidence-gpu lock clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(STAMP) ## the environment in .venv, with the tools for tests
 
@@ -54,6 +54,10 @@ bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, int
 
 evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
 	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle $(if $(FOR),--for $(FOR))
+
+evidence-gpu: $(STAMP) ## fills a GPU with what they lack for FOR=40m; PLAN=1 prints the plan alone
+	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence \
+		--gpu --for $(or $(FOR),40m) $(if $(PLAN),--dry-run)
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
 	uv lock

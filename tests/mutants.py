@@ -97,6 +97,30 @@ MUTANTS = (
         ("agents/test_scaled_rewards.py",),
     ),
     Mutant(
+        "spans-start-at-zero", "training/program.py", "index = first + draw(plan, root, step, count)",
+        "index = draw(plan, root, step, count)",
+        "lanes of several logs all learn from the first log",
+        ("training/test_fit.py::test_lanes_of_several_logs_see_the_rows_of_their_own",),
+    ),
+    Mutant(
+        "plans-share-nothing", "bench/filling.py", "return max(start + self.ready, device) + self.training",
+        "return start + self.ready + self.training",
+        "a plan gives every program the whole device",
+        ("bench/test_filling.py::test_the_plan_is_what_one_gets_by_hand",),
+    ),
+    Mutant(
+        "service-of-others-stopped", "bench/device.py", "if _answers(control, \"get_server_list\"):\n            yield",
+        "if _answers(control, \"quit\"):\n            yield",
+        "a multi-process service that ran already is stopped",
+        ("bench/test_filling.py::test_the_service_is_started_and_stopped_only_where_it_does_not_run",),
+    ),
+    Mutant(
+        "rates-of-a-shared-device", "bench/filling.py", "seen.share += (now - self.looked) / len(training)",
+        "seen.share += now - self.looked",
+        "a program that shares the device is taken for a slow one",
+        ("bench/test_filling.py::test_programs_that_train_side_by_side_share_the_time",),
+    ),
+    Mutant(
         "rewards-unscaled", "training/program.py", "batch = learner.learned(batch)", "learner.learned(batch)",
         "agents learn from rewards as logged, whatever their scale", ("agents/test_scaled_rewards.py",),
     ),
@@ -637,6 +661,19 @@ MUTANTS = (
         "callback-too-early", "runs/recorder.py", "pc.field(\"step\") <= step", "pc.field(\"step\") < step",
         "a callback does not see the evaluation that has just been done",
         ("runs/test_trackers.py::test_a_callback_sees_the_run_and_ends_it",),
+    ),
+    Mutant(
+        "callbacks-of-one-log", "runs/recorder.py",
+        "for recorder, part in zip(recorders, parts) for each in recorder.seen(part)",
+        "for recorder, part in zip(recorders[:1], parts) for each in recorder.seen(part)",
+        "of runs on several logs only those on the first are told to the callback",
+        ("runs/test_trackers.py::test_runs_on_several_logs_are_told_of_apart_and_end_together",),
+    ),
+    Mutant(
+        "one-log-ends-alone", "runs/recorder.py", "for recorder in recorders:\n                recorder.end_at(progress.step)",
+        "for recorder in recorders[:1]:\n                recorder.end_at(progress.step)",
+        "of runs on several logs only those on the first end where all do",
+        ("runs/test_trackers.py::test_runs_on_several_logs_are_told_of_apart_and_end_together",),
     ),
     Mutant(
         "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',

@@ -19,7 +19,8 @@ from deadreckon.bench.times import forecast
 from deadreckon.bench.tune import TrialSettings, _estimated, tune
 from deadreckon.bench.tune import suite as tuning
 from deadreckon.bench.work import perform
-from deadreckon.cli.bench import Lines, _page
+from deadreckon.cli.bench import _page
+from deadreckon.cli.lines import Lines
 from deadreckon.errors import BusyError
 from deadreckon.files import alone
 from deadreckon.runs.offline import Judged

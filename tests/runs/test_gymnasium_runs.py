@@ -21,8 +21,8 @@ from deadreckon.data.formats.minari import read_minari, write_minari
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.online import Online
+from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.offline import simulated
-from deadreckon.runs.recorder import StopTraining
 from tests import toy_environments as toys
 
 CART = "gymnasium:CartPole-v1?max_episode_steps=30"

@@ -26,9 +26,9 @@ from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
 from deadreckon.runs import follow as module
 from deadreckon.runs.attempt import Attempt, Candidate, Job
+from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
-from deadreckon.runs.recorder import StopTraining
 from deadreckon.runs.settings import RecommendSettings
 
 

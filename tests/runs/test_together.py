@@ -6,7 +6,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.collect import generate
 from deadreckon.report.entries import read
-from deadreckon.runs.recorder import StopTraining
+from deadreckon.runs.callback import StopTraining
 from deadreckon.training.learner import lift
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}
@@ -136,3 +136,59 @@ def test_agents_that_prepare_themselves_differ_too_also_in_what_they_prepare_wit
     alone = dr.train(agents["b"], log, out=tmp_path / "b", **options)
     np.testing.assert_allclose(together["b"].policy(X), alone.policy(X), atol=1e-3)
     assert np.abs(together["a"].policy(X) - together["b"].policy(X)).max() > 0.01
+
+
+@pytest.fixture(scope="module")
+def logs(log):
+    # Of another size, other starts and other rewards: rows, coordinates and scores all tell the logs apart.
+    other = generate("maze2d-umaze-v1", steps=900, seed=5)
+    return {"one": log, "two": other, "three": log}
+
+
+@pytest.mark.slow
+def test_runs_on_several_logs_are_lanes_of_one_program_and_each_is_the_run_that_it_would_be_alone(logs, tmp_path):
+    agents = {"one": td3_bc(), "two": td3_bc(), "three": td3_bc(alpha=0.5)}
+    several = dr.train_together(agents, logs, out=tmp_path / "all", **SETTINGS)
+    assert several["two"].config["data"]["rows"] == 900
+    assert several["two"].config["versions"]["lanes"] == 6
+    for name in ("one", "two"):
+        alone = dr.train(agents[name], logs[name], out=tmp_path / name, **SETTINGS)
+        config = {key: value for key, value in several[name].config.items() if key != "together"}
+        assert config | {"versions": None} == alone.config | {"versions": None}
+        np.testing.assert_array_equal(several[name].taught, alone.taught)
+        for kind in ("metrics", "evaluations"):
+            mine, theirs = (getattr(run, kind).to_pydict() for run in (several[name], alone))
+            assert mine.keys() == theirs.keys()
+            for column, values in theirs.items():
+                np.testing.assert_allclose(mine[column], values, rtol=2e-3, atol=2e-3, err_msg=f"{name} {column}")
+        for a, b in zip(several[name].policies, alone.policies, strict=True):
+            np.testing.assert_allclose(a(X), b(X), atol=1e-3)
+    assert np.abs(several["one"].policies[0](X) - several["two"].policies[0](X)).max() > 0.01
+    assert list(several) == ["one", "two", "three"]
+
+
+@pytest.mark.slow
+def test_several_logs_are_gone_on_with_after_a_kill(logs, tmp_path):
+    class Stop(Exception):
+        pass
+
+    def watch(progress, steps):
+        if progress.step == 20:
+            raise Stop
+
+    agents = {name: td3_bc(hidden=(8,)) for name in ("one", "two")}
+    own = {name: logs[name] for name in agents}
+    whole = dr.train_together(agents, own, out=tmp_path / "whole", **SETTINGS)
+    with pytest.raises(Stop):
+        dr.train_together(agents, own, out=tmp_path / "r", watch=watch, **SETTINGS)
+    resumed = dr.train_together(agents, own, out=tmp_path / "r", resume=True, **SETTINGS)
+    for name, run in whole.items():
+        assert resumed[name].evaluations.equals(run.evaluations)
+        for a, b in zip(resumed[name].policies, run.policies, strict=True):
+            np.testing.assert_array_equal(a(X), b(X))
+
+
+def test_a_log_is_named_for_every_agent(logs, tmp_path):
+    with pytest.raises(dr.UserError, match="data must name the log of each of one, got one, two, three"):
+        dr.train_together({"one": td3_bc()}, logs, out=tmp_path / "all", **SETTINGS)
+    assert not (tmp_path / "all").exists()

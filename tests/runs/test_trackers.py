@@ -375,6 +375,42 @@ def test_a_callback_may_raise_and_must_not_return_something_else(log, tmp_path):
         dr.train(agent(), log, out=tmp_path / "b", callback=lambda progress: 0.5, **SETTINGS)
 
 
+def test_runs_on_several_logs_are_told_of_apart_and_end_together(log, tmp_path):
+    told: dict[str, Kept] = {}
+    seen: dict[str, list[TrainingProgress]] = {}
+
+    class Told(Kept):
+        def start(self, config):
+            super().start(config)
+            told[config["name"].partition("/")[2]] = self
+
+    def look(progress):
+        seen.setdefault(progress.path.name, []).append(progress)
+        assert set(progress.evaluations.to_pydict().get("step", [])) == ({30} if progress.step >= 30 else set())
+        return progress.path.name == "two" and progress.step == 50
+
+    low, high = (dr.agents.BC(hidden=(8,), batch_size=16, lr=lr) for lr in (1e-3, 1e-2))
+    logs = {"one": log, "two": log.select(np.arange(7), name="shorter"), "three": log}
+    options = SETTINGS | {"seeds": 1, "out": tmp_path / "t", "track": Told}
+    runs = dr.train_together({"one": low, "two": low, "three": high}, logs, callback=look, **options)
+    assert told.keys() == seen.keys() == runs.keys()
+    x, losses = np.ones((4, 3), np.float32), []
+    for name, run in runs.items():
+        losses.append(run.metrics["behavior_nll"].to_pylist())
+        assert [point["train/behavior_nll"] for _, _, point in told[name].points] == losses[-1]
+        assert [each.metrics["behavior_nll"].tolist() for each in seen[name]] == [[loss] for loss in losses[-1]]
+        assert [each.step for each in seen[name]] == [step for step, _, _ in told[name].points] == [20, 30, 50]
+        np.testing.assert_array_equal(seen[name][-1].policies[0](x), run.policy(x))
+        assert [path.name for path in told[name].ended[0]] == ["run.json", "seed0.npz"]
+        assert run.config["steps"] == 50
+        assert read_json(run.path / "status.json")["finished"]
+        assert set(run.evaluations["step"].to_pylist()) == {30, 50}  # where all have ended, all are evaluated
+    assert len(set(map(tuple, losses))) == 3
+    again = dr.train_together({"one": low, "two": low, "three": high}, logs, resume=True, **options)
+    for name, run in again.items():
+        assert run.metrics["step"].to_pylist() == [step for step, _, _ in told[name].points] == [20, 30, 50, 60]
+
+
 @pytest.mark.slow
 def test_online_runs_are_tracked_from_their_first_policy_on(tmp_path):
     kept, steps = Kept(), []

@@ -235,3 +235,45 @@ def test_data_is_an_argument_of_the_program_not_a_constant():
     before = program.advance._cached._cache_size()
     fit([Collector()], TransitionSource(corridor(400, seed=1), asks), [0], 5, chunk=5)
     assert program.advance._cached._cache_size() == before
+
+
+@pytest.mark.parametrize("more", [{}, {"window": 4}, {"standardise": True}])
+def test_lanes_of_several_logs_see_the_rows_of_their_own(more):
+    asks = BatchSpec(batch_size=5, **more)
+    logs = [LOG, corridor(90, seed=1), LOG]
+    sources = {id(log): TransitionSource(log, asks) for log in logs}
+    learner, seeds = Collector(asks=asks), [3, 4, 5]
+    job = Fit([learner] * 3, [sources[id(log)] for log in logs], seeds, 12, chunk=5)
+    metrics = [progress.metrics for progress in job.chunks()]
+    for i, (log, seed) in enumerate(zip(logs, seeds)):
+        alone = fit([learner], TransitionSource(log, asks), [seed], 12, chunk=5)
+        np.testing.assert_allclose(job.states["seen"][i], alone.states["seen"][0], rtol=1e-6)
+    assert len(metrics) == 3
+    assert len(set(np.asarray(job.states["seen"]).tolist())) == 3
+
+
+def test_lanes_of_several_logs_are_prepared_on_their_own():
+    class Counted(Phased):
+        def prepare(self, state, rows, key, fit):
+            return {**super().prepare(state, rows, key, fit), "prepared": jnp.float32(rows.count)}
+
+    sources = [TransitionSource(log, BatchSpec()) for log in (LOG, corridor(90))]
+    done = fit([Counted()] * 2, sources, [0, 1], 2)
+    assert done.states["prepared"].tolist() == [source.count for source in sources]
+
+
+def test_several_logs_that_cannot_share_a_program_are_refused():
+    asks = BatchSpec(batch_size=5)
+    columns = {name: np.zeros(20) for name in ("rewards", "terminals")}
+    wide = Dataset.from_arrays(observations=np.zeros((20, 7)), actions=np.zeros((20, 1)), **columns)
+    sources = [TransitionSource(log, asks) for log in (LOG, wide)]
+    learner = Collector(asks=asks)
+    with pytest.raises(UserError, match="must have observations and actions of the same shape"):
+        Fit([learner] * 2, sources, [0, 1], 5)
+    with pytest.raises(UserError, match="one log a lane is needed, got 2 logs and 3 lanes"):
+        Fit([learner] * 3, sources, [0, 1, 2], 5)
+    initial = BatchSpec(batch_size=5, initial=5)
+    with pytest.raises(UserError, match="draws initial observations learns from one log"):
+        Fit([Collector(asks=initial)] * 2, [TransitionSource(log, initial) for log in (LOG, LOG)], [0, 1], 5)
+    with pytest.raises(UserError, match="must fit on the device together"):
+        Fit([learner] * 2, [TransitionSource(log, asks) for log in (LOG, LOG)], [0, 1], 5, stream=True)

@@ -28,6 +28,8 @@ class Event(NamedTuple):
 
 
 OnEvent = Callable[[Event], None]
+# Which of the waiting programs is begun with so many seconds left (None: no end); None: none of them, even if there is room.
+Choice = Callable[[Sequence[Program], float | None], Program | None]
 # `bench.work.perform`, which finds something of each job; a module's function, so that it travels.
 Work = Callable[[Program, Path, Progress], list[JobResult]]
 
@@ -67,7 +69,19 @@ class Executor(Protocol):
         ...
 
 
-def run(jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor, seconds: float | None = None) -> None:
+def _next(waiting: Sequence[Program], left: float | None) -> Program | None:
+    """The first of them."""
+    return waiting[0]
+
+
+def run(
+    jobs: Sequence[Job],
+    store: Store,
+    on_event: OnEvent,
+    executor: Executor,
+    seconds: float | None = None,
+    choice: Choice = _next,
+) -> None:
     """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
 
     What another command is doing in the same folder is told and left to it.
@@ -78,14 +92,21 @@ def run(jobs: Sequence[Job], store: Store, on_event: OnEvent, executor: Executor
         on_event: called with every event.
         executor: who does it; closed at the end.
         seconds: after which it ends; programs that are not done then go on from their last checkpoint another time.
+        choice: which program is begun next; where it begins none while none runs, this ends.
     """
     end = None if seconds is None else time.monotonic() + seconds
     with closing(executor):
         waiting, lost, running = deque(programs(store.undone(jobs))), Counter[str](), 0
         while (waiting or running) and (end is None or time.monotonic() < end):
             while waiting and executor.room:
-                executor.begin(waiting.popleft())
+                chosen = choice(waiting, None if end is None else end - time.monotonic())
+                if chosen is None:
+                    break
+                waiting.remove(chosen)
+                executor.begin(chosen)
                 running += 1
+            if not running:
+                return
             event = executor.wait(None if end is None else end - time.monotonic())
             if event is None:
                 continue

@@ -1,5 +1,6 @@
 """Jobs, which are cells of one run, programs of such jobs, and the methods that jobs name."""
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -68,7 +69,8 @@ class Job:
 
 @dataclass(frozen=True)
 class Program:
-    """Jobs of the same seeds that differ in float settings alone, which share a compiled program; often it is one job."""
+    """Jobs of the same seeds that share a compiled program, as they differ in float settings, or in logs of one shape, alone;
+    often it is one job."""
 
     jobs: tuple[Job, ...]
 
@@ -78,7 +80,12 @@ class Program:
         first, *others = self.jobs
         if not others:
             return first.name
-        return f"{file_name(f'{first.agent}-{first.on}')}-{digest([job.name for job in self.jobs], 10)}"
+        return f"{file_name(f'{first.agent}-{self._where}')}-{digest([job.name for job in self.jobs], 10)}"
+
+    @property
+    def _where(self) -> str:
+        logs = len({job.data for job in self.jobs})
+        return self.jobs[0].on if logs == 1 else f"{logs} logs"
 
     @property
     def lanes(self) -> int:
@@ -90,10 +97,11 @@ class Program:
         return job.name if job.name == self.name else f"{self.name}/{job.name}"
 
     def __str__(self) -> str:
-        job, others = self.jobs[0], len(self.jobs) - 1
+        job, settings = self.jobs[0], {(job.method, json.dumps(job.settings)) for job in self.jobs}
+        others = len(settings) - 1
         first, last = job.seeds[0], job.seeds[-1]
         more = f" and {others} other setting{'s' * (others > 1)} of {job.agent}" if others else ""
-        return f"{job.method}{more} on {job.on}, seed{f's {first} to {last}' if last > first else f' {first}'}"
+        return f"{job.method}{more} on {self._where}, seed{f's {first} to {last}' if last > first else f' {first}'}"
 
 
 def programs(jobs: Sequence[Job]) -> list[Program]:

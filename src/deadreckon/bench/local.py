@@ -19,15 +19,20 @@ from deadreckon.errors import UserError
 POLL = 1.0  # seconds between two looks whether somebody measures
 
 
+def cores() -> list[int]:
+    """The cores that this process may use."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
 def shares(workers: int | None, accelerator: bool) -> list[list[int]]:
     """The cores of each worker: where None says how many, one core each on a CPU, and one worker with all of them for a GPU.
 
     All have as many, because how many threads there are decides the last bits.
     """
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    workers = workers or (1 if accelerator else len(cores))
-    each = max(len(cores) // workers, 1)
-    return [[cores[(i * each + k) % len(cores)] for k in range(each)] for i in range(workers)]
+    own = cores()
+    workers = workers or (1 if accelerator else len(own))
+    each = max(len(own) // workers, 1)
+    return [[own[(i * each + k) % len(own)] for k in range(each)] for i in range(workers)]
 
 
 class Local:

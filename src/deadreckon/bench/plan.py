@@ -29,16 +29,26 @@ def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
     Raises:
         UserError: an unknown method, log, task or problem, or a setting that a method does not have.
     """
+    return _packed(_jobs(suite, lanes), _together(suite, lanes))
+
+
+def _together(suite: Suite, lanes: int | None) -> int:
+    """Cells of one program at most. Seeds of a study are called one after the other: a job of several would only lose them
+    together."""
+    return 1 if suite.kind == "study" else suite.lanes or lanes or MOST
+
+
+def _jobs(suite: Suite, lanes: int | None) -> list[Job]:
+    """All jobs of a suite, each a program of its own."""
     describe = {"learn": _learn, "online": _online, "design": _design, "ope": _ope, "study": _study}[suite.kind]
-    # Seeds of a study are called one after the other, so a job of several would only lose them together.
-    together, jobs = 1 if suite.kind == "study" else suite.lanes or lanes or MOST, []
+    together, jobs = _together(suite, lanes), []
     for on in suite.on:
         for method in suite.methods:
             one = describe(suite, method, on)
             one = dataclasses.replace(one, revisions=revisions_of(one), suite=suite.name)
             for first in range(0, suite.seeds, together):
                 jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + together, suite.seeds)))))
-    return _packed(jobs, together)
+    return jobs
 
 
 def plan_all(suites: Sequence[Suite], lanes: int | None = None) -> list[Job]:
@@ -50,11 +60,27 @@ def plan_all(suites: Sequence[Suite], lanes: int | None = None) -> list[Job]:
     return jobs
 
 
-def _packed(jobs: Sequence[Job], lanes: int) -> list[Job]:
-    """The jobs, each with the number of the program that it shares with those before it, as long as there is room."""
+def plan_across(suites: Sequence[Suite], lanes: int = MOST) -> list[Job]:
+    """All jobs of suites of kind `learn`, of which those on logs of one shape share programs, whatever their suite.
+
+    Args:
+        suites: that are run together; what they say of lanes does not count.
+        lanes: cells of one program at most.
+    """
+    return _packed([job for suite in suites for job in _jobs(dataclasses.replace(suite, lanes=lanes), lanes)], lanes, True)
+
+
+def _packed(jobs: Sequence[Job], lanes: int, across: bool = False) -> list[Job]:
+    """The jobs, each with the number of the program that it shares with those before it, as long as there is room.
+
+    Args:
+        jobs: of one plan.
+        lanes: cells of one program at most.
+        across: whether jobs on different logs may share one.
+    """
     out, room = [], {}
     for i, job in enumerate(jobs):
-        key = _shape(job) if len(job.seeds) < lanes else None
+        key = _shape(job, across) if len(job.seeds) < lanes else None
         program, left = room.get(key, (i, 0))
         if left < len(job.seeds):
             program, left = i, lanes
@@ -64,8 +90,10 @@ def _packed(jobs: Sequence[Job], lanes: int) -> list[Job]:
     return out
 
 
-def _shape(job: Job) -> str | None:
+def _shape(job: Job, across: bool) -> str | None:
     """What jobs of one program have in common; None of a job that shares none.
+
+    With `across` that is not their log but its shape, which is known of logs of tasks before they are read.
 
     Online only seeds are lanes: experience is made with the settings of one agent.
     """
@@ -81,7 +109,19 @@ def _shape(job: Job) -> str | None:
     # A number left to the agent (None) may leave a term out, so it is not the same program as one that is given.
     given = [(f, job.settings[f.name]) for f in dataclasses.fields(agent)]
     fixed = {f.name: value for f, value in given if f.metadata.get("static") or value is None}
-    return json.dumps([job.agent, fixed, job.on, job.data, job.options, job.seeds])
+    log = (across and _log_shape(agent, job)) or [job.on, job.data]
+    return json.dumps([job.agent, fixed, log, job.options, job.seeds])
+
+
+def _log_shape(agent: Any, job: Job) -> list[Any] | None:
+    """Sizes of observations and actions of a job's log; None where it shares a program with no other log's."""
+    from deadreckon.data.spec import Spec
+    from deadreckon.tasks.registry import of_log
+
+    task = of_log(job.on)
+    if task is None or agent.needs(Spec.empty(task.observation_shape, task.action_space, "any")).initial:
+        return None
+    return [*task.observation_shape, repr(task.action_space)]
 
 
 def _fields(made: Any) -> dict[str, Any]:

@@ -105,7 +105,8 @@ def _learn_together(program: Program, folder: Path, watch: Progress) -> list[Job
 
     first = program.jobs[0]
     agents = {job.name: agent_of(job) for job in program.jobs}
-    runs = train_together(agents, _log(first), out=folder, **_options(first, watch))
+    logs = {data: _log(job) for data, job in {job.data: job for job in program.jobs}.items()}
+    runs = train_together(agents, {job.name: logs[job.data] for job in program.jobs}, out=folder, **_options(first, watch))
     return [_result(job, runs[job.name]) for job in program.jobs]
 
 

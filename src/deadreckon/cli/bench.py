@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from deadreckon.cli.lines import Lines
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
 
@@ -27,8 +28,9 @@ class Bench:
     time: Annotated[str | None, tyro.conf.arg(name="for")] = None
     """time after which to stop, such as 90s, 30m, 8h; the same command continues later; None: until all is done"""
     idle: bool = False  # use only idle processor time, and pause while a benchmark takes measurements
+    gpu: bool = False  # fill one GPU for the time of --for with cells that learn from logs, at full size where that fits
     executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine (local), or a Ray cluster
-    workers: int | None = None  # number of processes (local); None: one per core, or one for a GPU
+    workers: int | None = None  # number of processes (local); None: one per core, or one for a GPU (with --gpu, up to 8)
     address: str | None = None  # address of the Ray cluster; None: RAY_ADDRESS, one on this machine, or a new one
     cpus: int = 1  # cores per job (ray)
     gpus: float = 0.0  # GPUs per job (ray); a fraction if several jobs share a GPU
@@ -58,7 +60,8 @@ def bench(args: Sequence[str]) -> None:
         return _list(args[1:])
     if args and args[0] == "show":
         return _show(args[1:])
-    return _run(parse(Bench, args, "bench"))
+    options = parse(Bench, args, "bench")
+    return _fill(options) if options.gpu else _run(options)
 
 
 def _list(args: Sequence[str]) -> None:
@@ -84,6 +87,18 @@ def _show(args: Sequence[str]) -> None:
         if len(suites) > 1:
             print(f"\n{suite.name}: {suite.about}\n")
         print(rendered(tables(suite, plan(suite), store, options.any_revision), options.format))
+
+
+def _fill(options: Bench) -> None:
+    from deadreckon.cli.gpu import fill
+    from deadreckon.runs.durations import seconds_of
+
+    for name, default in (("full", False), ("idle", False), ("executor", "local"), ("address", None)):
+        if getattr(options, name) != default:
+            raise UserError(f"--{name} does not go with --gpu, which runs local processes and chooses each cell's size itself")
+    if options.time is None:
+        raise UserError("--gpu fills a limited time; say how long by --for, such as --for 40m")
+    fill(options.suite, Path(options.out), seconds_of(options.time), options.workers, options.dry_run)
 
 
 def _run(options: Bench) -> None:
@@ -156,29 +171,6 @@ def _executor(options: Bench):
         if getattr(options, name) != default:
             raise UserError(f"--{name} is of --executor ray")
     return Local(Path(options.out), options.workers, idle=options.idle)
-
-
-class Lines:
-    """Tells what happens: a line a job that begins, ends or fails."""
-
-    def __init__(self, total: int):
-        self.total, self.done = total, 0
-
-    def __call__(self, event) -> None:
-        """Tells an event."""
-        if event.what == "done":
-            self.done += 1
-            seconds = event.payload[0].rows[0]["seconds"]
-            print(f"{self.done} of {self.total}: {event.program}, {seconds:,.0f} s", flush=True)
-        elif event.what == "failed":
-            print(f"FAILED: {event.program}: {event.payload[0]}", flush=True)
-        elif event.what == "elsewhere":
-            print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
-        elif event.what == "split":
-            self.total += len(event.program.jobs) - 1
-            print(f"{event.program}: {event.payload}; its settings go on one by one", flush=True)
-        elif event.what == "died":
-            print(f"{event.program}: its process ended ({event.payload}); it is begun again where it was", flush=True)
 
 
 def _page(suite, jobs, store):

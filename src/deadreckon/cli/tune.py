@@ -53,7 +53,8 @@ def tune(args: Sequence[str]) -> None:
     from deadreckon.bench.local import Local
     from deadreckon.bench.plan import plan
     from deadreckon.bench.store import Store
-    from deadreckon.cli.bench import Lines, announce
+    from deadreckon.cli.bench import announce
+    from deadreckon.cli.lines import Lines
     from deadreckon.cli.progress import Watch
     from deadreckon.ope.coverage import MODEL
     from deadreckon.ope.registry import with_fields

@@ -44,7 +44,8 @@ from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, too_few, usual
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
-from deadreckon.runs.train import Run, judge_of, train
+from deadreckon.runs.together import judge_of
+from deadreckon.runs.train import Run, train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 

@@ -22,7 +22,7 @@ from deadreckon.online.experience import experience_of
 from deadreckon.online.mixed import check_agent
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
-from deadreckon.runs.recorder import Recorder
+from deadreckon.runs.recorder import Recorder, follow
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
 from deadreckon.runs.started import Beside, Start, beside, start_of
 from deadreckon.runs.trackers.feed import tracked
@@ -153,7 +153,7 @@ def _train_online(
                 recorder.judge_now(0)
             else:
                 recorder.catch_up()
-            recorder.follow(asked, tracking)
+            follow(job, [recorder], asked, tracking)
     finally:
         recorder.close()
     return load(folder.path)

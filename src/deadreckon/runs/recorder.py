@@ -1,5 +1,6 @@
 """What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
 
+import contextlib
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -25,9 +26,20 @@ from deadreckon.runs.settings import RunSettings
 from deadreckon.runs.trackers.feed import Tracking
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
+from deadreckon.training.part import Part
 
 RECORDED = 8  # episodes per policy whose observations are kept for pictures
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
+
+
+def _beside_training() -> contextlib.AbstractContextManager[Any]:
+    """Puts what policies compute on the processor: on an accelerator each of their actions would wait for a chunk to end."""
+    if jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:  # JAX_PLATFORMS names the accelerator alone
+        return contextlib.nullcontext()
 
 
 def _nothing(policy: EnvPolicy) -> dict[str, float]:
@@ -42,7 +54,7 @@ class Recorder:
 
     Args:
         folders: of the runs that share the fit, in the order of its lanes, which are as many for each.
-        job: the fit.
+        job: the fit, or its lanes that learn from one log.
         judge: where policies are judged, if anywhere.
         log: that is learned from; None online.
         every: updates between evaluations.
@@ -53,7 +65,7 @@ class Recorder:
     """
 
     def __init__(
-        self, folders: Sequence[Folder], job: Fit, judge: Task | None, log: Dataset | None, every: int, episodes: int,
+        self, folders: Sequence[Folder], job: Fit | Part, judge: Task | None, log: Dataset | None, every: int, episodes: int,
         taught: np.ndarray, held: np.ndarray | None = None, history: int = 1,
     ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
@@ -61,7 +73,7 @@ class Recorder:
         self.every, self.episodes, self.taught, self.held = every, episodes, taught, held
         self.read = {} if log is None else {"log": noted(log)}
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
-        self.history, self.spec = history, job.rows.spec if log is None else log.spec
+        self.history, self.spec = history, job.each[0].spec if log is None else log.spec
         self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to stay near to
         self.pool = ThreadPoolExecutor(1)
         self.pending: list[Future] = []
@@ -70,7 +82,7 @@ class Recorder:
 
     def policies(self) -> list[EnvPolicy]:
         """The lanes' present policies."""
-        view = self.job.rows.view
+        view = self.job.each[0].view
         lanes = range(len(self.job.seeds))
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
         return [
@@ -109,29 +121,7 @@ class Recorder:
         """A run's part of columns that have `each` rows per lane."""
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
-    def follow(self, settings: RunSettings, tracking: Sequence[Tracking] = ()) -> None:
-        """Walks the fit to its end: every chunk is recorded, then told to trackers, watcher and callback, which may end it."""
-        for each in tracking:
-            each.start()
-        for progress in self.job.chunks():
-            self.record(progress)
-            for each in tracking:
-                each.told(progress.step)
-            try:
-                settings.watch(progress, self.job.steps)
-                if settings.callback is not None and any([ends(settings.callback, each) for each in self._seen(progress)]):
-                    raise StopTraining
-            except StopTraining:
-                self.job.steps = progress.step
-                for folder in self.folders:
-                    folder.shorten(progress.step)
-                if progress.step not in self._kept():
-                    self.judge_now(progress.step)
-                self.job.save()
-                break
-        self.finish()
-
-    def _seen(self, progress: Chunk) -> list[TrainingProgress]:
+    def seen(self, progress: Chunk) -> list[TrainingProgress]:
         """What a callback sees of each run."""
         every = []
         for run, folder in enumerate(self.folders):
@@ -162,7 +152,7 @@ class Recorder:
         if (acted := self.job.source.environment_steps) is not None:
             columns["environment_steps"] = np.full(len(seeds), acted)
         self._write("metrics", progress.step, columns | progress.metrics)
-        if progress.step % self.every == 0 or progress.step == self.job.steps or all(progress.failures):
+        if progress.step % self.every == 0 or progress.step == self.job.steps or self.job.ended:
             self.judge_now(progress.step)
         self._status(progress.step, finished=False)
 
@@ -184,7 +174,7 @@ class Recorder:
             seen, acting = self.starts, [memoryless(policy) for policy in policies]
             if self.history > 1:
                 seen = beginning(np.asarray(seen, np.float32), self.spec.action_size, self.history)
-            values = estimated_values(self.job.learner, self.job.states, self.job.rows.view, acting, seen)
+            values = estimated_values(self.job.learner, self.job.states, self.job.each[0].view, acting, seen)
         for i, (path, seed, policy) in enumerate(zip(self._paths(step), self.job.seeds, policies)):
             meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step, **self.read}
             if values is not None:
@@ -195,6 +185,10 @@ class Recorder:
         self.pending.append(self.pool.submit(self._judge, step))
 
     def _judge(self, step: int) -> None:
+        with _beside_training():
+            self._judge_beside(step)
+
+    def _judge_beside(self, step: int) -> None:
         paths = self._paths(step)
         policies = [store.load(path) for path in paths]
         metas = [store.meta(path) for path in paths]
@@ -240,6 +234,46 @@ class Recorder:
                 store.save(path, policy, meta, taught=self.taught, held=self.held)
         self._status(self.job.step, finished=True)
 
+    def end_at(self, step: int) -> None:
+        """Ends the run with the present policies, after fewer updates than were asked for."""
+        for folder in self.folders:
+            folder.shorten(step)
+        if step not in self._kept():
+            self.judge_now(step)
+
     def close(self) -> None:
         """Lets evaluations that have begun end, and forgets the others: `catch_up` does them."""
         self.pool.shutdown(wait=True, cancel_futures=True)
+
+
+def follow(job: Fit, recorders: Sequence[Recorder], settings: RunSettings, tracking: Sequence[Tracking] = ()) -> None:
+    """Walks a fit to its end: every chunk is recorded, then told to trackers, watcher and callback, which may end all its runs.
+
+    Args:
+        job: the fit.
+        recorders: of the fit, or of parts of it.
+        settings: `watch` is called once a chunk, `callback` for every run.
+        tracking: of the runs that have trackers.
+    """
+    for each in tracking:
+        each.start()
+    for progress in job.chunks():
+        parts = [recorder.job.of(progress) if isinstance(recorder.job, Part) else progress for recorder in recorders]
+        for recorder, part in zip(recorders, parts):
+            recorder.record(part)
+        for each in tracking:
+            each.told(progress.step)
+        try:
+            settings.watch(progress, job.steps)
+            if settings.callback is not None:
+                seen = [each for recorder, part in zip(recorders, parts) for each in recorder.seen(part)]
+                if any([ends(settings.callback, each) for each in seen]):
+                    raise StopTraining
+        except StopTraining:
+            job.steps = progress.step
+            for recorder in recorders:
+                recorder.end_at(progress.step)
+            job.save()
+            break
+    for recorder in recorders:
+        recorder.finish()

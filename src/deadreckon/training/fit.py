@@ -3,6 +3,8 @@
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -71,17 +73,19 @@ class Fit:
 
     Attributes:
         learners: one per lane, alike in everything but float fields.
-        rows: the log or the designs as the learners need them, or experience that grows while they learn.
+        rows: the log or the designs as the learners need them, or experience that grows while they learn; or a sequence of logs
+            of one shape, one a lane.
         seeds: one per lane.
         steps: updates in all.
         chunk: most updates between two looks from outside; also what a kill can lose.
         folder: of the checkpoints; None keeps nothing on disk.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
         stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
+        each: what every lane learns from: `rows`, or its own of them.
     """
 
     learners: Sequence[Any]
-    rows: BatchSource | Experience
+    rows: BatchSource | Experience | Sequence[BatchSource]
     seeds: Sequence[int]
     steps: int
     chunk: int = 1000
@@ -94,8 +98,11 @@ class Fit:
             raise UserError(f"steps and chunk must be >= 1, got {self.steps} and {self.chunk}")
         if len(self.learners) != len(self.seeds) or not self.seeds:
             raise UserError(f"one learner a seed is needed, got {len(self.learners)} and {len(self.seeds)}")
-        needs, spec = self.rows.needs, self.rows.spec
-        if any(learner.needs(spec) != needs for learner in self.learners):
+        if isinstance(self.rows, Sequence) and len(self.rows) != len(self.seeds):
+            raise UserError(f"one log a lane is needed, got {len(self.rows)} logs and {len(self.seeds)} lanes")
+        self.each = self.rows if isinstance(self.rows, Sequence) else [self.rows] * len(self.seeds)
+        needs = self.each[0].needs
+        if any(needs != own.needs or needs != learner.needs(own.spec) for learner, own in zip(self.learners, self.each)):
             raise UserError("lanes of one program must need the same batches (discount with n-step rows, standardisation)")
         if self.stops:
             self.chunk = min(self.chunk, self.stops)
@@ -107,10 +114,24 @@ class Fit:
         # Chunks and pauses end where blocks do, so that neither changes when a policy acts.
         block = self.source.block
         self.steps, self.chunk, self.stops = (-(-n // block) * block for n in (self.steps, self.chunk, self.stops))
-        by_shape = getattr(type(self.learners[0]), "init_by_shape", False)
-        self.states = begin(self.learner, shape_of(spec) if by_shape else spec, self.roots)
+        self.states = self._first_states()
         self.failures: tuple[Failure | None, ...] = (None,) * len(self.seeds)
         self.step = 0
+
+    def _first_states(self) -> Any:
+        """(lanes, ...) states before the first update; those of lanes of one log are one program."""
+        by_shape, parts, end = getattr(type(self.learners[0]), "init_by_shape", False), [], 0
+        for _, lanes in groupby(self.each, id):
+            start, end = end, end + len(list(lanes))
+            spec = self.each[start].spec
+            own = self.learner if end - start == len(self.seeds) else lift(self.learners[start:end])
+            parts.append(begin(own, shape_of(spec) if by_shape else spec, self.roots[start:end]))
+        return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+    @property
+    def ended(self) -> bool:
+        """Whether all lanes have failed."""
+        return all(self.failures)
 
     def resume(self) -> None:
         """Takes up the newest whole checkpoint in `folder`; a broken one is passed over for the one before it."""
@@ -141,7 +162,7 @@ class Fit:
         with self.source as source:
             if self.step == 0:
                 self.save()
-            while self.step < self.steps and not all(self.failures):
+            while self.step < self.steps and not self.ended:
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
                 stop = self._stop(self.step)
@@ -183,20 +204,18 @@ class Fit:
         return {name: np.where(healthy, np.asarray(value, np.float64), np.nan) for name, value in means.items()}
 
     def _prepare(self) -> None:
-        assert isinstance(self.rows, TransitionSource)  # `__post_init__` has refused anything else
-        log = self.rows.log
-
-        def inner(learner: Any, steps: int, key: PRNGKeyArray) -> Any:
-            seed, spec = int(jax.random.bits(key, dtype=jnp.uint32)), self.rows.spec
+        def inner(own: TransitionSource, learner: Any, steps: int, key: PRNGKeyArray) -> Any:
+            seed, spec = int(jax.random.bits(key, dtype=jnp.uint32)), own.spec
             learner = learner.resolve(spec, steps) if hasattr(learner, "resolve") else learner
-            rows = TransitionSource(log, learner.needs(spec))
+            rows = TransitionSource(own.log, learner.needs(spec))
             result = fit([learner], rows, [seed], steps, chunk=self.chunk, stream=self.stream)
             if result.failures[0] is not None:
                 raise DivergedError(f"{result.failures[0].metric}: not finite")
             return result.lane(0)
 
         lanes, failures = [], list(self.failures)
-        for i, learner in enumerate(self.learners):
+        for i, (learner, own) in enumerate(zip(self.learners, self.each)):
+            assert isinstance(own, TransitionSource)  # `__post_init__` has refused anything else
             key = key_for(self.roots[i], "prepare", self.step)
             state = jax.tree.map(lambda leaf, i=i: leaf[i], self.states)
             # The first preparation may take hours: a kill loses that of one lane only.
@@ -206,7 +225,7 @@ class Fit:
                     if kept is not None and kept.exists():
                         state = load_tree(kept, state)[0]
                     else:
-                        state = learner.prepare(state, self.rows, key, inner)
+                        state = learner.prepare(state, own, key, partial(inner, own))
                         if kept is not None:
                             save_tree(kept, state, {})
                 except DivergedError as error:  # what diverged stands before the colon
@@ -251,7 +270,7 @@ def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
 
 def fit(
     learners: Sequence[Any],
-    rows: BatchSource,
+    rows: BatchSource | Sequence[BatchSource],
     seeds: Sequence[int],
     steps: int,
     *,

@@ -126,21 +126,24 @@ def advance(
 
     The log is an argument, never a closure (that would be compiled in). Nothing is donated: the states from before the
     chunk are what a failed lane falls back to, for one copy of the states a chunk. Where rows of a log stand beside the lanes'
-    own, `data` holds them as "logged", with their number.
+    own, `data` holds them as "logged", with their number; where lanes learn from different logs, "spans" has for each lane the
+    first of its rows and how many there are.
 
     Returns:
         The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none).
     """
     single = roots.shape[0] == 1
     logged, known = data.get("logged", ({}, 0))
-    data = {name: column for name, column in data.items() if name != "logged"}
+    spans = data.get("spans")
+    data = {name: column for name, column in data.items() if name not in ("logged", "spans")}
 
     if single and plan.grows:  # before the loop, where it costs nothing
         data = {name: column.reshape(column.shape[1:]) for name, column in data.items()}
 
-    def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, step: Array) -> tuple[Any, dict[str, Array]]:
+    def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, span: Any, step: Array) -> tuple[Any, dict[str, Array]]:
         if plan.resident:
-            index = draw(plan, root, step, rows)
+            first, count = (0, rows) if span is None else span
+            index = first + draw(plan, root, step, count)
             own = fetched if plan.grows and not single else data
             fetched = {name: column[index] for name, column in own.items()}
             if plan.logged:
@@ -158,9 +161,9 @@ def advance(
             fetched = data
         if single:  # a lane axis of one would make every product a batched one
             squeeze = lambda tree: jax.tree.map(lambda x: x[0], tree)  # noqa: E731
-            out = one(squeeze(learner), squeeze(states), roots[0], squeeze(fetched), step)
+            out = one(squeeze(learner), squeeze(states), roots[0], squeeze(fetched), squeeze(spans), step)
             return jax.tree.map(lambda x: x[None], out)
-        return jax.vmap(one, (0, 0, 0, 0, None))(learner, states, roots, fetched, step)
+        return jax.vmap(one, (0, 0, 0, 0, 0, None))(learner, states, roots, fetched, spans, step)
 
     def body(step: Array, carry: Any) -> Any:
         states, sums, bad = carry

@@ -1,7 +1,7 @@
 """Where the rows of batches come from: the device, the host, or experience that grows while learners learn."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from deadreckon.data.batch import BatchSource
+from deadreckon.errors import UserError
 from deadreckon.training.program import Column, Plan, indices, layout_of, pack
 from deadreckon.training.replay import Experience
 
@@ -79,7 +80,7 @@ class Resident(Source):
         self.data: dict[str, Any] = {}
 
     def __enter__(self):
-        self.data = jax.device_put(packed_rows(self.rows, self.plan.layout))
+        self.data = jax.device_put(packed_rows([self.rows], self.plan.layout))
         return self
 
     def __exit__(self, *_):
@@ -88,6 +89,33 @@ class Resident(Source):
     def advance(self, update, learner, states, start, stop, end):
         """See `Source`."""
         return update(states, self.data, start, stop, self.rows.count)
+
+
+class ResidentLogs(Source):
+    """Logs of one shape, one after the other on the device: each lane draws from the rows of its own.
+
+    Args:
+        rows: one a lane, the same object for lanes of the same log.
+        plan: what shapes the compiled program.
+    """
+
+    def __init__(self, rows: Sequence[BatchSource], plan: Plan):
+        self.plan, self.logs = plan, list({id(own): own for own in rows}.values())
+        first = dict(zip(map(id, self.logs), np.cumsum([0, *(own.count for own in self.logs)])))
+        spans = [first[id(own)] for own in rows], [own.count for own in rows]
+        self.spans = tuple(np.asarray(part, np.int32) for part in spans)
+        self.data: dict[str, Any] = {}
+
+    def __enter__(self):
+        self.data = jax.device_put(packed_rows(self.logs, self.plan.layout) | {"spans": self.spans})
+        return self
+
+    def __exit__(self, *_):
+        self.data = {}
+
+    def advance(self, update, learner, states, start, stop, end):
+        """See `Source`."""
+        return update(states, self.data, start, stop, 0)  # how many rows there are, the spans say for each lane
 
 
 class Streamed(Source):
@@ -158,51 +186,79 @@ class Growing(Source):
         return self.experience.environment_steps
 
 
-def source_of(rows: BatchSource | Experience, roots: Key[Array, "lanes"], chunk: int, stream: bool | None) -> Source:
+def source_of(
+    rows: BatchSource | Experience | Sequence[BatchSource], roots: Key[Array, "lanes"], chunk: int, stream: bool | None
+) -> Source:
     """The source for these rows.
 
     Args:
-        rows: a log or designs, or experience.
+        rows: a log or designs, or experience; or several logs, one a lane.
         roots: (lanes,) keys of the lanes.
         chunk: most updates of a chunk.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
+
+    Raises:
+        UserError: several logs that cannot share a program.
     """
+    if isinstance(rows, Sequence):
+        return _several(rows, stream)
     needs, layout = rows.needs, layout_of(rows.fields)
     if isinstance(rows, Experience):
         shape = needs.batch_size, needs.window, needs.initial
         return Growing(rows, Plan(layout, *shape, resident=True, grows=True, logged=rows.logged), roots)
-    resident = not stream if stream is not None else _fits(rows)
+    resident = not stream if stream is not None else _fits(rows.nbytes)
     plan = Plan(layout, needs.batch_size, needs.window, needs.initial, resident=resident, grows=False)
     return Resident(rows, plan) if resident else Streamed(rows, plan, roots, chunk)
 
 
-def _room(rows: BatchSource) -> int:
+def _several(rows: Sequence[BatchSource], stream: bool | None) -> Source:
+    """The source for lanes that learn from different logs.
+
+    Raises:
+        UserError: the logs differ in the shape of their rows, draw initial observations, or do not fit on the device.
+    """
+    first, logs = rows[0], list({id(own): own for own in rows}.values())
+    layout = layout_of(first.fields)
+    if any(layout_of(own.fields) != layout for own in logs):
+        raise UserError("logs of one program must have observations and actions of the same shape")
+    if first.needs.initial:
+        raise UserError("a method that draws initial observations learns from one log in all lanes")
+    if stream or not _fits(sum(own.nbytes for own in logs)):
+        raise UserError("several logs of one program must fit on the device together; train on them one by one")
+    return ResidentLogs(rows, Plan(layout, first.needs.batch_size, first.needs.window, 0, resident=True, grows=False))
+
+
+def _room(logs: Sequence[BatchSource]) -> int:
     """Rows of the arrays on the device: rounded up by an eighth at the most, so that logs of about one size share a program."""
-    if rows.nbytes > ROUNDED:
-        return rows.count
-    step = 1 << max((rows.count - 1).bit_length() - 4, 0)
-    return -(-rows.count // step) * step
+    count = sum(rows.count for rows in logs)
+    if sum(rows.nbytes for rows in logs) > ROUNDED:
+        return count
+    step = 1 << max((count - 1).bit_length() - 4, 0)
+    return -(-count // step) * step
 
 
-def packed_rows(rows: BatchSource, layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
-    """All rows as `pack` gives them, made block by block so that a second copy of them never is in memory."""
+def packed_rows(logs: Sequence[BatchSource], layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
+    """All rows of one log after the other as `pack` gives them, made block by block: no second copy of them is in memory."""
     out: dict[str, np.ndarray] = {}
-    room = _room(rows)
-    for start in range(0, rows.count, BLOCK):
-        part = pack(rows.take(np.arange(start, min(start + BLOCK, rows.count))), layout, 1)
-        for name, column in part.items():
-            if name not in out:
-                out[name] = np.zeros((room, *column.shape[1:]), column.dtype)
-            out[name][start : start + len(column)] = column
+    room, offset = _room(logs), 0
+    for rows in logs:
+        for start in range(0, rows.count, BLOCK):
+            part = pack(rows.take(np.arange(start, min(start + BLOCK, rows.count))), layout, 1)
+            for name, column in part.items():
+                if name not in out:
+                    out[name] = np.zeros((room, *column.shape[1:]), column.dtype)
+                out[name][offset + start : offset + start + len(column)] = column
+        offset += rows.count
     return out
 
 
-def _fits(rows: BatchSource) -> bool:
+def _fits(size: int) -> bool:
+    """Whether so many bytes may lie on the device."""
     stats = jax.devices()[0].memory_stats()
     if stats and "bytes_limit" in stats:
-        return rows.nbytes < RESIDENT_SHARE * stats["bytes_limit"]
+        return size < RESIDENT_SHARE * stats["bytes_limit"]
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return rows.nbytes < RESIDENT_SHARE * memory
+    return size < RESIDENT_SHARE * memory
 
 
 def _earliest(steps: list[np.ndarray]) -> np.ndarray:

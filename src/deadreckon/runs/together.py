@@ -1,0 +1,171 @@
+"""Runs on logs that are lanes of one compiled program, each with a folder of its own."""
+
+import dataclasses
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from deadreckon.agents import agent_name
+from deadreckon.agents.agent import Agent
+from deadreckon.data.batch import TransitionSource
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.history import stacked
+from deadreckon.errors import UserError
+from deadreckon.runs.diagnostics import logged_value
+from deadreckon.runs.folder import Folder
+from deadreckon.runs.holdout import Divided, divided
+from deadreckon.runs.lanes import fields_of
+from deadreckon.runs.recorder import Recorder, follow
+from deadreckon.runs.settings import TrainSettings
+from deadreckon.runs.trackers.feed import tracked
+from deadreckon.runs.trackers.tracker import trackers_of
+from deadreckon.tasks.registry import of_log
+from deadreckon.tasks.registry import task as find_task
+from deadreckon.tasks.task import Task
+from deadreckon.training.fit import Fit
+from deadreckon.training.part import Part
+from deadreckon.training.revisions import of_learning, revisions
+from deadreckon.versions import versions
+
+
+class _Learned(NamedTuple):
+    """A log, and the runs on it."""
+
+    log: Dataset
+    judge: Task | None
+    part: Divided
+    rows: TransitionSource
+    folders: list[Folder]
+    lanes: list[Agent]
+
+
+def train_lanes(
+    asked: Mapping[Path, tuple[Dataset, Sequence[Agent]]],
+    out: Path,
+    steps: int,
+    seed: int,
+    task: Any,
+    settings: TrainSettings,
+) -> None:
+    """Trains runs to their end, all lanes as one program.
+
+    Args:
+        asked: run folder -> its log and its agents, which have a seed each, as many in every run.
+        out: where checkpoints lie: the run's folder, or what is above those of several runs.
+        steps: updates of each run.
+        seed: the first random seed of each run.
+        task: the simulator to evaluate in, see `train`; None takes that of a known log; False: none.
+        settings: how runs are evaluated and kept.
+
+    Raises:
+        UserError: input that does not fit, in one line; nothing is written then.
+    """
+    resume, logs, grouped = settings.resume, {}, {}
+    trackers = trackers_of(settings.track, len(asked))
+    for path, (log, own) in asked.items():
+        key = log.name, log.fingerprint
+        logs[key] = log
+        grouped.setdefault(key, {})[path] = own
+    first = Folder(next(iter(asked)))
+    before = first.read_config() if resume and first.config.exists() else None
+    learned: list[_Learned] = []
+    for key, runs in grouped.items():
+        log, agents = logs[key], list(runs.values())
+        judge = judge_of(log, task)
+        log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
+        part = divided(log, settings.holdout, judge, before)
+        seen = stacked(part.learning, settings.history)
+        for each in agents:
+            if settings.history > 1 and not each[0].supports_history:
+                raise UserError(f"{type(each[0]).__name__} takes no histories: {each[0].own_history}; leave history at 1")
+        lanes = [lane.resolve(seen.spec, steps) for each in agents for lane in each]
+        rows = TransitionSource(seen, lanes[0].needs(seen.spec))
+        learned.append(_Learned(log, judge, part, rows, [Folder(path) for path in runs], lanes))
+
+    lanes = [lane for one in learned for lane in one.lanes]
+    folders = [folder for one in learned for folder in one.folders]
+    seeds = len(lanes) // len(folders)
+    numbers = list(range(seed, seed + seeds))
+    every = min(settings.evaluate_every or first.period(resume) or max(steps // 10, 1), steps)
+    common: dict[str, Any] = {
+        "seeds": numbers,
+        "steps": steps,
+        "evaluation": {"every": every, "episodes": settings.episodes},
+        "revisions": of_learning() | {"method": revisions(lanes[0])},
+    }
+    if settings.history > 1:
+        common["history"] = settings.history
+    if out != folders[0].path:
+        common["together"] = [folder.path.name for folder in folders]
+    configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
+    configs = [json.loads(json.dumps(config, default=str)) for config in configs]
+    kept = Folder(out).checkpoints
+    if out != folders[0].path and kept.exists() and not all(folder.config.exists() for folder in folders):
+        raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
+    # Built before anything is written: whatever does not fit is told while the disk is untouched.
+    own = learned[0].rows if len(learned) == 1 else [one.rows for one in learned for _ in one.lanes]
+    job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, stream=settings.stream, stops=every)
+    told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
+    for text in dict.fromkeys(told):
+        warnings.warn(text, stacklevel=3)
+    parts = [one.part for one in learned for _ in one.folders]
+    for folder, config, part in zip(folders, configs, parts):
+        folder.begin(config)
+        folder.note_episodes(part.taught, part.held)
+    job.resume()
+    for folder, config in zip(folders, configs):
+        folder.lengthen(config)
+        folder.drop_after(job.step)
+
+    recorders, start = [], 0
+    try:
+        for one in learned:
+            lanes_of_log = slice(start, start := start + len(one.lanes))
+            recorders.append(
+                Recorder(
+                    one.folders, job if len(learned) == 1 else Part(job, lanes_of_log), one.judge, one.part.learning, every,
+                    settings.episodes, one.part.taught, one.part.held, settings.history,
+                )
+            )  # fmt: skip
+        with tracked(folders, trackers) as tracking:
+            for one, recorder in zip(learned, recorders):
+                recorder.picture(one.part.learning)
+                recorder.catch_up()
+            follow(job, recorders, settings, tracking)
+    finally:
+        for recorder in recorders:
+            recorder.close()
+
+
+def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:
+    """What `run.json` says of each run on a log, which has `seeds` of the `lanes` of the program."""
+    log, judge, part = one.log, one.judge, one.part
+    own = {
+        "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
+                 "holdout": part.told, "usable": one.rows.count, "warnings": log.warnings,
+                 "behavior": None if judge is None else logged_value(log, judge),
+                 "provenance": dataclasses.asdict(log.provenance)},
+        "task": None if judge is None else judge.name,
+        "versions": versions() | {"lanes": lanes, **({} if judge is None else judge.versions)},
+    }  # fmt: skip
+    runs = [one.lanes[start : start + seeds] for start in range(0, len(one.lanes), seeds)]
+    return [{"agent": {"name": agent_name(agents[0]), "fields": fields_of(agents)}, **own} for agents in runs]
+
+
+def judge_of(log: Dataset, task: Any) -> Task | None:
+    """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
+
+    Raises:
+        UserError: it shows other observations than the log has.
+    """
+    if task is False:
+        return None
+    judge = of_log(log.name) if task is None else find_task(task)
+    if judge is not None and judge.observation_shape != log.spec.observation_shape:
+        raise UserError(
+            f"{judge.name} shows observations of shape {judge.observation_shape}, "
+            f"{log.name} has {log.spec.observation_shape}"
+        )
+    return judge
