@@ -81,7 +81,7 @@ def test_a_planner_survives_its_file(tmp_path):
     store.save(tmp_path / "p.npz", policy)
     seen = np.ones((3, 2), np.float32)
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(seen), policy(seen))
-    with pytest.raises(ValueError, match="unknown kind of policy 'Planner'"):
+    with pytest.raises(ValueError, match="is of the kind Planner, which numpy alone does not play"):
         load_portable(tmp_path / "p.npz")(seen)
 
 
