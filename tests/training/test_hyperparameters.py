@@ -23,7 +23,7 @@ MADE = {
 }
 # Numbers of any sign.
 FREE = {
-    "log_ratio_range", "min_gap", "min_target", "multiplier_max", "multiplier_min", "return_range", "reward_shift",
+    "kappa", "log_ratio_range", "min_gap", "min_target", "multiplier_max", "multiplier_min", "return_range", "reward_shift",
     "target_entropy", "target_return", "threshold",
 }  # fmt: skip
 

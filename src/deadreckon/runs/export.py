@@ -77,7 +77,10 @@ def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
     if MEMBER in function.inputs:
         given.append(jax.ShapeDtypeStruct((count,), jnp.int32))
     made = exporting.export(jax.jit(function.call), platforms=("cpu", "cuda", "tpu"))(*given)
-    (folder / "policy.stablehlo").write_bytes(made.serialize())
+    try:
+        (folder / "policy.stablehlo").write_bytes(made.serialize())
+    except ImportError as error:
+        raise UserError(f"the format stablehlo needs flatbuffers ({error}): pip install 'deadreckon[export]'") from error
     write_json(folder / ENCODING, dict(one.told))
     again = exporting.deserialize(bytearray((folder / "policy.stablehlo").read_bytes()))
     values = (rows.observations, rows.member) if MEMBER in function.inputs else (rows.observations,)
