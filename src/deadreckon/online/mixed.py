@@ -141,7 +141,8 @@ class Returns:
         Args:
             first: row.
             reward: of each row.
-            terminal, timeout: (l, n) truth values.
+            terminal: (l, n) truth values.
+            timeout: (l, n) truth values.
 
         Returns:
             The first row whose values are others now.
