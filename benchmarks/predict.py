@@ -4,7 +4,7 @@
 
 Two layers of 256 units, twelve columns (`table_policy.py`). Times are those of `predict` from rows to named actions, in this
 process; the median and the quartiles of many calls. Where other work shares the cores, the processor time is less. Exit code 1:
-one row took 1 ms of it or more, or a data frame 100 ms.
+by numpy and by the clock, in the median, one row took 1 ms or more, or a table 100 ms.
 """
 
 import statistics
@@ -51,7 +51,7 @@ def main() -> int:
                 took, charged = seconds(lambda p=policy, r=rows: p.predict(r), calls)
                 low, middle, high = (1e3 * each for each in statistics.quantiles(took, n=4))
                 print(f"| {name} | {player} | {middle:.3g} [{low:.3g}, {high:.3g}] | {1e3 * charged:.3g} |")
-                kept &= player != "numpy" or charged < (ONE if calls > 1_000 else MANY)
+                kept &= player != "numpy" or middle < 1e3 * (ONE if calls > 1_000 else MANY)
     return 0 if kept else 1
 
 

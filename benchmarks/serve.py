@@ -5,7 +5,7 @@
 The service, of a policy of two layers of 256 units (`table_policy.py`), runs on the first core of this process, the client on
 the others: 32 connections that send the next request when they have the answer to the last one. Requests per second are the
 median and the quartiles of slices of a second. Where other work shares the core, they are fewer than the requests per second of
-processor time, which the service is charged. Exit code 1: fewer than 1,000 of these.
+processor time, which the service is charged. Exit code 1: fewer than 1,000 requests per second by the clock, in the median.
 """
 
 import argparse
@@ -101,7 +101,7 @@ def main() -> int:
     print(f"- {middle:,.0f} [{low:,.0f}, {high:,.0f}] requests per second, of {CONNECTIONS} connections in {seconds} seconds")
     print(f"- {len(answers) / charged:,.0f} requests per second of processor time")
     print(f"- answers after {percentiles[49]:.1f} ms (median), {percentiles[98]:.1f} ms (99 %)")
-    return 0 if len(answers) / charged >= PROMISED else 1
+    return 0 if middle >= PROMISED else 1
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ class RLPD(ScaledRewards, SAC):
     """SAC on an ensemble of layer-normalised critics."""
 
     revision: ClassVar[int] = 1
+    supports_discrete: ClassVar[bool] = False  # as published; its target entropy is one of densities
     actor_init: ClassVar[Init] = GLOROT
     critic_init: ClassVar[Init] = GLOROT
     other_names: ClassVar[dict[str, str]] = {"num_qs": "critics", "num_min_qs": "subset", "critic_layer_norm": "layer_norm"}

@@ -128,6 +128,8 @@ class Subject:
 
 def _without_absent(path: Path | str, schema: Schema) -> Schema:
     """The schema without columns that a log of a policy in use need not have, such as propensities, where it lacks them."""
+    if not schema.having(*OPTIONAL):
+        return schema
     there = set(read_rows(path, schema)[0].column_names)
     kept = tuple(column for column in schema.columns if column.role not in OPTIONAL or column.name in there)
     return schema if len(kept) == len(schema.columns) else replace(schema, columns=kept)
