@@ -181,7 +181,7 @@ class _Hub:
 
     def __init__(self, repo: str, dataset: bool):
         try:
-            import huggingface_hub
+            import huggingface_hub  # pyright: ignore[reportMissingImports] - an extra
         except ImportError as error:
             raise UserError("the Hub is reached by huggingface_hub: pip install 'deadreckon[hub]'") from error
         self.client = huggingface_hub.HfApi(library_name="deadreckon")
