@@ -180,9 +180,10 @@ def advance(
     return states, jax.tree.map(lambda s: s / count, sums), bad
 
 
-@eqx.filter_jit
 def begin(learner: Any, spec: Spec, roots: Key[Array, "lanes"]) -> Any:
     """(lanes, ...) first states."""
+    # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all agents and logs. One program an agent
+    # and log gives the same bits and takes about half a second to compile.
     one = lambda learner, root: learner.init(spec, key_for(root, "init"))  # noqa: E731
     # Arrays of Python's numbers are weakly typed and become strongly typed when they are updated: `advance` would be compiled
     # for the first chunk and then once more, for the same numbers.
