@@ -29,6 +29,7 @@ from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.progress import Progress
 from deadreckon.tasks.adroit import Adroit
 from deadreckon.training.fit import Fit
+from deadreckon.training.learner import lane_of
 
 ROOT = ("DEADRECKON_DAPG_URL", "https://raw.githubusercontent.com/aravindr93/hand_dapg/master/dapg")
 BODY = "gymnasium-robotics"  # the package that has the hand
@@ -150,7 +151,7 @@ def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updat
     for done in job.chunks():
         if done.failures[0] is not None:
             raise UserError(f"{log.name}: the clone failed, {done.failures[0].metric} was not finite")
-    return EnvPolicy.of(agent.policy(jax.tree.map(lambda leaf: leaf[0], job.states)), rows.view)
+    return EnvPolicy.of(agent.policy(lane_of(job.states, 0)), rows.view)
 
 
 def successes(task: Adroit, policy: EnvPolicy, *, episodes: int = 100, seed: int = 0, greedy: bool = False) -> tuple[Any, Any]:

@@ -26,6 +26,7 @@ from deadreckon.provided import Shown
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.hyperparameters import check_fields, described, on_device
+from deadreckon.training.learner import unstack
 from deadreckon.training.revisions import revisions
 
 # Standardised means and deviations of coordinates (n, size); either may be None.
@@ -92,7 +93,7 @@ class DesignInput(NamedTuple):
         folder = None if self.out is None else self._folder(learner, points, steps, what)
         job = Fit([learner] * len(self.seeds), points, self.seeds, steps, chunk=max(1, min(500, steps // 10)), folder=folder)
         complete(job, what, lambda progress: self.watch(what, progress.step, steps))
-        return [jax.tree.map(lambda leaf, i=i: leaf[i], job.states) for i in range(len(self.seeds))]
+        return unstack(job.states, len(self.seeds))
 
     def _folder(self, learner: Any, points: DesignSource, steps: int, what: str) -> Path:
         """Where checkpoints lie: a folder of its own for all data and each setting."""

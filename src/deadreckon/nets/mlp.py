@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 
@@ -87,7 +88,7 @@ class MLP(eqx.Module):
             kw, kb = jax.random.split(k)  # both are drawn alike
             last = init.last if layer == len(hidden) else None
             weights.append(_weights(init.weights, kw, i, o, last))
-            bound = 1.0 / jnp.sqrt(i) if last is None else last
+            bound = _bound(i) if last is None else last
             if init.bias is None or last is not None:
                 biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))
             else:
@@ -126,8 +127,13 @@ def _weights(kind: str, key: PRNGKeyArray, inputs: int, outputs: int, last: floa
         return jax.nn.initializers.glorot_uniform()(key, (inputs, outputs))
     if kind == "lecun":
         return jax.nn.initializers.lecun_normal()(key, (inputs, outputs))
-    bound = 1.0 / jnp.sqrt(inputs) if last is None else last
+    bound = _bound(inputs) if last is None else last
     return jax.random.uniform(key, (inputs, outputs), minval=-bound, maxval=bound)
+
+
+def _bound(inputs: int) -> np.float32:
+    """1/sqrt(inputs)."""
+    return np.float32(1.0) / np.sqrt(np.float32(inputs))
 
 
 def standardised(x: Float[Array, "*b h"]) -> Float[Array, "*b h"]:

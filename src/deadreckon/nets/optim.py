@@ -4,15 +4,20 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
+from jax.core import Tracer
 from jaxtyping import Array
 
 ADAM = optax.scale_by_adam()
 
 
 def init_opt(params: Any) -> optax.OptState:
-    """Adam's state before the first step."""
-    return ADAM.init(params)
+    """Adam's state before the first step, all of it zeros."""
+    if _traced(params):
+        return ADAM.init(params)
+    zeros = lambda leaf: np.zeros(leaf.shape, leaf.dtype)  # noqa: E731
+    return jax.device_put(jax.tree.map(zeros, jax.eval_shape(ADAM.init, params)))
 
 
 def apply_gradients(
@@ -56,4 +61,9 @@ def polyak_update(target: Any, online: Any, rate: Any) -> Any:
 
 def copy(tree: Any) -> Any:
     """Arrays of their own, so that a target network is never an alias of the online one."""
-    return jax.tree.map(jnp.copy, tree)
+    return jax.tree.map(jnp.copy, tree) if _traced(tree) else jax.device_put(jax.tree.map(np.array, tree))
+
+
+def _traced(tree: Any) -> bool:
+    """Whether a program is being made. Where not, zeros and copies come from the host: on the device each shape compiles."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))

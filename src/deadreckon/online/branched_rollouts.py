@@ -13,8 +13,9 @@ from deadreckon.dynamics import branches, packed
 from deadreckon.dynamics.ensemble import room
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
-from deadreckon.online.model_learning import ModelLearning, own
+from deadreckon.online.model_learning import ModelLearning
 from deadreckon.randomness import generator, key_for
+from deadreckon.training.learner import lane_of
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
 SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
@@ -69,7 +70,7 @@ class BranchedRollouts(ModelLearning):
         length = self.agent.rollout_length_at((self.environment_steps - self.settings.explore) // EPOCH)
         found = []
         for lane, seed in enumerate(self.seeds):
-            agent, state = own(learner, lane), own(states, lane)
+            agent, state = lane_of(learner, lane), lane_of(states, lane)
             rng = generator(seed, "rollouts", turn)
             real, n = self.real(lane), agent.rollouts_per_step * agent.model_train_freq
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])

@@ -14,6 +14,7 @@ from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.online.exploration import Exploration
 from deadreckon.online.rows import unpacked
+from deadreckon.training.learner import lane_of
 
 
 class ModelLearning(Exploration):
@@ -48,7 +49,7 @@ class ModelLearning(Exploration):
         """The states with their ensembles fitted to all real rows."""
         ensembles, reports = [], []
         for lane in range(len(self.seeds)):
-            agent, state = own(learner, lane), own(states, lane)
+            agent, state = lane_of(learner, lane), lane_of(states, lane)
             real, start = unpacked(self.real(lane), self.columns), state.model if turn else None
             try:
                 ensemble, report = agent.trainer.fit(agent.model, self.spec, real, self._mixed(lane, turn), start)
@@ -85,8 +86,3 @@ class ModelLearning(Exploration):
         """See `Experience`."""
         super().restore(state)
         self.metrics = {name: np.asarray(value) for name, value in state["metrics"].items()}
-
-
-def own(tree: Any, lane: int) -> Any:
-    """What belongs to a lane."""
-    return jax.tree.map(lambda leaf: leaf[lane], tree)

@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from deadreckon.data.batch import TransitionSource
@@ -17,6 +16,7 @@ from deadreckon.ope.settings import FitSettings
 from deadreckon.training.checkpoint import folder_of
 from deadreckon.training.fit import Chunk, Fit, complete
 from deadreckon.training.hyperparameters import described, on_device
+from deadreckon.training.learner import lane_of
 
 BLOCK = 65_536  # rows at a time
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
@@ -75,7 +75,7 @@ class Fits:
             self.watch(what, progress.step, steps)
 
         complete(job, what, told)
-        return jax.tree.map(lambda leaf: leaf[0], job.states)
+        return lane_of(job.states, 0)
 
     def convergence_warnings(self, what: str, metric: str) -> list[str]:
         """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""

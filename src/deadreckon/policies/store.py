@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from deadreckon.errors import UserError
@@ -92,7 +92,7 @@ def load(path: Path | str) -> EnvPolicy:
         if isinstance(value, list):
             return tuple(decode(v) for v in value)
         if isinstance(value, str) and value.startswith("@"):
-            return jnp.asarray(arrays[value[1:]])
+            return jax.device_put(arrays[value[1:]])
         return value
 
     try:

@@ -1,5 +1,6 @@
 """What the log and the critics say of a policy, without a simulator."""
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -19,20 +20,18 @@ from deadreckon.tasks.task import Task
 SAMPLE = 1024  # logged rows that policies are compared on
 
 
-def two_sample_mmd(x: Float[Array | np.ndarray, "n d"], y: Float[Array | np.ndarray, "m d"], variance: Any) -> Float[Array, ""]:
+def two_sample_mmd(x: Float[np.ndarray, "n d"], y: Float[np.ndarray, "m d"], variance: float) -> float:
     """Root of the unbiased Gaussian-kernel MMD^2 between two samples, zero where the estimate is negative (Gretton 2012)."""
 
-    x, y = jnp.asarray(x), jnp.asarray(y)
-
-    def mean(a: Array, b: Array, same: bool) -> Array:
-        squared = jnp.square(a).sum(-1)[:, None] + jnp.square(b).sum(-1)[None] - 2.0 * a @ b.T
-        k = jnp.exp(-jnp.maximum(squared, 0.0) / (2.0 * variance))
+    def mean(a: np.ndarray, b: np.ndarray, same: bool) -> float:
+        squared = np.square(a).sum(-1)[:, None] + np.square(b).sum(-1)[None] - 2.0 * a @ b.T
+        k = np.exp(-np.maximum(squared, 0.0) / np.float32(2.0 * variance))
         if not same:
-            return k.mean()
+            return float(k.mean())
         n = len(a)
-        return (k.sum() - jnp.trace(k)) / (n * (n - 1))
+        return float((k.sum() - np.trace(k)) / (n * (n - 1)))
 
-    return jnp.sqrt(jnp.maximum(mean(x, x, True) + mean(y, y, True) - 2.0 * mean(x, y, False), 0.0))
+    return math.sqrt(max(mean(x, x, True) + mean(y, y, True) - 2.0 * mean(x, y, False), 0.0))
 
 
 class LogProbe:
@@ -60,7 +59,7 @@ class LogProbe:
 
     def __call__(self, policy: EnvPolicy, seed: int = 0) -> dict[str, float]:
         """The two measures of one policy, its actions drawn, not greedy."""
-        actions = np.asarray(first_actions(policy, jnp.asarray(self.observations), jax.random.key(seed), False))
+        actions = np.asarray(first_actions(policy, jax.device_put(self.observations), jax.random.key(seed), False))
         outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
         drawn = np.concatenate([self.states, self._scaled(actions)], -1)[self.half :]
         # Two rows per side are the fewest that the estimate is defined for.

@@ -26,6 +26,7 @@ from deadreckon.runs.settings import RunSettings
 from deadreckon.runs.trackers.feed import Tracking
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
+from deadreckon.training.learner import unstack
 from deadreckon.training.part import Part
 
 RECORDED = 8  # episodes per policy whose observations are kept for pictures
@@ -83,8 +84,7 @@ class Recorder:
     def policies(self) -> list[EnvPolicy]:
         """The lanes' present policies."""
         view = self.job.each[0].view
-        lanes = range(len(self.job.seeds))
-        states = [jax.tree.map(lambda leaf, i=i: leaf[i], self.job.states) for i in lanes]
+        states = unstack(self.job.states, len(self.job.seeds))
         return [
             History.of(EnvPolicy.of(agent.policy(state), view), self.history, self.spec)
             for agent, state in zip(self.job.learners, states)

@@ -17,7 +17,7 @@ from deadreckon.data.batch import BatchSource, TransitionSource
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.randomness import key_for
 from deadreckon.training.checkpoint import load_tree, save_tree
-from deadreckon.training.learner import lift
+from deadreckon.training.learner import lane_of, lift, stack, unstack
 from deadreckon.training.program import advance, begin, choose, finite, shape_of
 from deadreckon.training.replay import Experience
 from deadreckon.training.sources import source_of
@@ -58,7 +58,7 @@ class Fitted:
 
     def lane(self, index: int) -> Any:
         """The state of one lane."""
-        return jax.tree.map(lambda leaf: leaf[index], self.states)
+        return lane_of(self.states, index)
 
 
 def checkpoints(folder: Path) -> list[tuple[int, Path]]:
@@ -214,10 +214,10 @@ class Fit:
             return result.lane(0)
 
         lanes, failures = [], list(self.failures)
-        for i, (learner, own) in enumerate(zip(self.learners, self.each)):
+        states = unstack(self.states, len(self.learners))
+        for i, (learner, own, state) in enumerate(zip(self.learners, self.each, states)):
             assert isinstance(own, TransitionSource)  # `__post_init__` has refused anything else
             key = key_for(self.roots[i], "prepare", self.step)
-            state = jax.tree.map(lambda leaf, i=i: leaf[i], self.states)
             # The first preparation may take hours: a kill loses that of one lane only.
             kept = self.folder / f"prepared-{i}.npz" if self.folder is not None and self.step == 0 else None
             if failures[i] is None:
@@ -232,7 +232,7 @@ class Fit:
                     failures[i] = Failure(f"{str(error).partition(':')[0]} (while preparing)", self.step)
             lanes.append(state)
         self.failures = tuple(failures)
-        self.states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)
+        self.states = stack(lanes)
 
     def save(self) -> None:
         """Writes a checkpoint, where there is a folder."""

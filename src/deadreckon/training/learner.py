@@ -6,7 +6,7 @@ from typing import Any, Protocol, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from deadreckon.data.batch import Batch, BatchSpec
@@ -54,4 +54,21 @@ def lift(learners: Sequence[L]) -> L:
             one, two = getattr(first, f.name), getattr(other, f.name)
             if (one is None) != (two is None) or (f.metadata.get("static") and one != two):
                 raise UserError(f"{type(first).__name__}.{f.name} shapes the program and must be the same in all lanes")
-    return jax.tree.map(lambda *values: jnp.asarray(values, jnp.float32), *map(on_device, learners))
+    return jax.tree.map(lambda *values: jax.device_put(np.asarray(values, np.float32)), *map(on_device, learners))
+
+
+# On the host, where no program is compiled: on the device these are one for every shape of a leaf.
+def unstack(tree: Any, count: int) -> list[Any]:
+    """The parts of a (lanes, ...) tree that belong to each of `count` lanes."""
+    host = jax.device_get(tree)
+    return [jax.device_put(jax.tree.map(lambda leaf, i=i: leaf[i], host)) for i in range(count)]
+
+
+def lane_of(tree: Any, index: int) -> Any:
+    """The part of a (lanes, ...) tree that belongs to one lane."""
+    return jax.device_put(jax.tree.map(lambda leaf: leaf[index], jax.device_get(tree)))
+
+
+def stack(parts: Sequence[Any]) -> Any:
+    """A (lanes, ...) tree of the parts that belong to each lane."""
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *jax.device_get(list(parts))))

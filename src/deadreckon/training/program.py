@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.randomness import key_for
+from deadreckon.training.learner import stack, unstack
 
 REVISION = 2  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
 
@@ -182,13 +183,11 @@ def advance(
 
 def begin(learner: Any, spec: Spec, roots: Key[Array, "lanes"]) -> Any:
     """(lanes, ...) first states."""
-    # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all agents and logs. One program an agent
-    # and log gives the same bits and takes about half a second to compile.
-    one = lambda learner, root: learner.init(spec, key_for(root, "init"))  # noqa: E731
-    # Arrays of Python's numbers are weakly typed and become strongly typed when they are updated: `advance` would be compiled
-    # for the first chunk and then once more, for the same numbers.
-    return jax.tree.map(lambda leaf: leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf,
-                        jax.vmap(one)(learner, roots))  # fmt: skip
+    # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all lanes, agents and logs. One
+    # program an agent and log gives the same bits and takes half a second to ten seconds to compile.
+    data = np.asarray(jax.random.key_data(roots))
+    keys = [key_for(jax.random.wrap_key_data(one), "init") for one in data]
+    return stack([own.init(spec, key) for own, key in zip(unstack(learner, len(keys)), keys)])
 
 
 def shape_of(spec: Spec) -> Spec:
