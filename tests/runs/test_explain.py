@@ -6,6 +6,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.data.schema import Column, Schema
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
@@ -107,7 +108,27 @@ def test_what_it_needs_is_said(log, tmp_path):
         explain(path)
 
 
+def test_thresholds_and_actions_have_the_units_of_the_schema(tmp_path):
+    rng = np.random.default_rng(2)
+    table = {"age": rng.normal(size=ROWS), "dose": rng.uniform(-1, 1, ROWS), "reward": np.zeros(ROWS)}
+    schema = Schema((
+        Column("age", "observation", unit="years"), Column("dose", "action", low=-5.0, high=5.0, unit="mg"),
+        Column("reward", "reward"),
+    ))  # fmt: skip
+    data = dr.Dataset.from_frame(table, schema=schema)
+    inner = Deterministic(MLP((jnp.asarray([[50.0]]),), (jnp.zeros(1),)))
+    store.save(tmp_path / "p.npz", EnvPolicy(inner, None, None, -5 * jnp.ones(1), 5 * jnp.ones(1)))
+    found = explain(tmp_path / "p.npz", data)
+    assert found.tree is not None
+    lines = list(found.tree.lines())
+    assert lines[0].startswith("age <= ")
+    assert lines[0].endswith(" years?")
+    assert all(" mg (" in line for line in lines if "dose" in line)
+    assert sum("dose = " in line for line in lines) >= 2
+
+
 def test_the_tree_is_drawn_with_all_its_texts():
+    assert "blood_<wbr>pressure &lt; 3" in drawing(Node("blood_pressure < 3", 1.0), "long names may be broken")
     root = Node("age <= 50", 1.0, Node("a & b", 0.25), Node("c <= 1", 0.75, Node("d", 0.5), Node("e", 0.25)))
     text = drawing(root, "what it does")
     assert all(part in text for part in ("age &lt;= 50?", "a &amp; b", "25% of rows", "yes", "no"))
