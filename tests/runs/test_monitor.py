@@ -129,11 +129,14 @@ def test_a_new_level_is_outside_the_log_and_a_new_action_is_refused(place):
     found = of_reference(place, "levels.csv")
     assert found.outside.share >= 0.5
     assert any(each.about == "outside" and each.alarm and "level" in each.text for each in found.findings)
+    assert sum("'unheard of'" in each.text for each in found.findings) == 2  # outside, and beside the shares of the levels
     gaps = table(250, 5)
     gaps.loc[gaps.index % 3 == 0, "age"] = np.nan
     gaps.to_csv(place / "gaps.csv", index=False)
     found = of_reference(place, "gaps.csv")
     assert ("age", "a missing value", 84, True) in found.outside.columns
+    assert found.columns[0].missing == (0.0, 84 / 250)
+    assert any("missing in 0.0% of rows before, 33.6% now" in each.text for each in found.findings)
     assert found.outside.share == pytest.approx(84 / 250, abs=0.02)
     assert abs(found.columns[0].now - found.columns[0].before) < 2  # filled with the mean that was there
     rows["action"] = "shout"

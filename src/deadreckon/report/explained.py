@@ -15,11 +15,12 @@ SHOWN = 12  # columns
 def section(page: Page) -> Markup | None:
     """One part for each run of which it is known."""
     files = [folder.path / NAME for entry in page.entries for folder, _ in entry.folders]
-    parts = [_part(Explained.from_json(read_json(file))) for file in files if file.exists()]
+    parts = [part(Explained.from_json(read_json(file))) for file in files if file.exists()]
     return join(*parts) if parts else None
 
 
-def _part(found: Explained) -> Markup:
+def part(found: Explained) -> Markup:
+    """The tree, how well it imitates the policy, and the columns that matter."""
     told = f"{found.headline[:1].upper()}{found.headline[1:]}."
     tree = None
     if found.tree is not None:

@@ -23,6 +23,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.policies.deployed import history_of
 from deadreckon.policies.pure import MEMBER, Pure, pure
+from deadreckon.provided import Shown
 from deadreckon.randomness import generator
 from deadreckon.runs.explained_tree import Node, node_of
 from deadreckon.runs.subject import subject
@@ -55,7 +56,7 @@ class Matters:
 
 
 @dataclass(frozen=True)
-class Explained:
+class Explained(Shown):
     """A tree that imitates a policy, and what it is worth.
 
     Attributes:

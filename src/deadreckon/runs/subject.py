@@ -22,6 +22,7 @@ from deadreckon.runs.player import CROSS_FIT, chosen
 from deadreckon.runs.reading import HORIZON, Read, check_encoding
 from deadreckon.runs.run import Run, load
 
+GAPS = "missing "  # begins the names of extra columns that say where values are missing; the name of the column follows
 OPTIONAL = ("propensity", "cost", "weight", "group", "keep")  # roles of columns that nobody compares
 
 
@@ -115,7 +116,7 @@ class Subject:
         log = read(path, schema=schema.resolved(lenient), horizon=horizon)
         told = dict(log.provenance.extra)
         names = list(told["observation_names"])
-        marks = {f"{column.name}_missing": f"missing {column.name}" for column in complete}
+        marks = {f"{column.name}_missing": f"{GAPS}{column.name}" for column in complete}
         kept = [i for i, name in enumerate(names) if name not in marks]
         flags = {marks[name]: log.observations[:, i] > 0.5 for i, name in enumerate(names) if name in marks}
         following = None if log.successors is None else log.successors[:, kept]
