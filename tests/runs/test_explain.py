@@ -160,5 +160,12 @@ def test_a_run_keeps_it_and_the_report_shows_it(table, capsys):
     assert "share of fresh rows that get another action" in page
 
 
+@pytest.mark.parametrize("option", ["--policy-seed", "--seed"])
+def test_the_seed_of_the_policy_is_called_as_in_predict_and_may_have_its_old_name(table, capsys, option):
+    for words in (["explain"], ["export", "--format", "numpy", "--out", "x"], ["monitor", "new.csv"]):
+        assert main([words[0], str(table[1].path), *words[1:], f"{option}=7"]) == 2
+        assert "has no policy of seed 7; its seeds are 0" in capsys.readouterr().err
+
+
 def test_depths_are_few():
     assert DEPTHS[-1] <= 6
