@@ -19,7 +19,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.files import read_json
-from deadreckon.online.exploration import Online
+from deadreckon.online import Online
 from deadreckon.report.entries import read
 from deadreckon.report.provenance import command, section
 from deadreckon.runs import online as module
@@ -212,7 +212,7 @@ def test_one_of_several_runs_that_shared_a_program_goes_on(offline, tmp_path):
     ({"demonstrations": LOG}, "give one of them"),
     ({"start": None, "data": None}, "train_online needs an agent, or a run on a log to go on from"),
     ({"start": None, "agent": "ppo"}, "PPO does not learn online with a log in its replay; these agents do: "),
-    ({"start": None, "agent": "sac", "data": None}, "explore must be above 0 where no log is learned from, got 0"),
+    ({"start": None, "agent": "sac", "data": None}, "must be 1 or more where no log is learned from, got 0"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_told_before_anything_is_written(offline, change, words, tmp_path):
     options = OPTIONS | {"task": HOPPER, "start": offline, "data": LOG} | change
