@@ -264,6 +264,29 @@ def test_from_the_command_line(tmp_path, home, capsys):
     assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
 
 
+def test_a_table_whose_columns_were_named_on_the_command_line_is_read_again_by_its_schema(tmp_path, home, capsys):
+    rows = np.concatenate([LOG.observations, LOG.actions, LOG.rewards[:, None]], 1)
+    trip = np.repeat(np.arange(12), 10)
+    ends = np.stack([LOG.terminals, LOG.timeouts], 1).astype(int)
+    names = [*(f"seen {i}" for i in range(11)), "hip", "knee", "foot", "gain", "trip", "fell", "stopped"]
+    lines = [";".join([*(f"{x:.4f}" for x in row), str(k), *map(str, end)]) for row, k, end in zip(rows, trip, ends)]
+    (tmp_path / "hops.csv").write_text("\n".join([";".join(names), *lines]))
+    columns = ["--action", "hip", "knee", "foot", "--reward", "gain", "--episode", "trip", "--terminal", "fell"]
+    agent = "tests.runs.test_fine_tuned:Returned"
+    words = ["train", "--agent", agent, "--data", str(tmp_path / "hops.csv"), *columns, "--timeout", "stopped"]
+    words += ["--task", "hopper", "--steps", "4", "--episodes", "1"]
+    assert main([*words, "--out", str(tmp_path / "a")]) == 0
+    turns = ["--copies", "4", "--block", "16", "--updates-per-step", "0.5", "--evaluate-every", "16", "--threads", "1"]
+    words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "32", "--episodes", "1", *turns]
+    assert main([*words, "--out", str(tmp_path / "b")]) == 0, capsys.readouterr().err
+    config = read_json(tmp_path / "b" / "run.json")
+    assert config["log"]["episodes"] == 12
+    assert module.reopened(tmp_path / "b").source.experience.log.episodes == 12
+    shutil.copy(tmp_path / "hops.csv", tmp_path / "copy.csv")
+    (tmp_path / "hops.csv").write_text("gone")
+    assert module.reopened(tmp_path / "b", tmp_path / "copy.csv").source.experience.log.episodes == 12
+
+
 # A log of actions in [-0.5, 0]: nobody has seen what moves to the right brings, so what is left of the middle stays there or
 # leaves it further. Six seeds of these settings had these mean returns before they acted, and after 3,000 steps of their own
 # (the best there is: -0.27), each seed above its own beginning: Cal-QL -7.5 and -5.9, TD3+BC -1.6 and -0.45, IQL -5.3 and

@@ -9,7 +9,6 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import read
-from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.held import HELD
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
@@ -19,7 +18,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
-from deadreckon.runs.reading import HORIZON, Read, check_encoding
+from deadreckon.runs.reading import HORIZON, Read, check_encoding, read_like, schema_for
 from deadreckon.runs.run import Run, load
 
 GAPS = "missing "  # begins the names of extra columns that say where values are missing; the name of the column follows
@@ -92,13 +91,10 @@ class Subject:
         return found
 
     def _like(self, path: Path | str, gaps: bool = False) -> Dataset:
-        schema, horizon = self.schema, (self.read.extra or {}).get(HORIZON)
-        if schema is None or not Path(path).is_file() or sniff(path) not in TABLES:
-            return catalogue.load(path, horizon=horizon)
-        # A file of another kind than the policy's own may have another dialect, and has another name.
-        alike = self.read.path is not None and Path(path).suffix == Path(self.read.path).suffix
-        schema = replace(schema, table=schema.options() if alike else {})
-        return self._with_gaps(path, schema, horizon) if gaps else read(path, schema=schema, horizon=horizon)
+        schema = schema_for(self.name, self.read, path) if gaps else None
+        if schema is None:
+            return read_like(self.name, self.read, path)
+        return self._with_gaps(path, schema, (self.read.extra or {}).get(HORIZON))
 
     def _with_gaps(self, path: Path | str, schema: Schema, horizon: int | None) -> Dataset:
         """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
