@@ -104,7 +104,7 @@ def test_what_it_needs_is_said(log, tmp_path):
     path = saved(linear((0, 0, 0), (0, 1, 0)), tmp_path / "p.npz")
     with pytest.raises(UserError, match="image observations"):
         explain(path, image)
-    with pytest.raises(UserError, match="does not say where its log lies; name it"):
+    with pytest.raises(UserError, match="does not say where its log lies; name it with a second argument"):
         explain(path)
 
 

@@ -204,13 +204,13 @@ def test_a_log_that_is_gone_or_has_changed_is_not_compared_with(place, tmp_path)
     table(300, 9).to_csv(tmp_path / "log.csv", index=False)
     run = dr.train(BC, tmp_path / "log.csv", steps=1, task=False, out=tmp_path / "run")
     table(300, 8).to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(UserError, match="has changed"):
+    with pytest.raises(UserError, match="has changed .* name a copy of it with --reference"):
         monitor(run, place / "same.csv")
     log = dr.Dataset.from_frame(table(60, 1), action="action", reward="reward")
     unnamed = dr.train(BC, log, steps=1, task=False, out=tmp_path / "unnamed")
-    with pytest.raises(UserError, match="cannot be read again, so name it"):
+    with pytest.raises(UserError, match="cannot be read again, so name it with --reference"):
         monitor(unnamed, place / "same.csv")
     assert monitor(unnamed, place / "same.csv", reference=log).compared.startswith("compared: all rows and logged")
     (tmp_path / "log.csv").unlink()
-    with pytest.raises(UserError, match="is not at .* any more; name it"):
+    with pytest.raises(UserError, match="is not at .* any more; name it with --reference"):
         monitor(run, place / "same.csv")

@@ -134,7 +134,7 @@ def explain(run: Any, log: Dataset | Path | str | None = None, *, seed: int | No
         UserError: the policy cannot be asked for single rows, or scikit-learn is missing.
     """
     one = subject(run, seed)
-    function, data = pure(one.policy), one.log(log)
+    function, data = pure(one.policy), one.log(log, option="a second argument (in Python log=)")
     if len(data.spec.observation_shape) > 1:
         raise UserError(f"{data.name}: image observations (shape {data.spec.observation_shape}) cannot be explained by columns")
     found = _explained(one.name, function, data, history_of(one.policy))

@@ -124,7 +124,8 @@ def monitor(
         raise UserError(f"made_by is policy or reference, got {made_by!r}")
     one = subject(run, seed)
     told = estimates_of(one, estimates)
-    old, new = one.log(reference), one.log(log, gaps=True)
+    option = "--reference (in Python reference=)"
+    old, new = one.log(reference, option=option), one.log(log, gaps=True, option=option)
     sizes = [(log.spec.observation_shape, log.spec.action_size, log.spec.discrete) for log in (old, new)]
     if sizes[0] != sizes[1]:
         shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))

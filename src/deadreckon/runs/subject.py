@@ -59,11 +59,12 @@ class Subject:
         found = (self.read.extra or {}).get("schema")
         return None if found is None else Schema.from_json(found, self.name)
 
-    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False) -> Dataset:
+    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False, *, option: str) -> Dataset:
         """A log, read as the one that the policy learned from; that one itself where none is given.
 
         Args:
             given: the log, or where it is.
+            option: by which a user gives one, for errors.
             gaps: whether values may be missing where the policy's log had all; see `_with_gaps`.
 
         Raises:
@@ -79,15 +80,19 @@ class Subject:
         known = (self.config or {}).get("data", {})
         path = self.read.path
         if path is None and "name" not in known:
-            raise UserError(f"{self.name} does not say where its log lies; name it")
+            raise UserError(f"{self.name} does not say where its log lies; name it with {option}")
+        if "online" in (self.config or {}):
+            raise UserError(f"{self.name} learned in a simulator and has no log of its own; name one with {option}")
         if path is not None and not Path(path).exists():
-            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it")
+            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it with {option}")
         try:
             found = self._like(path) if path is not None else catalogue.load(known["name"])
         except UserError as error:
-            raise UserError(f"the log that {self.name} learned from cannot be read again, so name it: {error}") from error
+            text = f"the log that {self.name} learned from cannot be read again, so name it with {option}"
+            raise UserError(f"{text}: {error}") from error
         if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
-            raise UserError(f"the log that {self.name} learned from has changed ({path or known['name']}); name a copy of it")
+            where = path or known["name"]
+            raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
         return found
 
     def _like(self, path: Path | str, gaps: bool = False) -> Dataset:
